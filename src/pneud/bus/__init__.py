@@ -1,0 +1,1 @@
+"""CAN frames in and out: codecs, links, the virtual bus."""

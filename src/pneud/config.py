@@ -1,0 +1,477 @@
+"""One axis as a TOML file: what may stand in it, its bounds, and the plain parameters that come of it.
+
+Unknown keys are errors; units are part of the names. Nothing here is read inside the loop.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from pneud import resources
+from pneud.physics import cylinder as cyl
+from pneud.physics import gas as gas_
+from pneud.physics.friction import Friction
+from pneud.physics.valve import Valve
+from pneud.plant.parameters import PlantParameters
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(gt=0, lt=1)]
+Pressure = Annotated[float, Field(gt=0, le=2.0e6)]
+MaybeInfinite = Annotated[float, Field(gt=0, allow_inf_nan=True)]
+
+
+class ConfigError(Exception):
+    """A configuration cannot be used; the text is one line for a person."""
+
+
+class Section(BaseModel):
+    """A table of the file: unknown keys, NaN and infinity are errors, and nothing changes afterwards."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=False)
+
+
+def check_channel(text: str) -> None:
+    """Check the form of a bus name: auto, socketcan:IF or unixcan:NAME.
+
+    Raises:
+        ValueError: any other form.
+    """
+    kind, _, name = text.partition(":")
+    ok = text == "auto" or (
+        kind in ("socketcan", "unixcan") and name != "" and "/" not in name and len(name) <= 64
+    )
+    if not ok:
+        raise ValueError(f"bus {text!r} is none of auto, socketcan:IF, unixcan:NAME")
+
+
+class CylinderConfig(Section):
+    """Geometry and load."""
+
+    piston_area_1_m2: Positive
+    piston_area_2_m2: Positive
+    stroke_m: Annotated[float, Field(gt=0, le=20)]
+    dead_length_1_m: Positive
+    dead_length_2_m: Positive
+    moving_mass_kg: Annotated[float, Field(gt=0, le=10_000)]
+
+
+class GasConfig(Section):
+    """The medium and its supply; pressures are absolute."""
+
+    heat_capacity_ratio: Annotated[float, Field(gt=1, lt=2)] = 1.4
+    gas_constant_j_kg_k: Positive = 286.987
+    temperature_k: Annotated[float, Field(ge=200, le=400)] = 293.0
+    atmosphere_pa: Pressure = 101_000.0
+    supply_pa: Pressure
+
+    @model_validator(mode="after")
+    def _supply_above_atmosphere(self) -> GasConfig:
+        if self.supply_pa <= self.atmosphere_pa:
+            raise ValueError("supply_pa must lie above atmosphere_pa (both are absolute)")
+        return self
+
+
+class ValveConfig(Section):
+    """The proportional valve as the controller knows it."""
+
+    orifice_area_m2: Positive
+    u_max_v: Annotated[float, Field(gt=0, le=5)] = 5.0
+    bandwidth_hz: NonNegative = 0.0
+    damping: Annotated[float, Field(gt=0, le=5)] = 0.7
+    dead_zone_v: Annotated[float, Field(ge=0, lt=2.5)] = 0.0
+
+
+class LoopConfig(Section):
+    """The tick."""
+
+    rate_hz: Annotated[float, Field(ge=10, le=5_000)] = 1000.0
+    set_deadline: Annotated[float, Field(ge=0.1, le=0.95)] = 0.8
+    spin_us: Annotated[float, Field(ge=0, le=500)] = 0.0
+
+
+class RealtimeConfig(Section):
+    """What is asked of the operating system."""
+
+    priority: Annotated[int, Field(ge=0, le=98)] = 80
+    cpu: Annotated[int, Field(ge=0)] | None = None
+    lock_memory: bool = True
+    required: bool = False
+
+
+class FrameConfig(Section):
+    """One message of the DBC and its signals, by role."""
+
+    message: str
+    signals: dict[str, str] = Field(default_factory=dict)
+    counter: str | None = "Counter"
+    crc: str | None = "Crc"
+
+
+class FramesConfig(Section):
+    """Which message of the DBC plays which role; the defaults are those of pneud.dbc."""
+
+    sync: FrameConfig = FrameConfig(message="SYNC", crc=None)
+    encoder: FrameConfig = FrameConfig(
+        message="ENCODER", signals={"position_m": "Position", "status": "Status", "age_s": "Age"}
+    )
+    pressure: FrameConfig = FrameConfig(
+        message="PRESSURE", signals={"p1_pa": "P1", "p2_pa": "P2", "supply_pa": "Supply"}
+    )
+    valve_status: FrameConfig = FrameConfig(
+        message="VALVE_STATUS", signals={"applied_v": "Applied", "state": "State"}
+    )
+    valve_command: FrameConfig = FrameConfig(
+        message="VALVE_COMMAND", signals={"voltage_v": "Voltage", "enable": "Enable", "sequence": "Sequence"}
+    )
+
+
+class BusConfig(Section):
+    """The CAN bus and its time-outs."""
+
+    channel: str = "auto"
+    dbc: str = "pneud.dbc"
+    sync: bool = True
+    bitrate_bit_s: MaybeInfinite = 1.0e6
+    sensor_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0
+    valve_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0
+    deadline_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0
+    frames: FramesConfig = FramesConfig()
+
+    @model_validator(mode="after")
+    def _channel_form(self) -> BusConfig:
+        check_channel(self.channel)
+        return self
+
+
+class ObserverConfig(Section):
+    """The disturbance observer (10)."""
+
+    discretisation: Literal["explicit", "implicit", "matched"] = "implicit"
+    lambda0: Positive = 1.5
+    lambda1: Positive = 1.1
+    gain_n_s2: Positive
+
+    @model_validator(mode="after")
+    def _convergent(self) -> ObserverConfig:
+        if self.lambda1 <= 1.0:
+            raise ValueError(
+                "lambda1 must exceed 1, or d̂ cannot follow a disturbance that changes at gain_n_s2"
+            )
+        return self
+
+
+class MotionConfig(Section):
+    """The [x, v, F] filter: noise in physical units, or a bandwidth."""
+
+    bandwidth_rad_s: Annotated[float, Field(gt=0, le=5_000)]
+
+
+class ControlConfig(Section):
+    """The law."""
+
+    law: Literal["composite", "ismc"] = "composite"
+    discretisation: Literal["explicit", "implicit"] = "implicit"
+    k1: Positive
+    k2: Positive
+    k3: Positive
+    alpha: Annotated[float, Field(gt=0.5, le=1)]
+    eta_m_s3: NonNegative
+    estimate_force: bool = True
+    feed_force_rate: bool = False
+    compensate_dead_zone: bool = False
+    dead_zone_band_v: Annotated[float, Field(ge=0, le=1)] = 0.02
+    observer: ObserverConfig
+    motion: MotionConfig
+
+    @model_validator(mode="after")
+    def _hurwitz(self) -> ControlConfig:
+        if self.k2 * self.k3 <= self.k1:
+            raise ValueError(
+                f"gains are not Hurwitz: k2·k3 = {self.k2 * self.k3:g} must exceed k1 = {self.k1:g} (Lemma 2)"
+            )
+        return self
+
+
+class ReferenceConfig(Section):
+    """The motion tracked after arming; positions in the paper's effective coordinate."""
+
+    kind: Literal["sine"] = "sine"
+    effective_centre_m: Positive
+    amplitude_m: NonNegative
+    frequency_hz: Annotated[float, Field(ge=0, le=20)]
+    join: Literal["transfer", "at_once"] = "transfer"
+
+
+class TransferConfig(Section):
+    """Bounds of the motion that joins a reference or comes to rest."""
+
+    speed_m_s: Positive = 0.3
+    acceleration_m_s2: Positive = 2.0
+    jerk_m_s3: Positive = 40.0
+
+
+class LimitsConfig(Section):
+    """What the axis may never exceed; positions in the stroke coordinate, pressures absolute."""
+
+    travel_min_m: float
+    travel_max_m: float
+    speed_m_s: Positive
+    tracking_error_m: Positive
+    chamber_min_pa: NonNegative
+    chamber_max_pa: Pressure
+    supply_min_pa: Pressure
+    supply_max_pa: Pressure
+    slew_v_s: Annotated[float, Field(gt=0, le=1e6)]
+    transfer: TransferConfig = TransferConfig()
+
+    @model_validator(mode="after")
+    def _ordered(self) -> LimitsConfig:
+        for low, high in (
+            ("travel_min_m", "travel_max_m"),
+            ("chamber_min_pa", "chamber_max_pa"),
+            ("supply_min_pa", "supply_max_pa"),
+        ):
+            if getattr(self, low) >= getattr(self, high):
+                raise ValueError(
+                    f"{low} = {getattr(self, low):g} must lie below {high} = {getattr(self, high):g}"
+                )
+        return self
+
+
+class LogConfig(Section):
+    """The record."""
+
+    detail: Literal["compact", "full"] = "compact"
+
+
+class PlantValveConfig(Section):
+    """The true valve."""
+
+    bandwidth_hz: NonNegative = 0.0
+    damping: Annotated[float, Field(gt=0, le=5)] = 0.7
+    dead_zone_v: Annotated[float, Field(ge=0, lt=2.5)] = 0.0
+    dac_bits: Annotated[int, Field(ge=0, le=24)] = 0
+
+
+class PlantFrictionConfig(Section):
+    """The true friction (LuGre); all zero for the ideal plant."""
+
+    coulomb_n: NonNegative = 0.0
+    static_n: NonNegative = 0.0
+    stribeck_speed_m_s: Positive = 0.02
+    viscous_n_s_m: NonNegative = 0.0
+    bristle_stiffness_n_m: NonNegative = 0.0
+    bristle_damping_n_s_m: NonNegative = 0.0
+
+    @model_validator(mode="after")
+    def _complete(self) -> PlantFrictionConfig:
+        if self.static_n < self.coulomb_n:
+            raise ValueError("static_n must not lie below coulomb_n")
+        if self.coulomb_n > 0 and self.bristle_stiffness_n_m == 0:
+            raise ValueError("bristle_stiffness_n_m must be positive where there is dry friction")
+        return self
+
+
+class PlantSensorsConfig(Section):
+    """The true sensors; zero for exact ones."""
+
+    encoder_resolution_m: NonNegative = 0.0
+    pressure_resolution_pa: NonNegative = 0.0
+    pressure_noise_pa: NonNegative = 0.0
+
+
+class PlantConfig(Section):
+    """The software rig: what really happens, apart from what the controller's sections above believe."""
+
+    step_us: Annotated[float, Field(gt=0, le=100)] = 100.0
+    initial_x1_m: Positive = 0.45
+    initial_p2_pa: Pressure = 300_000.0
+    rod_force: bool = True
+    reverse_flow: bool = True
+    polytropic_exponent: Annotated[float, Field(ge=1, lt=2)] | None = None
+    disturbance: Literal["none", "case1", "case2"] = "none"
+    bitrate_bit_s: MaybeInfinite = 1.0e6
+    node_delay_us: Annotated[float, Field(ge=0, le=500)] = 20.0
+    valve: PlantValveConfig = PlantValveConfig()
+    friction: PlantFrictionConfig = PlantFrictionConfig()
+    sensors: PlantSensorsConfig = PlantSensorsConfig()
+
+
+class Config(Section):
+    """A whole axis."""
+
+    schema_: Annotated[Literal[1], Field(alias="schema")]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+    cylinder: CylinderConfig
+    gas: GasConfig
+    valve: ValveConfig
+    loop: LoopConfig = LoopConfig()
+    realtime: RealtimeConfig = RealtimeConfig()
+    bus: BusConfig = BusConfig()
+    control: ControlConfig
+    reference: ReferenceConfig
+    limits: LimitsConfig
+    log: LogConfig = LogConfig()
+    plant: PlantConfig = PlantConfig()
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Config:
+        stroke = self.cylinder.stroke_m
+        if self.limits.travel_min_m < 0 or self.limits.travel_max_m > stroke:
+            raise ValueError(
+                f"limits.travel {self.limits.travel_min_m:g} … {self.limits.travel_max_m:g} m"
+                f" must lie within the stroke 0 … {stroke:g} m"
+            )
+        centre = self.reference.effective_centre_m - self.cylinder.dead_length_1_m
+        low, high = centre - self.reference.amplitude_m, centre + self.reference.amplitude_m
+        if low < self.limits.travel_min_m or high > self.limits.travel_max_m:
+            raise ValueError(
+                f"reference reaches {low:g} … {high:g} m of the stroke,"
+                f" beyond limits.travel {self.limits.travel_min_m:g} … {self.limits.travel_max_m:g} m"
+            )
+        peak = 2.0 * math.pi * self.reference.frequency_hz * self.reference.amplitude_m
+        if peak > self.limits.speed_m_s:
+            raise ValueError(
+                f"reference reaches {peak:g} m/s, above limits.speed_m_s = {self.limits.speed_m_s:g}"
+            )
+        if not self.limits.supply_min_pa <= self.gas.supply_pa <= self.limits.supply_max_pa:
+            raise ValueError(
+                f"gas.supply_pa = {self.gas.supply_pa:g} lies outside limits.supply"
+                f" {self.limits.supply_min_pa:g} … {self.limits.supply_max_pa:g}"
+            )
+        x1 = self.plant.initial_x1_m - self.cylinder.dead_length_1_m
+        if not 0.0 <= x1 <= stroke:
+            raise ValueError(f"plant.initial_x1_m = {self.plant.initial_x1_m:g} lies outside the stroke")
+        period_ms = 1000.0 / self.loop.rate_hz
+        for key in ("sensor_timeout_ms", "valve_timeout_ms", "deadline_timeout_ms"):
+            if getattr(self.bus, key) < 2.0 * period_ms:
+                raise ValueError(
+                    f"bus.{key} = {getattr(self.bus, key):g} is shorter than two ticks ({2 * period_ms:g} ms)"
+                )
+        return self
+
+
+def gas_of(c: Config) -> gas_.Gas:
+    """The gas as plain numbers."""
+    g = c.gas
+    return gas_.gas(
+        g.heat_capacity_ratio, g.gas_constant_j_kg_k, g.temperature_k, g.atmosphere_pa, g.supply_pa
+    )
+
+
+def cylinder_of(c: Config) -> cyl.Cylinder:
+    """The cylinder as plain numbers."""
+    k = c.cylinder
+    return cyl.cylinder(
+        k.piston_area_1_m2,
+        k.piston_area_2_m2,
+        k.moving_mass_kg,
+        k.stroke_m,
+        k.dead_length_1_m,
+        k.dead_length_2_m,
+        c.valve.orifice_area_m2,
+        c.valve.u_max_v,
+        gas_of(c),
+    )
+
+
+def valve_of(c: Config) -> Valve:
+    """The valve the controller believes in, as plain numbers."""
+    v = c.valve
+    return Valve(v.u_max_v, 2.0 * math.pi * v.bandwidth_hz, v.damping, v.dead_zone_v)
+
+
+def plant_of(c: Config) -> PlantParameters:
+    """The true plant as plain numbers."""
+    p = c.plant
+    cylinder = cylinder_of(c)
+    if not p.rod_force:
+        cylinder = cylinder._replace(rod_force_n=0.0)
+    f = p.friction
+    return PlantParameters(
+        gas=gas_of(c),
+        cylinder=cylinder,
+        valve=Valve(
+            c.valve.u_max_v, 2.0 * math.pi * p.valve.bandwidth_hz, p.valve.damping, p.valve.dead_zone_v
+        ),
+        friction=Friction(
+            f.coulomb_n,
+            f.static_n,
+            f.stribeck_speed_m_s,
+            f.viscous_n_s_m,
+            f.bristle_stiffness_n_m,
+            f.bristle_damping_n_s_m,
+        ),
+        polytropic_exponent=p.polytropic_exponent or c.gas.heat_capacity_ratio,
+        reverse_flow=p.reverse_flow,
+        step_s=p.step_us * 1e-6,
+        initial_x1=p.initial_x1_m,
+        initial_p2_pa=p.initial_p2_pa,
+        disturbance=("none", "case1", "case2").index(p.disturbance),
+        dac_bits=p.valve.dac_bits,
+        valve_timeout_s=c.bus.valve_timeout_ms * 1e-3,
+        encoder_resolution_m=p.sensors.encoder_resolution_m,
+        pressure_resolution_pa=p.sensors.pressure_resolution_pa,
+        pressure_noise_pa=p.sensors.pressure_noise_pa,
+        bitrate_bit_s=p.bitrate_bit_s,
+        node_delay_s=p.node_delay_us * 1e-6,
+    )
+
+
+def parse(text: str, name: str) -> Config:
+    """A configuration from the text of its file.
+
+    Args:
+        text: TOML.
+        name: what to call it in messages.
+
+    Raises:
+        ConfigError: names the file, the key, the value and the bound.
+    """
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as e:
+        raise ConfigError(f"{name}: not valid TOML: {e}") from None
+    try:
+        return Config.model_validate(data)
+    except ValidationError as e:
+        raise ConfigError(f"{name}: " + "; ".join(_sentence(error) for error in e.errors())) from None
+
+
+def load_config(file: str | Path) -> Config:
+    """The configuration in a file, or one of those that come with pneud by its bare name.
+
+    Raises:
+        ConfigError: the file is missing, unreadable or wrong.
+    """
+    return load_with_text(file)[0]
+
+
+def load_with_text(file: str | Path) -> tuple[Config, str, Path]:
+    """As `load_config`, with the file's text and where it was found."""
+    try:
+        path = resources.find(file)
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError as e:
+        raise ConfigError(str(e)) from None
+    except (OSError, UnicodeDecodeError) as e:
+        raise ConfigError(f"{file}: cannot be read: {e}") from None
+    return parse(text, str(path)), text, path
+
+
+def _sentence(error: Any) -> str:
+    where = ".".join(str(part) for part in error["loc"])
+    if error["type"] == "extra_forbidden":
+        return f"{where}: unknown key"
+    if error["type"] == "missing":
+        return f"{where}: missing"
+    message = error["msg"].removeprefix("Value error, ")
+    value = error["input"]
+    shown = f" = {value!r}" if isinstance(value, (int, float, str, bool)) else ""
+    return f"{where}{shown}: {message}" if where else str(message)

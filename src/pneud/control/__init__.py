@@ -1,0 +1,1 @@
+"""The law: motion filter, disturbance observer, sliding control, references."""

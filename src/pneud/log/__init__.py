@@ -1,0 +1,1 @@
+"""The record of every tick: layout, writer process, reader."""

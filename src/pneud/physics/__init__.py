@@ -1,0 +1,1 @@
+"""Equations that the law and the plant share: gas, cylinder, valve, friction."""

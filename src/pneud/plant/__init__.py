@@ -1,0 +1,1 @@
+"""The software rig: cylinder, valve, sensors and their nodes on the bus."""

@@ -1,0 +1,1 @@
+"""The real-time side of the machine: pacing, scheduling, systemd notification."""

@@ -1,0 +1,1 @@
+"""What stands between the law and the valve: fault table, supervisor, output chain."""

@@ -1,0 +1,206 @@
+"""What flows through one tick: measurement in, command out.
+
+Every record is a NamedTuple of plain numbers, so that it can be logged, compared bit for bit and passed to
+compiled code. SI units; positions are in the stroke coordinate (0 at the rear end stop) unless a name
+says otherwise; times are CLOCK_MONOTONIC nanoseconds.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag
+from typing import NamedTuple
+
+
+class Source(IntFlag):
+    """The three frames that make a complete set of measurements."""
+
+    ENCODER = 1
+    PRESSURE = 2
+    VALVE = 4
+
+
+ALL_SOURCES = int(Source.ENCODER | Source.PRESSURE | Source.VALVE)
+
+
+class Defect(IntFlag):
+    """Why frames of one source have not been used since its last valid one."""
+
+    CORRUPT = 1  # wrong CRC or length
+    FROZEN = 2  # the counter stands still
+    LATE = 4  # sampled before this tick's SYNC
+
+
+class Host(IntFlag):
+    """What the machine, rather than the bus, has to say about this tick."""
+
+    LINK_DOWN = 1
+    NO_REALTIME = 2
+    RECORDER_LOST = 4
+    CLOCK_STEP = 8
+    SEND_FAILED = 16
+
+
+class EncoderStatus(IntFlag):
+    """Bits of ENCODER.Status."""
+
+    REFERENCED = 1
+    WARNING = 2
+    ERROR = 4
+
+
+class ValveState(IntEnum):
+    """Values of VALVE_STATUS.State."""
+
+    BOOT = 0
+    CENTRED = 1
+    ENABLED = 2
+    TIMED_OUT = 3
+    FAULT = 4
+
+
+class State(IntEnum):
+    """States of an axis; the names are lower-cased in everything a person or a script reads."""
+
+    STARTING = 0
+    WAITING = 1
+    DISARMED = 2
+    TRACKING = 3
+    MOVING = 4
+    HOLDING = 5
+    HOMING = 6
+    STOPPING = 7
+    FAULT = 8
+
+    @property
+    def label(self) -> str:
+        """The state as written in logs, JSON and on the screen."""
+        return self.name.lower()
+
+
+ENGAGED = (State.TRACKING, State.MOVING, State.HOLDING, State.HOMING, State.STOPPING)
+
+
+class RequestKind(IntEnum):
+    """What may be asked of an axis."""
+
+    ARM = 1
+    DISARM = 2  # controlled stop, then centre
+    CLEAR = 3
+    SHUTDOWN = 4  # controlled stop, then centre for good
+    MARK = 5  # text for the log; the axis ignores it
+
+
+class Request(NamedTuple):
+    """One request of the operator, taken by the axis in one tick."""
+
+    kind: int
+    value: float = 0.0
+
+
+class Measurement(NamedTuple):
+    """The newest valid values, and how good they are.
+
+    `fresh` has a bit of `Source` for each source whose valid frame belongs to this tick; `age_ns` counts from
+    the instant a source's last valid value was sampled to this tick's SYNC (0 when fresh); `defects` tells why newer
+    frames of a source were not used.
+    """
+
+    t_ns: int  # this tick's SYNC
+    fresh: int
+    position_m: float
+    p1_pa: float
+    p2_pa: float
+    supply_pa: float
+    applied_v: float  # what the valve's DAC put out when it was sampled
+    encoder_status: int
+    valve_state: int
+    encoder_age_ns: int
+    pressure_age_ns: int
+    valve_age_ns: int
+    encoder_defects: int
+    pressure_defects: int
+    valve_defects: int
+    encoder_offset_ns: int  # sampling instant of position_m relative to t_ns
+    skipped: int  # ticks skipped just before this one
+    host: int  # bits of Host
+
+
+class Estimate(NamedTuple):
+    """What the axis believes at this tick's SYNC."""
+
+    position_m: float
+    velocity_m_s: float
+    force_n: float  # F̂, unmatched force acting on the load
+    x3_n: float  # P1 A1 − P2 A2
+    x3_hat_n: float  # x̂3 of the observer (10)
+    d_hat_n_s: float  # d̂ of the observer (10)
+    innovation_m: float  # encoder minus prediction
+    opening_v: float  # command that the valve spool is believed to follow
+
+
+class Reference(NamedTuple):
+    """Where the load should be at this tick's SYNC, with three derivatives."""
+
+    position_m: float
+    velocity_m_s: float
+    acceleration_m_s2: float
+    jerk_m_s3: float
+
+
+class Command(NamedTuple):
+    """What leaves for the valve."""
+
+    voltage_v: float
+    enable: int
+    saturated: int  # 1 where the law asked for more than the output chain let through
+    law_v: float  # what the law asked for; NaN where it was not asked
+    s: float  # sliding variable of (12)
+    ustar: float  # u* of (19)
+
+
+class Tick(NamedTuple):
+    """Everything one cycle read and decided."""
+
+    t_ns: int
+    measurement: Measurement
+    request: Request | None
+    estimate: Estimate
+    reference: Reference
+    command: Command
+    state: int
+    present: int  # bits of the fault table that hold now
+    latched: int  # bits of the fault table that hold the axis in FAULT
+
+
+class Frame(NamedTuple):
+    """A classic CAN frame on its way: kernel receive stamp, or the time of send() for a sent one."""
+
+    stamp_ns: int
+    can_id: int  # as in struct can_frame, with its flag bits
+    data: bytes
+
+
+class Timing(NamedTuple):
+    """Where the time of one tick went [ns]; a negative value means that there was none."""
+
+    lateness_ns: int  # wake-up after the ideal grid
+    set_ns: int  # SYNC sent → set complete or given up
+    cycle_ns: int  # axis.cycle
+    send_ns: int  # encoding and send() of the command
+    latency_ns: int  # newest sensor frame's stamp → send() of the command returned
+    record_ns: int  # hand-over of the previous tick's record
+
+
+class Record(NamedTuple):
+    """One tick as it goes to the recorder.
+
+    `frames[:before]` were drained before SYNC left, the rest after it: replay feeds them in that order. `sent` holds SYNC
+    and VALVE_COMMAND. `truth_m` is the true position at SYNC where a software plant tells it, else NaN.
+    """
+
+    tick: Tick
+    timing: Timing
+    frames: tuple[Frame, ...]
+    before: int
+    sent: tuple[Frame, ...]
+    truth_m: float

@@ -1,0 +1,1 @@
+"""The axis and the plant in simulated time."""
