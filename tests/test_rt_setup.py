@@ -1,0 +1,160 @@
+"""Set-up of the real-time side, tried in children so that the test run itself stays as it is."""
+
+from __future__ import annotations
+
+import gc
+import os
+import resource
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from pneud.rt import setup
+from pneud.rt.setup import Report
+
+NAMES = ["gc", "affinity", "memory", "cpu_latency", "timer_slack", "fifo"]
+
+
+def in_child(action: Callable[[], object]) -> str:
+    """The repr of what an action returns in a forked child; what it raises comes back as text too."""
+    readable, writable = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(readable)
+        try:
+            answer = repr(action())
+        except BaseException as e:
+            answer = f"RAISED {e!r}"
+        os.write(writable, answer.encode())
+        os._exit(0)
+    os.close(writable)
+    with os.fdopen(readable, "rb") as pipe:
+        answer = pipe.read().decode()
+    os.waitpid(child, 0)
+    return answer
+
+
+def reports_in_child(action: Callable[[], list[Report]]) -> dict[str, Report]:
+    reports: list[Report] = eval(in_child(action), {"Report": Report})
+    return {r.name: r for r in reports}
+
+
+def drop_all_rights() -> None:
+    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+    resource.setrlimit(resource.RLIMIT_MEMLOCK, (0, 0))
+    if os.geteuid() == 0:
+        os.setgroups([])
+        os.setgid(65534)
+        os.setuid(65534)
+
+
+def test_every_attempt_is_reported_in_one_line_with_a_reason() -> None:
+    cpu = min(os.sched_getaffinity(0))
+    reports = reports_in_child(lambda: setup.apply(80, cpu, True))
+    assert list(reports) == NAMES
+    for r in reports.values():
+        assert r.asked
+        assert r.reason
+        assert "\n" not in r.reason
+
+
+def test_what_is_reported_as_in_force_really_is() -> None:
+    def apply_and_look() -> list[object]:
+        cpu = min(os.sched_getaffinity(0))
+        reports = {r.name: r.ok for r in setup.apply(10, cpu, True)}
+        return [
+            reports["fifo"] == (os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO),
+            reports["affinity"] and os.sched_getaffinity(0) == {cpu},
+            reports["gc"] and not gc.isenabled() and gc.get_freeze_count() > 0,
+            reports["memory"] == (locked_kib() > 0),
+            reports["timer_slack"] == (slack_ns() == 1),
+        ]
+
+    def locked_kib() -> int:
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return next(int(line.split()[1]) for line in lines if line.startswith("VmLck"))
+
+    def slack_ns() -> int:
+        return int(Path("/proc/self/timerslack_ns").read_text()) or 1  # a FIFO thread has none at all
+
+    assert in_child(apply_and_look) == "[True, True, True, True, True]"
+
+
+def test_refusals_say_what_helps_and_raise_nothing() -> None:
+    def apply() -> list[Report]:
+        drop_all_rights()
+        return setup.apply(80, None, True)
+
+    reports = reports_in_child(apply)
+    assert not reports["fifo"].ok
+    assert "LimitRTPRIO" in reports["fifo"].reason
+    assert not reports["memory"].ok
+    assert "LimitMEMLOCK" in reports["memory"].reason
+    assert reports["cpu_latency"].ok or "cpu_dma_latency" in reports["cpu_latency"].reason
+    assert reports["gc"].ok
+
+
+def test_a_cpu_that_is_not_there_is_refused_with_those_that_are() -> None:
+    for cpu in (5000, 2**40):
+        report = reports_in_child(lambda cpu=cpu: setup.apply(0, cpu, False))["affinity"]  # type: ignore[misc]
+        assert not report.ok
+        assert f"one of {min(os.sched_getaffinity(0))}" in report.reason
+
+
+def test_an_impossible_priority_is_a_refusal_too() -> None:
+    report = reports_in_child(lambda: setup.apply(1000, None, False))["fifo"]
+    assert not report.ok
+    assert "realtime.priority" in report.reason
+
+
+def test_what_is_not_asked_for_is_left_alone_and_said() -> None:
+    def apply() -> list[Report]:
+        reports = setup.apply(0, None, False)
+        assert os.sched_getscheduler(0) == os.SCHED_OTHER
+        return reports
+
+    reports = reports_in_child(apply)
+    assert {n for n, r in reports.items() if not r.asked} == {"fifo", "affinity", "memory"}
+    assert not any(r.ok for r in reports.values() if not r.asked)
+
+
+def test_reports_as_text_tell_yes_from_no() -> None:
+    text = setup.as_text([Report("a", True, "fine"), Report("b", False, "no right")])
+    assert text == {"a": "yes: fine", "b": "no: no right"}
+
+
+@pytest.mark.parametrize("dead_already", [False, True])
+def test_a_child_dies_with_its_parent(dead_already: bool) -> None:
+    readable, writable = os.pipe()
+    parent = os.fork()
+    if parent == 0:
+        me = os.getpid()
+        if os.fork() == 0:
+            if dead_already:
+                while os.getppid() == me:
+                    time.sleep(0.001)
+            setup.die_with_parent(me)
+            os.write(writable, b"A")  # only a child whose parent lives gets here
+            while True:
+                signal.pause()
+        if not dead_already:
+            time.sleep(0.2)
+        os._exit(0)
+    os.close(writable)
+    os.waitpid(parent, 0)
+    with os.fdopen(readable, "rb") as pipe:
+        said = pipe.read()  # ends when the grandchild is dead
+    assert said == (b"" if dead_already else b"A")
+
+
+def test_terminal_signals_are_ignored() -> None:
+    def receive_all() -> str:
+        setup.ignore_terminal_signals()
+        for signum in (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP):
+            os.kill(os.getpid(), signum)
+        return "alive"
+
+    assert in_child(receive_all) == "'alive'"
