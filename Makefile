@@ -1,0 +1,89 @@
+# `make help` lists the targets. Needs make and Python ≥ 3.11; everything else goes into .venv.
+#   ARGS="…"     options for what the target starts: make virtual ARGS="--duration 10 --headless --json"
+#   PYTHON=…     interpreter to make .venv with, where the first one found is not the one wanted
+
+VENV := .venv
+BIN := $(VENV)/bin
+RUNTIME := $(VENV)/.runtime
+DEV := $(VENV)/.dev
+PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
+
+.DEFAULT_GOAL := help
+.PHONY: help virtual test lint types contracts ci-tests coverage vm soak clean
+
+help: ## this list
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 12
+
+virtual: $(RUNTIME) ## close the loop on the software rig
+	@exec $(BIN)/pneud --virtual $(ARGS)
+
+test: $(DEV) ## the quick tests
+	@exec $(BIN)/python -m pytest $(ARGS)
+
+lint: $(DEV) ## ruff: rules and layout
+	@$(BIN)/ruff check .; rules=$$?; $(BIN)/ruff format --check . && exit $$rules
+
+types: $(DEV) ## mypy --strict
+	@exec $(BIN)/mypy
+
+contracts: $(DEV) ## who may import whom
+	@exec $(BIN)/lint-imports --no-logo
+
+ci-tests: $(DEV) ## the tests that take longer
+	@exec $(BIN)/python -m pytest -m slow $(ARGS)
+
+coverage: $(DEV) ## every branch of safety/ and control/ is taken by a test
+	@$(BIN)/python -m pytest -q -m 'not vm and not soak' --cov=pneud.safety --cov=pneud.control --cov-branch \
+	    --cov-report=term-missing:skip-covered --cov-fail-under=100 $(ARGS) || \
+	  { echo 'coverage: a test failed, or src/pneud/safety and src/pneud/control are not covered to the last branch' >&2; exit 1; }
+
+vm: $(DEV) ## the tests over real SocketCAN, in a virtual machine (see hil/README.md)
+	@exec hil/vm/run -t 600 -- $(BIN)/python -m pytest -m vm -p no:cacheprovider tests/vm $(ARGS)
+
+soak: $(DEV) ## the tests that take minutes
+	@exec $(BIN)/python -m pytest -m soak $(ARGS)
+
+clean: ## remove the environment and everything made
+	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .coverage
+	find src tests hil -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# True: .venv works and holds this checkout. False: it was moved or copied, its scripts name another folder.
+SOUND := $(shell $(BIN)/python -c 'import os, pneud; print(os.path.samefile(pneud.__path__[0], "src/pneud"))' 2>/dev/null)
+ifneq ($(SOUND),True)
+.PHONY: $(RUNTIME) $(DEV)
+endif
+
+# Makes the environment where there is no usable one, then installs $(1). All words go to stderr: the standard
+# output of `make virtual` belongs to pneud.
+define environment
+@exec >&2; \
+fits() { "$$1" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; }; \
+has_uv() { command -v uv >/dev/null; }; \
+fail() { echo "pneud: $$1" >&2; exit 1; }; \
+if [ "$(SOUND)" = False ] || ! fits $(BIN)/python || ! { has_uv || $(BIN)/python -c 'import pip' 2>/dev/null; }; then \
+  rm -rf $(VENV); found=; old=; \
+  for python in $(PYTHONS); do \
+    if fits "$$python"; then found=$$python; break; fi; \
+    old=$${old:-$$("$$python" --version 2>/dev/null)}; \
+  done; \
+  [ -n "$$found" ] || fail "needs Python 3.11 or newer, found $${old:-none}: install one, or name it: make PYTHON=/path/to/python3.11 …"; \
+  echo "Making $(VENV) with $$("$$found" --version) (once)"; \
+  if has_uv; then uv venv --quiet --python "$$found" $(VENV) || { rm -rf $(VENV); exit 1; }; \
+  elif ! "$$found" -c 'import ensurepip, venv' 2>/dev/null; then \
+    fail "$$found cannot make environments: apt install python3-venv (Debian, Ubuntu), or install uv"; \
+  else trap 'rm -rf $(VENV)' INT TERM; "$$found" -m venv $(VENV) || { rm -rf $(VENV); exit 1; }; trap - INT TERM; fi; \
+fi; \
+if has_uv; then uv pip install --quiet --python $(BIN)/python -e $(1); \
+else $(BIN)/python -m pip install --quiet --disable-pip-version-check -e $(1); fi || \
+  fail "packages could not be installed (see above); this needs a package index once"
+endef
+
+$(RUNTIME): pyproject.toml
+	$(call environment,.)
+	@touch $@
+
+$(DEV): pyproject.toml
+	$(call environment,'.[dev$(comma)sim]')
+	@touch $(RUNTIME) $@
+
+comma := ,
