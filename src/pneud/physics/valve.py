@@ -29,3 +29,43 @@ def dead_zone_inverse(opening_v: float, valve: Valve, band_v: float) -> float:
     if band_v <= 0.0:
         return scaled + (math.copysign(valve.dead_zone_v, opening_v) if opening_v != 0.0 else 0.0)
     return scaled + valve.dead_zone_v * max(-1.0, min(1.0, opening_v / band_v))
+
+
+def opening(spool_v: float, valve: Valve) -> float:
+    """Effective opening [V] of a spool at `spool_v`: the dead zone, and no more than fully open."""
+    u = dead_zone(spool_v, valve)
+    if abs(u) > valve.u_max_v:
+        return math.copysign(valve.u_max_v, u)
+    return u
+
+
+class SpoolTransition(NamedTuple):
+    """How a spool's deviation from a constant command and its rate develop over a fixed time."""
+
+    ee: float
+    er: float  # [s]
+    re: float  # [1/s]
+    rr: float
+
+
+def spool_transition(time_s: float, valve: Valve) -> SpoolTransition:
+    """Exact transition of ÿ = ω²(u − y) − 2ζω ẏ over `time_s` for a constant u; all zero without lag."""
+    omega, zeta = valve.omega_rad_s, valve.zeta
+    if omega <= 0.0:
+        return SpoolTransition(0.0, 0.0, 0.0, 0.0)
+    damping = zeta * omega
+    if zeta < 1.0 - 1e-6:
+        root = omega * math.sqrt(1.0 - zeta * zeta)
+        scale = math.exp(-damping * time_s)
+        c = scale * math.cos(root * time_s)
+        s = scale * math.sin(root * time_s) / root
+    elif zeta > 1.0 + 1e-6:
+        root = omega * math.sqrt(zeta * zeta - 1.0)
+        slow = math.exp((root - damping) * time_s)
+        fast = math.exp(-(root + damping) * time_s)
+        c = 0.5 * (slow + fast)
+        s = 0.5 * (slow - fast) / root
+    else:
+        c = math.exp(-damping * time_s)
+        s = c * time_s
+    return SpoolTransition(c + damping * s, s, -omega * omega * s, c - damping * s)
