@@ -141,6 +141,7 @@ class BusConfig(Section):
     sensor_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0
     valve_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0
     deadline_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0
+    command_delay_us: Annotated[float, Field(ge=0, le=10_000)] | None = None  # sampling → command acts
     frames: FramesConfig = FramesConfig()
 
     @model_validator(mode="after")
@@ -167,9 +168,18 @@ class ObserverConfig(Section):
 
 
 class MotionConfig(Section):
-    """The [x, v, F] filter: noise in physical units, or a bandwidth."""
+    """The [x, v, F] filter: a bandwidth, or the noise that its Kalman gains follow from."""
 
-    bandwidth_rad_s: Annotated[float, Field(gt=0, le=5_000)]
+    bandwidth_rad_s: Annotated[float, Field(gt=0, le=5_000)] | None = None
+    encoder_noise_m: Positive | None = None
+    force_walk_n_rs: Positive | None = None  # what the unmatched force gains in a second [N/√s]
+
+    @model_validator(mode="after")
+    def _one_way(self) -> MotionConfig:
+        noise = (self.encoder_noise_m, self.force_walk_n_rs)
+        if (self.bandwidth_rad_s is None) == (None in noise) or (noise.count(None) == 1):
+            raise ValueError("give either bandwidth_rad_s, or encoder_noise_m and force_walk_n_rs")
+        return self
 
 
 class ControlConfig(Section):

@@ -126,7 +126,7 @@ class Measurement(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """What the axis believes at this tick's SYNC."""
+    """What the axis believes at the instant at which this tick's position was sampled."""
 
     position_m: float
     velocity_m_s: float
@@ -139,7 +139,7 @@ class Estimate(NamedTuple):
 
 
 class Reference(NamedTuple):
-    """Where the load should be at this tick's SYNC, with three derivatives."""
+    """Where the load should be at the instant of the estimate, with three derivatives."""
 
     position_m: float
     velocity_m_s: float

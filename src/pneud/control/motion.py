@@ -1,0 +1,99 @@
+"""The [x, v, F] filter: position, velocity and unmatched force from the encoder and the pressures.
+
+A load pushed by the measured force x3 minus an unknown force F that walks at random, seen by an encoder.
+The gains
+are the steady state of the Kalman filter of that model, without dimension (those of v and F are divided
+by the true interval and its square), which keeps the filter stable when an interval is longer than planned.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+
+class MotionFilter(NamedTuple):
+    """Gains for position, velocity (times h) and acceleration (times h²)."""
+
+    alpha: float
+    beta: float
+    gamma: float
+
+
+class MotionState(NamedTuple):
+    """Estimates at the last sample."""
+
+    x: float  # [m], stroke coordinate
+    v: float  # [m/s]
+    F: float  # unmatched force against the motion [N]
+    x3: float  # [N] at that sample
+    innovation: float  # [m]
+
+
+def triple_pole(omega_rad_s: float, h: float) -> MotionFilter:
+    """Gains that put all three poles at exp(−ω h) (an extended-state observer of bandwidth ω)."""
+    q = math.exp(-omega_rad_s * h)
+    p = 1.0 - q
+    return MotionFilter(1.0 - q * q * q, 1.5 * (1.0 + q) * p * p, p * p * p)
+
+
+def kalman(encoder_noise_m: float, force_walk_n_rs: float, M: float, h: float) -> MotionFilter:
+    """Steady-state Kalman gains.
+
+    A force that walks at random, discretised over one sample, and white encoder noise leave one number, the
+    ratio of the
+    position that the walk makes in a sample to the noise; the Riccati difference equation is iterated to
+    its fixed point.
+
+    Args:
+        encoder_noise_m: standard deviation of one reading (resolution/√12 for a quantiser).
+        force_walk_n_rs: standard deviation that the force gains in one second [N/√s].
+        M: moving mass [kg].
+        h: sample time [s].
+    """
+    # in units of the encoder noise and of h the model is x += v + a/2, v += a, with acceleration −F h²/(M
+    noise) q = (force_walk_n_rs * math.sqrt(h) * h * h / (M * encoder_noise_m))
+    ** 2 # integrated random walk of the acceleration over one sample
+    q11, q12, q13, q22, q23, q33 = q / 20.0, q / 8.0, q / 6.0, q / 3.0, q / 2.0, q
+    p11, p12, p13, p22, p23, p33 = 1.0, 0.0, 0.0, 1.0, 0.0, 1.0
+    alpha = beta = gamma = 0.0
+    for _ in range(1_000_000):
+        # predict with A = [[1, 1, ½], [0, 1, 1], [0, 0, 1]]
+        a11, a12, a13 = p11 + p12 + 0.5 * p13, p12 + p22 + 0.5 * p23, p13 + p23 + 0.5 * p33
+        b22, b23 = p22 + p23, p23 + p33
+        m11 = a11 + a12 + 0.5 * a13 + q11
+        m12 = a12 + a13 + q12
+        m13 = a13 + q13
+        m22 = b22 + b23 + q22
+        m23 = b23 + q23
+        m33 = p33 + q33
+        s = m11 + 1.0
+        g1, g2, g3 = m11 / s, m12 / s, m13 / s
+        p11, p12, p13 = m11 - g1 * m11, m12 - g1 * m12, m13 - g1 * m13
+        p22, p23, p33 = m22 - g2 * m12, m23 - g2 * m13, m33 - g3 * m13
+        done = abs(g1 - alpha) + abs(g2 - beta) + abs(g3 - gamma) <= 1e-14 * (g1 + g2 + g3)
+        alpha, beta, gamma = g1, g2, g3
+        if done:
+            break
+    return MotionFilter(alpha, beta, gamma)
+
+
+def at_rest(x: float, x3: float, rod_force_n: float) -> MotionState:
+    """The state of a load that stands still at x: the unmatched force balances x3."""
+    return MotionState(x, 0.0, x3 - rod_force_n, x3, 0.0)
+
+
+def predict(state: MotionState, x3: float, rod_force_n: float, M: float, h: float) -> MotionState:
+    """The state h later, x3 having gone in a straight line from its last value to this one."""
+    drag = rod_force_n + state.F
+    x = state.x + h * (state.v + h * (state.x3 / 3.0 + x3 / 6.0 - 0.5 * drag) / M)
+    v = state.v + h * (0.5 * (state.x3 + x3) - drag) / M
+    return MotionState(x, v, state.F, x3, 0.0)
+
+
+def correct(state: MotionState, position_m: float, M: float, h: float, p: MotionFilter) -> MotionState:
+    """The predicted state after an encoder reading; h is the interval that was predicted over."""
+    r = position_m - state.x
+    return MotionState(
+        state.x + p.alpha * r, state.v + p.beta * r / h, state.F - M * p.gamma * r / (h * h), state.x3, r
+    )

@@ -1,0 +1,102 @@
+"""From a configuration to the plain numbers that the loop runs on."""
+
+from __future__ import annotations
+
+import math
+
+from pneud.axis import AxisParameters, Limits
+from pneud.config import BusConfig, Config, cylinder_of, gas_of, plant_of, valve_of
+from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
+from pneud.control.homogeneous import feedback
+from pneud.control.motion import MotionFilter, kalman, triple_pole
+from pneud.control.reference import Bounds, Sine
+from pneud.control.sliding import Sliding
+from pneud.control.step import Controller
+from pneud.safety.output import OutputLimits
+
+__all__ = ["axis_of", "command_delay_s", "plant_of"]
+
+COMPUTING_S = 80e-6  # from the last sensor frame to the command's place on the wire
+FRAME_BITS, STUFFING = 47, 1.1
+
+
+def command_delay_s(bus: BusConfig) -> float:
+    """Time from the sampling instant until the command of that sample acts [s].
+
+    Three answers of eight bytes, the computation, and the command of eight bytes, one after the other on
+    the wire.
+    """
+    if bus.command_delay_us is not None:
+        return bus.command_delay_us * 1e-6
+    return 4 * (FRAME_BITS + 64) * STUFFING / bus.bitrate_bit_s + COMPUTING_S
+
+
+def motion_of(c: Config) -> MotionFilter:
+    """The motion filter's gains."""
+    m, h = c.control.motion, 1.0 / c.loop.rate_hz
+    if m.bandwidth_rad_s is not None:
+        return triple_pole(m.bandwidth_rad_s, h)
+    assert m.encoder_noise_m is not None and m.force_walk_n_rs is not None
+    return kalman(m.encoder_noise_m, m.force_walk_n_rs, c.cylinder.moving_mass_kg, h)
+
+
+def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
+    """Everything `Axis` needs.
+
+    Args:
+        c: the configuration.
+        command_lsb_v: step of the command on the wire, from the DBC [V].
+    """
+    h = 1.0 / c.loop.rate_hz
+    law, limits = c.control, c.limits
+    controller = Controller(
+        h=h,
+        delay_s=min(command_delay_s(c.bus), h),
+        gas=gas_of(c),
+        cylinder=cylinder_of(c),
+        valve=valve_of(c),
+        motion=motion_of(c),
+        observer=Observer(
+            law.observer.lambda0,
+            law.observer.lambda1,
+            law.observer.gain_n_s2,
+            {"explicit": EXPLICIT, "implicit": IMPLICIT, "matched": MATCHED}[law.observer.discretisation],
+        ),
+        sliding=Sliding(
+            gains=feedback(law.k1, law.k2, law.k3, law.alpha),
+            eta=law.eta_m_s3,
+            implicit=law.discretisation == "implicit",
+            compensate_d=law.law == "composite",
+            M=c.cylinder.moving_mass_kg,
+            invert_dead_zone=law.compensate_dead_zone,
+            dead_zone_band_v=law.dead_zone_band_v,
+        ),
+        use_force=law.estimate_force,
+        use_force_rate=law.feed_force_rate,
+    )
+    return AxisParameters(
+        controller=controller,
+        output=OutputLimits(c.valve.u_max_v, limits.slew_v_s, command_lsb_v),
+        limits=Limits(
+            limits.travel_min_m,
+            limits.travel_max_m,
+            limits.speed_m_s,
+            limits.tracking_error_m,
+            limits.chamber_min_pa,
+            limits.chamber_max_pa,
+            limits.supply_min_pa,
+            limits.supply_max_pa,
+            round(c.bus.sensor_timeout_ms * 1e6),
+            round(c.bus.valve_timeout_ms * 1e6),
+            round(c.bus.deadline_timeout_ms * 1e6),
+        ),
+        reference=Sine(
+            c.reference.effective_centre_m - c.cylinder.dead_length_1_m,
+            c.reference.amplitude_m,
+            2.0 * math.pi * c.reference.frequency_hz,
+        ),
+        transfer=Bounds(
+            limits.transfer.speed_m_s, limits.transfer.acceleration_m_s2, limits.transfer.jerk_m_s3
+        ),
+        join_at_once=c.reference.join == "at_once",
+    )
