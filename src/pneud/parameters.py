@@ -12,6 +12,7 @@ from pneud.control.motion import MotionFilter, kalman, triple_pole
 from pneud.control.reference import Bounds, Sine
 from pneud.control.sliding import Sliding
 from pneud.control.step import Controller
+from pneud.physics.valve import spool_transition
 from pneud.safety.output import OutputLimits
 
 __all__ = ["axis_of", "command_delay_s", "plant_of"]
@@ -49,9 +50,11 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
     """
     h = 1.0 / c.loop.rate_hz
     law, limits = c.control, c.limits
+    delay_s = min(command_delay_s(c.bus), h)
     controller = Controller(
         h=h,
-        delay_s=min(command_delay_s(c.bus), h),
+        delay_s=delay_s,
+        spool_before=spool_transition(delay_s, valve_of(c)),
         gas=gas_of(c),
         cylinder=cylinder_of(c),
         valve=valve_of(c),

@@ -40,10 +40,8 @@ def triple_pole(omega_rad_s: float, h: float) -> MotionFilter:
 def kalman(encoder_noise_m: float, force_walk_n_rs: float, M: float, h: float) -> MotionFilter:
     """Steady-state Kalman gains.
 
-    A force that walks at random, discretised over one sample, and white encoder noise leave one number, the
-    ratio of the
-    position that the walk makes in a sample to the noise; the Riccati difference equation is iterated to
-    its fixed point.
+    A force that walks at random and white encoder noise leave one number: how far the walk moves the load in
+    a sample, relative to the noise. The Riccati difference equation is iterated to its fixed point.
 
     Args:
         encoder_noise_m: standard deviation of one reading (resolution/√12 for a quantiser).
@@ -51,9 +49,9 @@ def kalman(encoder_noise_m: float, force_walk_n_rs: float, M: float, h: float) -
         M: moving mass [kg].
         h: sample time [s].
     """
-    # in units of the encoder noise and of h the model is x += v + a/2, v += a, with acceleration −F h²/(M
-    noise) q = (force_walk_n_rs * math.sqrt(h) * h * h / (M * encoder_noise_m))
-    ** 2 # integrated random walk of the acceleration over one sample
+    # in units of the encoder noise and of h: x += v + a/2, v += a, with a = −F h²/(M noise)
+    q = (force_walk_n_rs * math.sqrt(h) * h * h / (M * encoder_noise_m)) ** 2
+    # the walk integrated over one sample
     q11, q12, q13, q22, q23, q33 = q / 20.0, q / 8.0, q / 6.0, q / 3.0, q / 2.0, q
     p11, p12, p13, p22, p23, p33 = 1.0, 0.0, 0.0, 1.0, 0.0, 1.0
     alpha = beta = gamma = 0.0

@@ -14,8 +14,7 @@ from pneud.control.motion import MotionFilter, MotionState, at_rest, correct, pr
 from pneud.control.sliding import Sliding, SlidingOutput, SlidingState, engage, law
 from pneud.physics.cylinder import F0, Cylinder, F1_exhaust, F1_fill, x3_of
 from pneud.physics.gas import Gas
-from pneud.physics.spool import spool
-from pneud.physics.valve import Valve, dead_zone
+from pneud.physics.valve import SpoolTransition, Valve, opening, spool_transition
 from pneud.signals import Estimate, Reference
 
 X1_MARGIN = 1e-3  # least chamber length the model is evaluated at [m]
@@ -26,6 +25,7 @@ class Controller(NamedTuple):
 
     h: float  # nominal sample time [s]
     delay_s: float  # from the sampling instant until the command of that sample acts
+    spool_before: SpoolTransition  # of the valve's spool over delay_s
     gas: Gas
     cylinder: Cylinder
     valve: Valve
@@ -113,27 +113,25 @@ def observe(
 
     # the command before the last one acts for delay_s, then the last one
     before = min(p.delay_s, dt)
-    y0 = dead_zone(state.spool_v, p.valve)
-    y, rate = spool(state.spool_v, state.spool_rate_v_s, state.applied_v, before, p.valve)
-    y1 = dead_zone(y, p.valve)
-    y, rate = spool(y, rate, applied_v, dt - before, p.valve)
-    y2 = dead_zone(y, p.valve)
+    after = dt - before
+    y0 = state.spool_v
+    y1, rate = _spool(y0, state.spool_rate_v_s, state.applied_v, p.spool_before)
+    y2, rate = _spool(y1, rate, applied_v, spool_transition(after, p.valve))
+    u1, u2 = opening(y1, p.valve), opening(y2, p.valve)
     if p.valve.omega_rad_s == 0.0:
-        opening = (before * dead_zone(state.applied_v, p.valve) + (dt - before) * y2) / dt
+        u_mean = (before * u1 + after * u2) / dt  # without lag it jumps at the start of each part
     else:
-        opening = 0.5 * (before * (y0 + y1) + (dt - before) * (y1 + y2)) / dt
+        u_mean = 0.5 * (before * (opening(y0, p.valve) + u1) + after * (u1 + u2)) / dt
 
-    f1_sum = state.f1_fill + f1_fill if opening >= 0.0 else state.f1_exhaust + f1_exhaust
-    f_mean = 0.5 * (state.drift + drift + f1_sum * opening)
+    f1_sum = state.f1_fill + f1_fill if u_mean >= 0.0 else state.f1_exhaust + f1_exhaust
+    f_mean = 0.5 * (state.drift + drift + f1_sum * u_mean)
     observer = observe_disturbance(state.observer, x3, f_mean, dt, p.observer)
     force_rate = (motion.F - state.motion.F) / dt
     return (
         ControllerState(
-            motion, observer, state.sliding, y, rate, applied_v, drift, f1_fill, f1_exhaust, force_rate
+            motion, observer, state.sliding, y2, rate, applied_v, drift, f1_fill, f1_exhaust, force_rate
         ),
-        Estimate(
-            motion.x, motion.v, motion.F, x3, observer.x_hat, observer.d_hat, motion.innovation, opening
-        ),
+        Estimate(motion.x, motion.v, motion.F, x3, observer.x_hat, observer.d_hat, motion.innovation, u_mean),
     )
 
 
@@ -173,6 +171,11 @@ def act(
         p.valve,
     )
     return _with_sliding(state, sliding), out
+
+
+def _spool(y: float, rate: float, u: float, t: SpoolTransition) -> tuple[float, float]:
+    e = y - u
+    return u + t.ee * e + t.er * rate, t.re * e + t.rr * rate
 
 
 def _with_sliding(s: ControllerState, sliding: SlidingState) -> ControllerState:

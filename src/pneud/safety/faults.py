@@ -102,7 +102,7 @@ TABLE: tuple[Fault, ...] = (
         F.CHAMBER_PRESSURE,
         Reaction.CENTRE,
         "a chamber pressure lies outside limits.chamber",
-        "check the sensors' scale, the hoses and the load; a chamber above the supply means an overrunning load",
+        "check the sensors' scale and the hoses; far above the supply the load is driving the piston",
     ),
     Fault(
         F.SUPPLY_PRESSURE,
