@@ -1,0 +1,264 @@
+"""Codecs of the five frames, compiled at start-up from a DBC and the roles its messages play.
+
+`cantools` reads the database and is not needed afterwards. Values are in SI units, whatever units the
+database uses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from math import ceil, floor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pneud.bus.layout import Field, bit_range, compile_functions
+from pneud.config import BusConfig, FrameConfig
+
+if TYPE_CHECKING:
+    from cantools.database.can import Database, Message, Signal
+
+_KILO, _MILLI, _MICRO = Fraction(1000), Fraction(1, 1000), Fraction(1, 1_000_000)
+_UNITS: dict[str, dict[str, Fraction]] = {
+    "m": {"m": Fraction(1), "mm": _MILLI, "um": _MICRO, "µm": _MICRO, "μm": _MICRO},
+    "pa": {
+        "Pa": Fraction(1),
+        "hPa": Fraction(100),
+        "kPa": _KILO,
+        "MPa": Fraction(1_000_000),
+        "mbar": Fraction(100),
+        "bar": Fraction(100_000),
+    },
+    "v": {"V": Fraction(1), "mV": _MILLI},
+    "s": {"s": Fraction(1), "ms": _MILLI, "us": _MICRO, "µs": _MICRO, "μs": _MICRO},
+}
+
+# Each role's values in order; a value with a default may be missing from a device's message
+_REQUIRED = None
+_ROLES: dict[str, dict[str, float | None]] = {
+    "sync": {},
+    "encoder": {"position_m": _REQUIRED, "status": 1, "age_s": 0.0},
+    "pressure": {"p1_pa": _REQUIRED, "p2_pa": _REQUIRED, "supply_pa": _REQUIRED},
+    "valve_status": {"applied_v": _REQUIRED, "state": _REQUIRED},
+    "valve_command": {"voltage_v": _REQUIRED, "enable": _REQUIRED, "sequence": 0},
+}
+
+
+class DatabaseError(Exception):
+    """A DBC cannot be used; the text is one line for a person."""
+
+
+@dataclass(frozen=True, slots=True)
+class Codec:
+    """One message in one role.
+
+    `decode`, `counter` and `valid` take the frame's bytes. `decode` and `counter` expect bytes that are
+    `valid`: the message's length and, where it has one, the right checksum. `decode` yields floats in SI
+    units, and ints for numbers without a dimension. `encode` takes the values in the order of the role,
+    then `counter`; it rounds half to even, leaves reserved bits zero and raises ValueError for what the
+    signal cannot carry. `counter_mask` is 0 without a counter.
+    """
+
+    can_id: int
+    length: int
+    counter_mask: int
+    encode: Callable[..., bytes]
+    decode: Callable[[bytes], tuple[Any, ...]]
+    counter: Callable[[bytes], int]
+    valid: Callable[[bytes], bool]
+
+
+@dataclass(frozen=True, slots=True)
+class Codecs:
+    """All frames of an axis.
+
+    Values in order: `encoder` (position_m, status, age_s), `pressure` (p1_pa, p2_pa, supply_pa),
+    `valve_status` (applied_v, state), `valve_command` (voltage_v, enable, sequence); `sync` has its counter
+    only.
+    """
+
+    sync: Codec
+    encoder: Codec
+    pressure: Codec
+    valve_status: Codec
+    valve_command: Codec
+    command_lsb_v: float  # one step of the command's voltage
+    command_min_v: float
+    command_max_v: float
+    older_s: float  # an age of this or more means "older than can be told"; infinite without an age
+
+
+def load_codecs(bus: BusConfig, dbc_path: Path) -> Codecs:
+    """The codecs for the messages named in `bus.frames`.
+
+    Raises:
+        DatabaseError: the file, a message or a signal is missing or cannot be used; names it and the cure.
+    """
+    loader = _Loader(dbc_path, _load(dbc_path))
+    codecs = {role: loader.codec(role, getattr(bus.frames, role)) for role in _ROLES}
+    voltage = loader.fields["valve_command"]["voltage_v"]
+    age = loader.fields["encoder"].get("age_s")
+    low, high = sorted((voltage.si(voltage.low), voltage.si(voltage.high)))
+    return Codecs(
+        **codecs,
+        command_lsb_v=abs(voltage.scale),
+        command_min_v=low,
+        command_max_v=high,
+        older_s=float("inf") if age is None else age.si(bit_range(age.length, age.signed)[1]),
+    )
+
+
+def _load(path: Path) -> Database:
+    import cantools  # noqa: PLC0415 - slow to import, and needed by nothing but this
+    from cantools.database.can import Database  # noqa: PLC0415
+
+    try:
+        database = cantools.database.load_file(path, database_format="dbc", cache_dir=None)
+    except OSError as e:
+        raise DatabaseError(f"{path}: cannot be read: {e.strerror or e}; see bus.dbc") from None
+    except Exception as e:  # the parser lets more than its own errors through
+        raise DatabaseError(f"{path}: not a usable DBC: {' '.join(str(e).split())}") from None
+    if not isinstance(database, Database):
+        raise DatabaseError(f"{path}: not a CAN database; bus.dbc must name a DBC")
+    return database
+
+
+class _Loader:
+    """Takes messages from one database, each for one role only."""
+
+    def __init__(self, path: Path, database: Database) -> None:
+        self.path = path
+        self.database = database
+        self.fields: dict[str, dict[str, Field]] = {}
+        self._taken: dict[int, str] = {}
+
+    def codec(self, role: str, frame: FrameConfig) -> Codec:
+        """The codec of the message that plays `role`."""
+        message = self._message(role, frame)
+        values = _ROLES[role]
+        for key in frame.signals:
+            if key not in values:
+                wanted = ", ".join(values) or "none"
+                raise self._error(message.name, key, f"{role} has no such value; it has {wanted}")
+        for key, default in values.items():
+            if default is _REQUIRED and key not in frame.signals:
+                cure = f'add signals.{key} = "NAME" under [bus.frames.{role}]'
+                raise self._error(message.name, None, f"no signal is named for {key}; {cure}")
+        named = [*frame.signals.values(), *(name for name in (frame.counter, frame.crc) if name is not None)]
+        for name in named:
+            if named.count(name) > 1:
+                raise self._error(message.name, name, f"has two jobs; look at [bus.frames.{role}]")
+        fields = {
+            key: self._field(message, key, self._signal(message, name)) for key, name in frame.signals.items()
+        }
+        self.fields[role] = fields
+        counter = None if frame.counter is None else self._counter(message, frame.counter)
+        if frame.crc is not None:
+            self._check_crc(message, frame.crc)
+        functions = compile_functions(
+            message.frame_id,
+            message.length,
+            [fields.get(key) for key in values],
+            [0 if default is _REQUIRED else default for default in values.values()],
+            counter,
+            frame.crc is not None,
+        )
+        mask = 0 if counter is None else (1 << counter.length) - 1
+        return Codec(message.frame_id, message.length, mask, *functions)
+
+    def _message(self, role: str, frame: FrameConfig) -> Message:
+        name = frame.message
+        try:
+            message = self.database.get_message_by_name(name)
+        except KeyError:
+            there = ", ".join(sorted(m.name for m in self.database.messages)) or "none"
+            cure = f"bus.frames.{role}.message must be one of: {there}"
+            raise self._error(name, None, f"not in the database; {cure}") from None
+        if message.is_extended_frame:
+            raise self._error(name, None, "has a 29-bit identifier; only 11-bit ones are used")
+        if message.length > 8:
+            raise self._error(name, None, f"is {message.length} bytes long; classic CAN carries at most 8")
+        if message.length == 0 and (role != "sync" or frame.counter is not None):
+            raise self._error(name, None, "has no bytes; give the message its length")
+        if message.is_multiplexed():
+            raise self._error(name, None, "is multiplexed; name a message that always has the same signals")
+        other = self._taken.setdefault(message.frame_id, role)
+        if other != role:
+            raise self._error(
+                name, None, f"0x{message.frame_id:03X} is {other} and {role}; each needs its own"
+            )
+        return message
+
+    def _signal(self, message: Message, name: str) -> Signal:
+        for signal in message.signals:
+            if signal.name == name:
+                if signal.is_float:
+                    raise self._error(
+                        message.name, name, "is a floating-point signal; only integers are used"
+                    )
+                return signal
+        there = ", ".join(signal.name for signal in message.signals) or "none"
+        raise self._error(message.name, name, f"not in the message; it has: {there}")
+
+    def _field(self, message: Message, key: str, signal: Signal) -> Field:
+        _, _, dimension = key.rpartition("_")
+        units = _UNITS.get(dimension)
+        plain = signal.scale == 1 and signal.offset == 0
+        if units is None:
+            if not plain:
+                raise self._error(message.name, signal.name, f"{key} needs factor 1 and offset 0")
+            unit = Fraction(1)
+        elif signal.unit in units:
+            unit = units[signal.unit]
+        else:
+            shown = f"unit {signal.unit!r}" if signal.unit else "no unit"
+            raise self._error(message.name, signal.name, f"{shown}; {key} needs one of {', '.join(units)}")
+        if signal.scale == 0:
+            raise self._error(message.name, signal.name, "has the factor 0; give it its resolution")
+        return self._placed(message, signal, unit, integer=units is None)
+
+    def _placed(self, message: Message, signal: Signal, unit: Fraction, *, integer: bool) -> Field:
+        # the database's decimals are taken exactly, so that −2147.483648 / 1e-6 is the last raw value and
+        # not beyond it
+        scale, offset = Fraction(str(signal.scale)), Fraction(str(signal.offset))
+        low, high = bit_range(signal.length, signal.is_signed)
+        bounds = [Fraction(str(b)) for b in (signal.minimum, signal.maximum) if b is not None]
+        if len(bounds) == 2:
+            first, last = sorted((bound - offset) / scale for bound in bounds)
+            low, high = max(low, ceil(first)), min(high, floor(last))
+        if low > high:
+            raise self._error(message.name, signal.name, "its minimum and maximum leave no value; mend them")
+        return Field(
+            label=f"{message.name}.{signal.name}",
+            start=signal.start,
+            length=signal.length,
+            big_endian=signal.byte_order == "big_endian",
+            signed=signal.is_signed,
+            integer=integer,
+            scale=float(scale * unit),
+            offset=float(offset * unit),
+            low=low,
+            high=high,
+        )
+
+    def _counter(self, message: Message, name: str) -> Field:
+        signal = self._signal(message, name)
+        if signal.is_signed or signal.scale != 1 or signal.offset != 0 or signal.length < 2:
+            raise self._error(
+                message.name, name, "a counter is unsigned with factor 1, offset 0 and 2 bits or more"
+            )
+        return self._placed(message, signal, Fraction(1), integer=True)
+
+    def _check_crc(self, message: Message, name: str) -> None:
+        signal = self._signal(message, name)
+        last = message.length - 1
+        start = 8 * last + (7 if signal.byte_order == "big_endian" else 0)
+        if signal.length != 8 or signal.start != start or signal.is_signed:
+            raise self._error(
+                message.name, name, f"the checksum must be the whole last byte (byte {last}), unsigned"
+            )
+
+    def _error(self, message: str, signal: str | None, problem: str) -> DatabaseError:
+        where = f"message {message}" if signal is None else f"message {message}, signal {signal}"
+        return DatabaseError(f"{self.path}: {where}: {problem}")

@@ -1,0 +1,211 @@
+"""The inbox: frames in, one `Measurement` a tick out.
+
+It judges every frame by its length, checksum, counter and age. It reads no clock and does no I/O, so that a
+replay that feeds it the logged frames in the logged order gets the same measurements to the bit.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from pneud.bus.codec import Codec, Codecs
+from pneud.bus.wire import CAN_ERR_FLAG
+from pneud.config import BusConfig
+from pneud.signals import ALL_SOURCES, Defect, Frame, Measurement, Source
+
+NEVER_NS = 1 << 62  # the age of a source that has not been heard of yet
+
+_CORRUPT, _FROZEN, _LATE = int(Defect.CORRUPT), int(Defect.FROZEN), int(Defect.LATE)
+_EMCY_IDS = range(0x081, 0x100)
+_EMCY_BASE = 0x080
+_STUFFING = 1.1  # 10 % on top of the 47 bits that a frame has besides its data
+
+
+class Counts(NamedTuple):
+    """What has come in since the start.
+
+    `emcy` holds the last CANopen error code of each node that sent one: (node, code) in order of nodes.
+    """
+
+    rx: int  # every frame but error frames
+    lost: int  # missing according to the counters; corrupt ones are not missing
+    crc: int  # wrong checksum or length
+    stale: int  # counter standing still
+    late: int  # sampled before this tick's SYNC, or older than can be told
+    foreign: int  # the controller's own frames, sent by someone else
+    error_frames: int
+    emcy: tuple[tuple[int, int], ...]
+
+
+class _Origin:
+    """What is known of one source."""
+
+    __slots__ = ("bit", "codec", "corrupt", "counter", "defects", "has_age", "sample_ns", "values")
+
+    def __init__(self, bit: int, codec: Codec, unknown: tuple[float, ...], *, has_age: bool = False) -> None:
+        self.bit = bit
+        self.codec = codec
+        self.has_age = has_age
+        self.counter = -1  # the last one seen
+        self.corrupt = 0  # frames since then whose counter could not be believed
+        self.defects = 0
+        self.sample_ns = -NEVER_NS
+        self.values: tuple[Any, ...] = unknown
+
+    def age_ns(self, t_ns: int, fresh: int) -> int:
+        if fresh & self.bit:
+            return 0
+        if self.sample_ns == -NEVER_NS:
+            return NEVER_NS
+        return max(0, t_ns - self.sample_ns)
+
+
+def wire_time_ns(data_bytes: int, bitrate_bit_s: float) -> int:
+    """How long a frame is on the wire: 47 bits and its data, plus 10 % stuffing; 0 at infinite bit rate."""
+    return round((47 + 8 * data_bytes) * _STUFFING / bitrate_bit_s * 1e9)
+
+
+class Inbox:
+    """Collects the frames of each tick.
+
+    In every tick: `feed` what was left over, `begin`, `feed` what answers, `measurement`. With SYNC
+    (`bus.sync`) a frame counts only if it was sampled after this tick's SYNC and arrives before
+    `measurement`; without, the newest one counts.
+    """
+
+    def __init__(self, codecs: Codecs, bus: BusConfig) -> None:
+        nan = math.nan
+        self._encoder = _Origin(int(Source.ENCODER), codecs.encoder, (nan, 0, 0.0), has_age=True)
+        self._pressure = _Origin(int(Source.PRESSURE), codecs.pressure, (nan, nan, nan))
+        self._valve = _Origin(int(Source.VALVE), codecs.valve_status, (nan, 0))
+        self._origins = {o.codec.can_id: o for o in (self._encoder, self._pressure, self._valve)}
+        self._own = frozenset((codecs.sync.can_id, codecs.valve_command.can_id))
+        self._older_s = codecs.older_s
+        self._sync = bus.sync
+        self._sync_wire_ns = wire_time_ns(codecs.sync.length, bus.bitrate_bit_s)
+        self._encoder_wire_ns = wire_time_ns(codecs.encoder.length, bus.bitrate_bit_s)
+        # what was sampled before this is late; between ticks everything is
+        self._not_before_ns = NEVER_NS if bus.sync else -NEVER_NS
+        self._t_ns = 0
+        self._fresh = 0
+        self._rx = self._lost = self._crc = self._stale = self._late = self._foreign = self._errors = 0
+        self._emcy: dict[int, int] = {}
+
+    @property
+    def complete(self) -> bool:
+        """All three sources are fresh in this tick."""
+        return self._fresh == ALL_SOURCES
+
+    def begin(self, t_ns: int) -> None:
+        """This tick's SYNC left at `t_ns`."""
+        self._t_ns = t_ns
+        if self._sync:
+            self._not_before_ns = t_ns
+
+    def feed(self, frame: Frame) -> None:
+        """Take one received frame, whatever it is."""
+        stamp_ns, can_id, data = frame
+        origin = self._origins.get(can_id)
+        if origin is None:
+            self._feed_other(can_id, data)
+            return
+        self._rx += 1
+        codec = origin.codec
+        if not codec.valid(data):
+            self._crc += 1
+            origin.corrupt += 1
+            origin.defects |= _CORRUPT
+            return
+        mask = codec.counter_mask
+        if mask:
+            counter = codec.counter(data)
+            if origin.counter >= 0:
+                step = (counter - origin.counter) & mask
+                if step == 0:
+                    self._stale += 1
+                    origin.defects |= _FROZEN
+                    return
+                self._lost += max(0, step - 1 - origin.corrupt)
+            origin.counter = counter
+            origin.corrupt = 0
+        values = codec.decode(data)
+        sample_ns = stamp_ns
+        if origin.has_age:
+            age_s = values[2]
+            if age_s >= self._older_s:
+                sample_ns = -NEVER_NS
+            else:
+                sample_ns -= round(age_s * 1e9)
+        if sample_ns < self._not_before_ns or sample_ns == -NEVER_NS:
+            self._late += 1
+            origin.defects |= _LATE
+            return
+        origin.values = values
+        origin.sample_ns = sample_ns
+        origin.defects = 0
+        self._fresh |= origin.bit
+
+    def measurement(self, skipped: int, host: int) -> Measurement:
+        """The newest valid values; ends this tick.
+
+        Args:
+            skipped: ticks skipped just before this one.
+            host: bits of `signals.Host`.
+        """
+        t_ns, fresh = self._t_ns, self._fresh
+        encoder, pressure, valve = self._encoder, self._pressure, self._valve
+        position_m, status, _ = encoder.values
+        p1_pa, p2_pa, supply_pa = pressure.values
+        applied_v, valve_state = valve.values
+        if self._sync:
+            offset_ns = self._sync_wire_ns
+            self._not_before_ns = NEVER_NS
+        elif encoder.sample_ns == -NEVER_NS:
+            offset_ns = 0
+        else:
+            offset_ns = encoder.sample_ns - self._encoder_wire_ns - t_ns
+        self._fresh = 0
+        return Measurement(
+            t_ns,
+            fresh,
+            position_m,
+            p1_pa,
+            p2_pa,
+            supply_pa,
+            applied_v,
+            status,
+            valve_state,
+            encoder.age_ns(t_ns, fresh),
+            pressure.age_ns(t_ns, fresh),
+            valve.age_ns(t_ns, fresh),
+            encoder.defects,
+            pressure.defects,
+            valve.defects,
+            offset_ns,
+            skipped,
+            host,
+        )
+
+    def counts(self) -> Counts:
+        """What has come in since the start."""
+        return Counts(
+            self._rx,
+            self._lost,
+            self._crc,
+            self._stale,
+            self._late,
+            self._foreign,
+            self._errors,
+            tuple(sorted(self._emcy.items())),
+        )
+
+    def _feed_other(self, can_id: int, data: bytes) -> None:
+        if can_id & CAN_ERR_FLAG:
+            self._errors += 1
+            return
+        self._rx += 1
+        if can_id in self._own:
+            self._foreign += 1
+        elif can_id in _EMCY_IDS and len(data) >= 2:
+            self._emcy[can_id - _EMCY_BASE] = int.from_bytes(data[:2], "little")

@@ -1,0 +1,275 @@
+"""Functions compiled from the layout of one message: encode, decode, counter and valid.
+
+The Python source is generated once, at start-up. Where every signal fills whole bytes it is a single
+`struct` call, otherwise shifts and masks on the frame taken as one integer. Nothing that a user wrote gets
+into the source.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, NoReturn
+
+from pneud.bus import crc8
+
+_CODES = {8: "b", 16: "h", 32: "i", 64: "q"}
+_CRC_BYTES = tuple(bytes((state ^ crc8.FINAL_XOR,)) for state in range(256))
+
+
+class Field(NamedTuple):
+    """Where one number lies in a frame, and what it means.
+
+    `low` and `high` bound the raw value. `scale` and `offset` lead to SI units; they are unused where
+    `integer` holds.
+    """
+
+    label: str
+    start: int  # as in a DBC: the least significant bit, or the most significant one where big-endian
+    length: int
+    big_endian: bool
+    signed: bool
+    integer: bool
+    scale: float
+    offset: float
+    low: int
+    high: int
+
+    def si(self, raw: int) -> float:
+        """The value in SI units that a raw value stands for."""
+        return raw * self.scale + self.offset
+
+
+class Functions(NamedTuple):
+    """What is compiled for one message."""
+
+    encode: Callable[..., bytes]
+    decode: Callable[[bytes], tuple[Any, ...]]
+    counter: Callable[[bytes], int]
+    valid: Callable[[bytes], bool]
+
+
+def compile_functions(
+    can_id: int,
+    length: int,
+    fields: Sequence[Field | None],
+    defaults: Sequence[float],
+    counter: Field | None,
+    crc: bool,
+) -> Functions:
+    """The functions of one message.
+
+    Args:
+        can_id: 11-bit identifier; the checksum covers it.
+        length: bytes in the frame, 0 … 8.
+        fields: in the order of the values; None where there is no such signal: encoding ignores the value.
+        defaults: what decoding yields where there is no such signal.
+        counter: the running counter, if there is one.
+        crc: whether the last byte is the checksum.
+    """
+    body = length - 1 if crc else length
+    present = [(f"v{i}", f) for i, f in enumerate(fields) if f is not None]
+    placed = present + ([("counter", counter)] if counter is not None else [])
+    aligned = _struct(placed, body)
+    scope: dict[str, Any] = {
+        "T": crc8.TABLE,
+        "CRC": _CRC_BYTES,
+        "refuse": _refusal(fields, counter),
+        "from_bytes": int.from_bytes,
+    }
+    for i, default in enumerate(defaults):
+        scope[f"D{i}"] = default
+    if aligned is not None:
+        scope["pack"] = aligned[0].pack
+        scope["unpack"] = struct.Struct(aligned[0].format + ("x" if crc else "")).unpack
+    chain = _crc_chain(can_id, body)
+    source = "\n".join(
+        (
+            *_encode_source(fields, counter, aligned, placed, body, chain if crc else None, scope),
+            *_decode_source(fields, aligned, present, length),
+            *_counter_source(counter, length),
+            *_valid_source(length, chain if crc else None),
+        )
+    )
+    exec(compile(source, f"<codec of 0x{can_id:03X}>", "exec"), scope)
+    return Functions(scope["encode"], scope["decode"], scope["counter_of"], scope["valid"])
+
+
+def bit_range(length: int, signed: bool) -> tuple[int, int]:
+    """Smallest and largest raw value of so many bits."""
+    return (-(1 << (length - 1)), (1 << (length - 1)) - 1) if signed else (0, (1 << length) - 1)
+
+
+def _byte_span(f: Field) -> tuple[int, int] | None:
+    """First byte and number of bytes, where the field fills whole bytes."""
+    if f.length not in _CODES or f.start % 8 != (7 if f.big_endian else 0):
+        return None
+    return f.start // 8, f.length // 8
+
+
+def _struct(placed: list[tuple[str, Field]], body: int) -> tuple[struct.Struct, list[str]] | None:
+    """A struct for the first `body` bytes and the names in its order, if every field fills whole bytes."""
+    orders = {f.big_endian for _, f in placed if f.length > 8}
+    if len(orders) > 1:
+        return None
+    spans = []
+    for name, f in placed:
+        span = _byte_span(f)
+        if span is None:
+            return None
+        spans.append((*span, name, _CODES[f.length] if f.signed else _CODES[f.length].upper()))
+    text, at = (">" if orders == {True} else "<"), 0
+    for first, size, _, code in sorted(spans):
+        text += "x" * (first - at) + code
+        at = first + size
+    return struct.Struct(text + "x" * (body - at)), [name for _, _, name, _ in sorted(spans)]
+
+
+def _shift(f: Field, length: int) -> int:
+    """How far the least significant bit lies above that of the frame taken as one integer."""
+    if not f.big_endian:
+        return f.start
+    from_the_top = f.start // 8 * 8 + 7 - f.start % 8
+    return 8 * length - from_the_top - f.length
+
+
+def _extract(f: Field, length: int) -> str:
+    word = "m" if f.big_endian else "n"
+    text = f"({word} >> {_shift(f, length)} & {(1 << f.length) - 1})"
+    if f.signed:
+        sign = 1 << (f.length - 1)
+        text = f"(({text} ^ {sign}) - {sign})"
+    return text
+
+
+def _words(fields: Sequence[Field]) -> list[str]:
+    lines = []
+    if any(not f.big_endian for f in fields):
+        lines.append("    n = from_bytes(data, 'little')")
+    if any(f.big_endian for f in fields):
+        lines.append("    m = from_bytes(data, 'big')")
+    return lines
+
+
+def _physical(f: Field, raw: str) -> str:
+    if f.integer:
+        return raw
+    text = f"{raw} * {f.scale!r}"
+    return f"{text} + {f.offset!r}" if f.offset else text
+
+
+def _decode_source(
+    fields: Sequence[Field | None],
+    aligned: tuple[struct.Struct, list[str]] | None,
+    present: list[tuple[str, Field]],
+    length: int,
+) -> list[str]:
+    lines = ["def decode(data):"]
+    if aligned is not None:
+        if aligned[1]:
+            lines.append(f"    {', '.join(aligned[1])}, = unpack(data)")
+        raw = {name: name for name, _ in present}
+    else:
+        lines += _words([f for _, f in present])
+        raw = {name: _extract(f, length) for name, f in present}
+    values = [f"D{i}" if f is None else _physical(f, raw[f"v{i}"]) for i, f in enumerate(fields)]
+    return [*lines, f"    return ({''.join(v + ', ' for v in values)})"]
+
+
+def _encode_source(
+    fields: Sequence[Field | None],
+    counter: Field | None,
+    aligned: tuple[struct.Struct, list[str]] | None,
+    placed: list[tuple[str, Field]],
+    body: int,
+    chain: str | None,
+    scope: dict[str, Any],
+) -> list[str]:
+    names = [f"v{i}" for i in range(len(fields))]
+    lines = [f"def encode({', '.join([*names, 'counter' if counter is not None else 'counter=0'])}):"]
+    raw, tests = {}, []
+    for i, (name, f) in enumerate(placed):
+        if f.integer:
+            raw[name] = name
+            tests.append(f"{f.low} <= {name} <= {f.high}")
+        else:
+            raw[name] = f"round(r{i})"
+            lines.append(f"    r{i} = {f'({name} - {f.offset!r})' if f.offset else name} / {f.scale!r}")
+            scope[f"L{i}"], scope[f"H{i}"] = _rounding_to(f.low, f.high)
+            tests.append(f"L{i} <= r{i} <= H{i}")
+    if tests:
+        lines.append(f"    if not ({' and '.join(tests)}):")
+        lines.append(f"        refuse(({''.join(n + ', ' for n in names)}), counter)")
+    if aligned is not None:
+        lines.append(f"    data = pack({', '.join(raw[name] for name in aligned[1])})")
+    else:
+        for word, big in (("n", False), ("m", True)):
+            parts = [
+                f"({raw[name]} & {(1 << f.length) - 1}) << {_shift(f, body)}"
+                for name, f in placed
+                if f.big_endian is big
+            ]
+            lines.append(f"    {word} = {' | '.join(parts) or '0'}")
+        lines.append(
+            f"    data = (n | from_bytes(m.to_bytes({body}, 'big'), 'little')).to_bytes({body}, 'little')"
+        )
+    if chain is None:
+        return [*lines, "    return data"]
+    if body:
+        lines.append(f"    {''.join(f'b{i}, ' for i in range(body))} = data")
+    return [*lines, f"    return data + CRC[{chain}]"]
+
+
+def _counter_source(counter: Field | None, length: int) -> list[str]:
+    if counter is None:
+        return ["def counter_of(data):", "    return 0"]
+    if counter.length == 8 and _byte_span(counter) is not None:
+        return ["def counter_of(data):", f"    return data[{counter.start // 8}]"]
+    return ["def counter_of(data):", *_words([counter]), f"    return {_extract(counter, length)}"]
+
+
+def _valid_source(length: int, chain: str | None) -> list[str]:
+    if chain is None:
+        return ["def valid(data):", f"    return len(data) == {length}"]
+    return [
+        "def valid(data):",
+        f"    if len(data) != {length}:",
+        "        return False",
+        f"    {''.join(f'b{i}, ' for i in range(length))} = data",
+        f"    return {chain} == b{length - 1} ^ {crc8.FINAL_XOR}",
+    ]
+
+
+def _crc_chain(can_id: int, body: int) -> str:
+    """An expression for the shift register after the identifier and bytes b0 … b(body−1)."""
+    text = str(crc8.identifier_state(can_id))
+    for i in range(body):
+        text = f"T[{text} ^ b{i}]"
+    return text
+
+
+def _rounding_to(low: int, high: int) -> tuple[float, float]:
+    """Smallest and largest float that `round` takes into [low, high]; ties go to even numbers."""
+    least, most = low - 0.5, high + 0.5
+    while round(least) < low:
+        least = math.nextafter(least, math.inf)
+    while round(most) > high:
+        most = math.nextafter(most, -math.inf)
+    return least, most
+
+
+def _refusal(
+    fields: Sequence[Field | None], counter: Field | None
+) -> Callable[[tuple[float, ...], int], NoReturn]:
+    def refuse(values: tuple[float, ...], count: int) -> NoReturn:
+        for f, value in zip((*fields, counter), (*values, count), strict=True):
+            if f is None:
+                continue
+            least, most = (f.low, f.high) if f.integer else _rounding_to(f.low, f.high)
+            if not least <= (value if f.integer else (value - f.offset) / f.scale) <= most:
+                bounds = sorted((f.low, f.high) if f.integer else (f.si(f.low), f.si(f.high)))
+                raise ValueError(f"{f.label} = {value!r} is outside {bounds[0]:.10g} … {bounds[1]:.10g}")
+        raise ValueError("a value is out of range")
+
+    return refuse

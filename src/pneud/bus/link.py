@@ -1,0 +1,225 @@
+"""The link: what the control loop and the plant hold of a bus, whatever carries it.
+
+Everything here is non-blocking except `wait`. Kernel stamps are CLOCK_REALTIME; they leave as
+CLOCK_MONOTONIC, with an offset measured when the link is opened and on request.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+import select
+import time
+from collections.abc import Iterable
+from typing import Protocol
+
+from pneud.bus import interfaces, wire
+from pneud.bus.party import Party, UnixCanError
+from pneud.bus.socketcan import NotVirtualError, SocketCan, SocketCanError
+from pneud.signals import Frame
+
+USAGE, MACHINE = 2, 3  # exit codes
+_DOWN = frozenset((errno.ENETDOWN, errno.ENODEV, errno.ENXIO))
+_AUTO_INTERFACE = "vcan0"
+_IDLE_S = 0.05
+
+
+class LinkError(Exception):
+    """A bus cannot be used; the text is one line for a person."""
+
+    def __init__(self, text: str, exit_code: int = MACHINE) -> None:
+        super().__init__(text)
+        self.exit_code = exit_code
+
+
+class Carrier(Protocol):
+    """What a link needs of the thing that carries frames."""
+
+    def fileno(self) -> int: ...  # noqa: D102
+    def drain(self, offset_ns: int, into: list[Frame]) -> int: ...  # noqa: D102
+    def send(self, packet: bytes) -> None: ...  # noqa: D102
+    def close(self) -> None: ...  # noqa: D102
+    @property
+    def dropped(self) -> int: ...  # noqa: D102
+
+
+class Link:
+    """An open bus, for one thread.
+
+    Attributes:
+        name: such as unixcan:x, as it can be given to `--bus`.
+        note: one line on why this bus was chosen; empty where it was asked for by name.
+        realtime_offset_ns: CLOCK_REALTIME minus CLOCK_MONOTONIC, as last measured.
+        tx: frames sent.
+        tx_failed: frames that could not be sent; they are never sent again.
+        down: the interface was down or gone when last used, and no frame has been sent since.
+    """
+
+    def __init__(self, name: str, carrier: Carrier, note: str = "") -> None:
+        self.name = name
+        self.note = note
+        self.realtime_offset_ns = wire.realtime_offset_ns()
+        self.tx = 0
+        self.tx_failed = 0
+        self.down = False
+        self._carrier = carrier
+        self._descriptors = [carrier.fileno()]
+        self._drain = carrier.drain
+        self._transmit = carrier.send
+
+    def __enter__(self) -> Link:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def rx_dropped(self) -> int:
+        """Frames lost because this link was not drained in time, where the kernel counts them (SocketCAN)."""
+        return self._carrier.dropped if isinstance(self._carrier, SocketCan) else 0
+
+    @property
+    def peers_dropped(self) -> int:
+        """Frames that other parties lost because they did not read (unixcan)."""
+        return self._carrier.dropped if isinstance(self._carrier, Party) else 0
+
+    def fileno(self) -> int:
+        """One descriptor that is readable when there is something to drain."""
+        return self._descriptors[0]
+
+    def drain(self, into: list[Frame]) -> int:
+        """Append everything that has arrived, in order of its CLOCK_MONOTONIC stamps; never waits.
+
+        Returns:
+            How many frames came.
+        """
+        before = len(into)
+        try:
+            return self._drain(self.realtime_offset_ns, into)
+        except OSError as e:
+            if e.errno in _DOWN:
+                self.down = True
+            return len(into) - before
+
+    def send(self, can_id: int, data: bytes) -> int:
+        """Send one frame now or never.
+
+        Args:
+            can_id: identifier, with its flag bits.
+            data: at most 8 bytes.
+
+        Returns:
+            CLOCK_MONOTONIC [ns] right after it was handed to the kernel, or −1 when it could not be.
+        """
+        try:
+            self._transmit(wire.PACKET.pack(can_id, len(data), data))
+        except OSError as e:
+            self.tx_failed += 1
+            if e.errno in _DOWN:
+                self.down = True
+            return -1
+        sent = time.monotonic_ns()
+        self.tx += 1
+        self.down = False
+        return sent
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until there is something to drain, with microseconds of resolution (epoll has milliseconds).
+
+        True does not promise a frame: parties that come and go wake it, too.
+        """
+        return bool(select.select(self._descriptors, (), (), timeout_s)[0])
+
+    def remeasure(self) -> int:
+        """Measure the offset between the clocks again, use it, and return by how much it changed [ns]."""
+        before = self.realtime_offset_ns
+        self.realtime_offset_ns = wire.realtime_offset_ns()
+        return self.realtime_offset_ns - before
+
+    def close(self) -> None:
+        """Leave the bus; in a forked copy of the process only the copy's descriptors."""
+        self._carrier.close()
+
+
+def open_link(channel: str, *, virtual: bool = False) -> Link:
+    """Open a bus.
+
+    Args:
+        channel: "socketcan:IF", "unixcan:NAME", or "auto": vcan0 if it is up and idle, else a new unixcan.
+        virtual: refuse what might lead to real devices.
+
+    Raises:
+        LinkError: with `exit_code` 3 where the machine lacks something, 2 for a channel that may not be used.
+    """
+    if channel == "auto":
+        return _open_auto()
+    kind, _, name = channel.partition(":")
+    try:
+        if kind == "socketcan" and name:
+            return Link(channel, SocketCan(name, virtual=virtual))
+        if kind == "unixcan" and name:
+            return Link(channel, Party(name))
+    except NotVirtualError as e:
+        raise LinkError(str(e), USAGE) from None
+    except (SocketCanError, UnixCanError) as e:
+        raise LinkError(str(e), MACHINE) from None
+    raise LinkError(f"bus {channel!r} is none of auto, socketcan:IF, unixcan:NAME", USAGE)
+
+
+def refuse_if_driven(link: Link, ids: Iterable[int], listen_s: float = 0.1) -> None:
+    """Make sure that nobody else controls this bus; drops what arrives meanwhile.
+
+    Args:
+        link: the bus.
+        ids: identifiers that only a controller sends.
+        listen_s: for how long to listen.
+
+    Raises:
+        LinkError: with `exit_code` 2 as soon as one of them comes.
+    """
+    wanted = frozenset(ids)
+    deadline = time.monotonic() + listen_s
+    while (left := deadline - time.monotonic()) > 0.0:
+        if not link.wait(left):
+            return
+        frames: list[Frame] = []
+        link.drain(frames)
+        for frame in frames:
+            if frame.can_id in wanted:
+                raise LinkError(
+                    f"{link.name}: 0x{frame.can_id:03X} is on this bus already, so another controller drives"
+                    " it; stop that one or use another bus",
+                    USAGE,
+                )
+
+
+def _open_auto() -> Link:
+    reason = _why_not(_AUTO_INTERFACE)
+    if not reason:
+        try:
+            link = Link(f"socketcan:{_AUTO_INTERFACE}", SocketCan(_AUTO_INTERFACE, virtual=True))
+        except SocketCanError as e:
+            reason = str(e).partition(": ")[2].partition(";")[0]
+        else:
+            if not (link.wait(_IDLE_S) and link.drain([])):
+                link.note = f"bus {link.name} (it is there and idle)"
+                return link
+            link.close()
+            reason = f"{_AUTO_INTERFACE} carries traffic"
+    link = open_link(f"unixcan:auto-{os.getpid()}-{secrets.token_hex(2)}")
+    link.note = f"bus {link.name} ({reason})"
+    return link
+
+
+def _why_not(name: str) -> str:
+    """Why an interface is no candidate for a virtual bus; empty if it is one."""
+    try:
+        found = interfaces.query(name)
+    except OSError as e:
+        return f"cannot ask for {name}: {e.strerror or e}"
+    if found is None:
+        return f"there is no {name}"
+    if found.kind != "vcan":
+        return f"{name} is no vcan"
+    return "" if found.up else f"{name} is down"

@@ -1,0 +1,288 @@
+"""unixcan: one party on a bus made of Unix sockets, for machines without SocketCAN.
+
+Each party listens on a SOCK_SEQPACKET socket of its own in the channel's private folder and connects, when
+it joins, to all that are there already; every pair of parties thus shares one connection. Frames travel as
+`struct can_frame`. A connection holds as many frames as its send buffer takes (about 10,000 with 4 MiB, 278
+with the kernel's default `net.core.wmem_max` of 208 KiB, which bounds what a user without privileges gets);
+what a party that does not read loses beyond that is counted and hinders nobody.
+
+Order: a party that only listens must see a frame before the answers to it. So arrivals are read until
+nothing is left and then sorted by the kernel's stamps, and a frame goes to those who never sent anything
+before it goes to those who answer.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+import select
+import socket
+import struct
+import threading
+from contextlib import suppress
+from operator import attrgetter
+from pathlib import Path
+
+from pneud.bus import folder, wire
+from pneud.signals import Frame
+
+SEND_BUFFER_BYTES = 4 * 1024 * 1024
+_SO_SNDBUFFORCE = 32
+_CREDENTIALS = struct.Struct("3i")
+_SEND_FLAGS = socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL
+_MOST_PATH_BYTES = 107
+_STAMP = attrgetter("stamp_ns")
+
+
+class UnixCanError(Exception):
+    """A unixcan channel cannot be joined; the text is one line for a person."""
+
+
+class Party:
+    """One member of a channel, from construction to `close`.
+
+    One thread may drain while another sends. Nothing here blocks but joining and leaving, and these only
+    for as long as others join or leave.
+    """
+
+    def __init__(self, channel: str, *, hear_self: bool = False) -> None:
+        """Join `channel`.
+
+        Args:
+            channel: a name; whoever of this user gives the same name is on the same bus.
+            hear_self: receive the own frames too.
+
+        Raises:
+            UnixCanError: a bad name, or a folder or socket that cannot be made.
+        """
+        self.channel = channel
+        self.dropped = 0  # frames that a party which does not read has lost
+        self.refused = 0  # strangers turned away
+        self._peers: dict[int, socket.socket] = {}  # all connections, by descriptor
+        self._talkers: set[int] = set()  # those that ever sent something
+        self._targets: tuple[socket.socket, ...] = ()
+        self._deaf: socket.socket | None = None  # the end on which the own frames come back
+        self._changing = threading.Lock()
+        self._reader = wire.Reader()
+        self._owner = os.getpid()
+        self._closed = False
+        if not channel or channel in (".", "..") or "/" in channel or "\0" in channel:
+            raise UnixCanError(f"unixcan:{channel}: a channel is a plain name without slashes")
+        try:
+            home = folder.private_folder(folder.runtime_folder() / "can")
+            self._folder = home / channel
+            self._path = self._folder / f"{self._owner}.{secrets.token_hex(2)}"
+        except OSError as e:
+            raise UnixCanError(f"unixcan:{channel}: {e}") from None
+        length = len(os.fsencode(self._path))
+        if length > _MOST_PATH_BYTES:
+            raise UnixCanError(
+                f"unixcan:{channel}: {self._path} has {length} bytes, and a socket's path at most"
+                f" {_MOST_PATH_BYTES}; choose a shorter name or a shorter XDG_RUNTIME_DIR"
+            )
+        self._epoll = select.epoll()
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+        self._listening = self._listener.fileno()
+        try:
+            with folder.locked(self._folder, create=True):
+                self._join()
+            if hear_self:
+                self._hear_self()
+        except OSError as e:
+            self.close()
+            raise UnixCanError(f"unixcan:{channel}: {self._folder}: {e.strerror or e}") from None
+
+    def fileno(self) -> int:
+        """One descriptor that is readable whenever there is something to drain."""
+        return self._epoll.fileno()
+
+    @property
+    def parties(self) -> int:
+        """How many others are on the channel, as far as this one has noticed."""
+        return len(self._targets) - (self._deaf is not None)
+
+    def drain(self, offset_ns: int, into: list[Frame]) -> int:
+        """Append everything that has arrived, in the order of its stamps; also lets others join and leave.
+
+        Args:
+            offset_ns: what to take from the kernel's CLOCK_REALTIME stamps.
+            into: where to.
+
+        Returns:
+            How many frames came.
+        """
+        frames: list[Frame] = []
+        poll, read, peers, talkers = self._epoll.poll, self._reader.read, self._peers, self._talkers
+        listener, sources, admitted, progress = self._listening, 0, False, True
+        # A pass that finds nothing new ends it: then whatever caused a frame at hand is at hand, too.
+        while progress and len(frames) < wire.MOST_AT_ONCE:
+            progress = False
+            for descriptor, _ in poll(0, 16):
+                if descriptor == listener:
+                    progress = progress or not admitted
+                    admitted = True
+                    self.admit()
+                    continue
+                sock = peers.get(descriptor)
+                if sock is None:
+                    continue
+                sources += 1
+                before = len(frames)
+                try:
+                    alive = read(sock, offset_ns, frames)
+                except OSError as e:
+                    # a reset comes ahead of what the other end had sent before it died
+                    alive = e.errno == errno.ECONNRESET
+                    progress = True
+                if len(frames) > before:
+                    progress = True
+                    if descriptor not in talkers:
+                        talkers.add(descriptor)
+                        self._retarget()
+                if not alive:
+                    self._forget(descriptor)
+        if sources > 1:
+            frames.sort(key=_STAMP)
+        into += frames
+        return len(frames)
+
+    def send(self, packet: bytes) -> None:
+        """Hand one packed frame to everybody; who has no room for it loses it."""
+        for sock in self._targets:
+            try:
+                sock.send(packet, _SEND_FLAGS)
+            except BlockingIOError:
+                self.dropped += 1
+            except OSError:
+                pass  # it has gone: the next drain forgets it
+
+    def admit(self) -> None:
+        """Let in everybody who knocks, except other users."""
+        while True:
+            try:
+                sock, _ = self._listener.accept()
+            except OSError:
+                return
+            if _peer_uid(sock) == os.geteuid():
+                self._welcome(sock)
+            else:
+                self.refused += 1
+                sock.close()
+
+    def close(self) -> None:
+        """Leave; the last one out removes the channel's folder."""
+        if self._closed:
+            return
+        self._closed = True
+        with self._changing:
+            self._targets = ()
+            for sock in self._peers.values():
+                sock.close()
+            self._peers.clear()
+        self._listener.close()
+        self._epoll.close()
+        if os.getpid() != self._owner:
+            return  # a forked copy: the socket's file belongs to the parent
+        with suppress(OSError):
+            self._path.unlink()
+        with suppress(OSError), folder.locked(self._folder, create=False):
+            _remove_if_empty(self._folder)
+
+    def _join(self) -> None:
+        self._listener.bind(os.fspath(self._path))
+        self._listener.listen(4096)
+        self._epoll.register(self._listener, select.EPOLLIN)
+        for path in _sockets(self._folder):
+            if path != self._path:
+                sock = _connect(path)
+                if sock is not None:
+                    self._welcome(sock)
+
+    def _hear_self(self) -> None:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+        self._welcome(ours)
+        self._welcome(theirs)
+        # one end is only read and the other only written, or every frame would come twice
+        self._deaf = ours
+        self._retarget()
+
+    def _welcome(self, sock: socket.socket) -> None:
+        sock.setblocking(False)
+        wire.stamp_arrivals(sock)
+        try:
+            sock.setsockopt(socket.SOL_SOCKET, _SO_SNDBUFFORCE, SEND_BUFFER_BYTES)
+        except OSError:
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+        with self._changing:
+            self._peers[sock.fileno()] = sock
+        self._epoll.register(sock, select.EPOLLIN)
+        self._retarget()
+
+    def _forget(self, descriptor: int) -> None:
+        with self._changing:
+            sock = self._peers.pop(descriptor, None)
+        self._talkers.discard(descriptor)
+        self._retarget()
+        if sock is not None:
+            # closing alone would leave it in the epoll set where a forked process holds a copy
+            self._epoll.unregister(sock)
+            sock.close()
+
+    def _retarget(self) -> None:
+        with self._changing:
+            targets = [sock for sock in self._peers.values() if sock is not self._deaf]
+            self._targets = tuple(sorted(targets, key=lambda sock: sock.fileno() in self._talkers))
+
+
+def channels() -> list[str]:
+    """The channels of this user on which somebody lives; what dead processes left behind is removed."""
+    try:
+        home = folder.private_folder(folder.runtime_folder() / "can")
+        found = sorted(path for path in home.iterdir() if path.is_dir())
+    except OSError:
+        return []
+    alive = []
+    for path in found:
+        with suppress(OSError), folder.locked(path, create=False):
+            connections = [_connect(candidate) for candidate in _sockets(path)]
+            if any(sock is not None for sock in connections):
+                alive.append(path.name)
+            else:
+                _remove_if_empty(path)
+            for sock in connections:
+                if sock is not None:
+                    sock.close()
+    return alive
+
+
+def _connect(path: Path) -> socket.socket | None:
+    """A connection to a living party of this user; removes the file of a dead one."""
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+    try:
+        sock.connect(os.fspath(path))
+        if _peer_uid(sock) == os.geteuid():
+            return sock
+    except ConnectionRefusedError:
+        with suppress(OSError):
+            path.unlink()
+    except OSError:
+        pass  # it leaves just now, or it is stuck with thousands waiting to join
+    sock.close()
+    return None
+
+
+def _peer_uid(sock: socket.socket) -> int:
+    """Who is at the other end, says the kernel."""
+    raw = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    return int(_CREDENTIALS.unpack(raw)[1])
+
+
+def _sockets(path: Path) -> list[Path]:
+    return sorted(entry for entry in path.iterdir() if entry.name != folder.LOCK)
+
+
+def _remove_if_empty(path: Path) -> None:
+    if all(entry.name == folder.LOCK for entry in path.iterdir()):
+        (path / folder.LOCK).unlink()
+        path.rmdir()

@@ -1,0 +1,137 @@
+"""SocketCAN: a raw socket bound to one interface of the kernel."""
+
+from __future__ import annotations
+
+import errno
+import os
+import socket
+import struct
+
+from pneud.bus import interfaces, wire
+from pneud.signals import Frame
+
+_SEND_BUFFER_BYTES = 4096  # some ten frames: a stale command is worth less than none
+_RECEIVE_BUFFER_BYTES = 1024 * 1024
+_SO_RCVBUFFORCE = 33
+_CAN_RAW_ERR_FILTER = 2
+_ALL_ERRORS = struct.pack("=I", 0x1FFFFFFF)
+_SEND_FLAGS = socket.MSG_DONTWAIT
+
+
+class SocketCanError(Exception):
+    """An interface cannot be opened; the text is one line for a person."""
+
+
+class NotVirtualError(SocketCanError):
+    """The interface may lead to real devices, and only a virtual one was asked for."""
+
+
+class SocketCan:
+    """A bus of the kernel."""
+
+    def __init__(self, interface: str, *, virtual: bool = False) -> None:
+        """Open `interface`.
+
+        Args:
+            interface: such as can0.
+            virtual: refuse whatever is not of kind vcan.
+
+        Raises:
+            NotVirtualError: not of kind vcan, though `virtual`.
+            SocketCanError: no SocketCAN, no such interface, not up, no permission.
+        """
+        self._reader = wire.Reader()
+        self._check(interface, virtual)
+        try:
+            self._socket = socket.socket(
+                socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_NONBLOCK, socket.CAN_RAW
+            )
+        except OSError as e:
+            raise SocketCanError(_reason(interface, e)) from None
+        try:
+            self._configure(interface)
+        except OSError as e:
+            self._socket.close()
+            raise SocketCanError(_reason(interface, e)) from None
+
+    @property
+    def dropped(self) -> int:
+        """Frames that found the receive queue full."""
+        return self._reader.dropped
+
+    def fileno(self) -> int:
+        """The socket's descriptor."""
+        return self._socket.fileno()
+
+    def drain(self, offset_ns: int, into: list[Frame]) -> int:
+        """Append everything that has arrived, and tell how much that was.
+
+        Raises:
+            OSError: the interface went down (ENETDOWN) or away (ENODEV).
+        """
+        before = len(into)
+        self._reader.read(self._socket, offset_ns, into)
+        return len(into) - before
+
+    def send(self, packet: bytes) -> None:
+        """Hand one packed frame to the kernel.
+
+        Raises:
+            OSError: it has no room for it, or the interface is down or gone.
+        """
+        self._socket.send(packet, _SEND_FLAGS)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def _check(self, name: str, virtual: bool) -> None:
+        if not hasattr(socket, "AF_CAN"):
+            raise SocketCanError(_reason(name, OSError(errno.EAFNOSUPPORT, "")))
+        try:
+            found = interfaces.query(name)
+        except OSError as e:
+            raise SocketCanError(
+                f"socketcan:{name}: the kernel does not tell about it: {e.strerror or e}"
+            ) from None
+        if found is None:
+            raise SocketCanError(_reason(name, OSError(errno.ENODEV, "")))
+        if not found.is_can:
+            raise SocketCanError(f"socketcan:{name}: is not a CAN interface; see: ip -br link show type can")
+        if virtual and found.kind != "vcan":
+            kind = found.kind or "unknown"
+            raise NotVirtualError(
+                f"socketcan:{name}: is of kind {kind}, and a virtual run touches nothing but vcan;"
+                " use --bus auto"
+            )
+        if not found.up:
+            raise SocketCanError(_reason(name, OSError(errno.ENETDOWN, ""), found.kind))
+
+    def _configure(self, name: str) -> None:
+        sock = self._socket
+        sock.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ALL_ERRORS)
+        wire.stamp_arrivals(sock)
+        wire.count_overflows(sock)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+        try:
+            sock.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER_BYTES)
+        except OSError:
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+        sock.bind((name,))
+
+
+def _reason(name: str, error: OSError, kind: str = "can") -> str:
+    """One line: what is wrong, and the cure."""
+    code = error.errno
+    if code in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT, errno.ESOCKTNOSUPPORT):
+        what = "this machine has no SocketCAN; sudo modprobe can-raw, or use --bus unixcan:NAME"
+    elif code == errno.ENODEV:
+        what = "no such interface; see: ip -br link show type can (and type vcan)"
+    elif code == errno.ENETDOWN:
+        settings = "" if kind == "vcan" else " type can bitrate 1000000 restart-ms 100"
+        what = f"is down; sudo ip link set {name} up{settings}"
+    elif code in (errno.EPERM, errno.EACCES):
+        what = "not permitted; a service needs AF_CAN and AF_NETLINK in RestrictAddressFamilies"
+    else:
+        what = error.strerror or os.strerror(code or 0)
+    return f"socketcan:{name}: {what}"

@@ -1,0 +1,98 @@
+"""Classic CAN frames as the kernel lays them out, and the one way of reading them from a socket.
+
+SocketCAN and unixcan both carry `struct can_frame` in packets and stamp each on arrival, so they share this.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import time
+
+from pneud.signals import Frame
+
+CAN_EFF_FLAG = 0x80000000  # 29-bit identifier
+CAN_RTR_FLAG = 0x40000000  # asks for a frame instead of carrying one
+CAN_ERR_FLAG = 0x20000000  # the controller's report of an error
+CAN_FLAGS = CAN_EFF_FLAG | CAN_RTR_FLAG | CAN_ERR_FLAG
+
+PACKET = struct.Struct("=IB3x8s")
+MOST_AT_ONCE = 1024  # a flood must not hold a caller for ever
+
+_SO_TIMESTAMPNS = 35
+_SO_RXQ_OVFL = 40
+_TIMESPEC = struct.Struct("@ll")
+_COUNT = struct.Struct("@I")
+_ANCILLARY = socket.CMSG_SPACE(_TIMESPEC.size) + socket.CMSG_SPACE(_COUNT.size)
+
+
+def stamp_arrivals(sock: socket.socket) -> None:
+    """Have the kernel note when each packet arrives (CLOCK_REALTIME)."""
+    sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+
+
+def count_overflows(sock: socket.socket) -> None:
+    """Have the kernel tell how many packets found the receive queue full."""
+    sock.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
+
+
+def realtime_offset_ns(attempts: int = 5) -> int:
+    """CLOCK_REALTIME minus CLOCK_MONOTONIC, from the tightest of several readings."""
+    best, offset = 1 << 62, 0
+    for _ in range(attempts):
+        before = time.monotonic_ns()
+        real = time.time_ns()
+        after = time.monotonic_ns()
+        if after - before < best:
+            best, offset = after - before, real - (before + after) // 2
+    return offset
+
+
+class Reader:
+    """Reads packets into buffers made once; not for several threads."""
+
+    def __init__(self) -> None:
+        self._packet = bytearray(PACKET.size + 1)  # one more, so that a longer packet shows
+        self._buffers = (memoryview(self._packet),)
+        self.dropped = 0  # packets that found the receive queue full, as the kernel counts them
+        self.malformed = 0  # packets that are no frame
+
+    def read(self, sock: socket.socket, offset_ns: int, into: list[Frame]) -> bool:
+        """Append what waits in a non-blocking socket, in order of arrival.
+
+        Args:
+            sock: where from.
+            offset_ns: what to take from the kernel's stamps.
+            into: where to.
+
+        Returns:
+            False where the other end has closed and everything has been read.
+
+        Raises:
+            OSError: other than that nothing waits.
+        """
+        receive, buffers, packet = sock.recvmsg_into, self._buffers, self._packet
+        size, unpack = PACKET.size, PACKET.unpack_from
+        for _ in range(MOST_AT_ONCE):
+            try:
+                count, ancillary, _, _ = receive(buffers, _ANCILLARY)
+            except BlockingIOError:
+                return True
+            if count != size:
+                if count == 0:
+                    return False
+                self.malformed += 1
+                continue
+            can_id, length, data = unpack(packet)
+            if length > 8:
+                self.malformed += 1
+                continue
+            stamp = 0
+            for _, kind, value in ancillary:
+                if kind == _SO_TIMESTAMPNS:
+                    seconds, nanoseconds = _TIMESPEC.unpack(value)
+                    stamp = seconds * 1_000_000_000 + nanoseconds - offset_ns
+                elif kind == _SO_RXQ_OVFL:
+                    self.dropped = _COUNT.unpack(value)[0]
+            into.append(Frame(stamp, can_id, data[:length]))
+        return True
