@@ -9,7 +9,7 @@ STUFFING = 1.1
 
 
 def wire_ns(length: int, bitrate_bit_s: float) -> int:
-    """Time [ns] that a frame with `length` data bytes occupies the wire, with 10 % stuff bits; 0 at infinite rate."""
+    """Time [ns] that a frame with `length` data bytes takes, stuff bits included; 0 at infinite rate."""
     return round((FRAME_BITS + 8 * length) * STUFFING / bitrate_bit_s * 1e9)
 
 
@@ -23,23 +23,36 @@ class Item(NamedTuple):
 
 
 class Wire:
-    """Frames waiting, and the one under way. Time only moves forward: ask and add in order of time."""
+    """The frames that wait for the wire, and the one under way.
+
+    Nothing is decided before its time: a frame may be added as long as it is not ready before the end of a
+    transmission that `take` has already ended.
+    """
 
     def __init__(self) -> None:
         self.waiting: list[Item] = []
         self._free_ns = 0
 
-    def add(self, item: Item) -> None:
-        """Let a frame wait for the wire from `item.ready_ns` on."""
-        self.waiting.append(item)
-
     def next(self) -> tuple[int, Item] | None:
-        """When the next transmission will end, and of which waiting frame, unless a better one comes in time."""
+        """The end of the next transmission and its frame, unless a better one gets ready before it starts."""
         if not self.waiting:
             return None
         start = max(self._free_ns, min(item.ready_ns for item in self.waiting))
         winner = min((item for item in self.waiting if item.ready_ns <= start), key=_priority)
         return start + winner.duration_ns, winner
+
+    def add(self, item: Item) -> None:
+        """Let a frame wait for the wire."""
+        self.waiting.append(item)
+
+    def replace(self, item: Item) -> None:
+        """As `add`, but a waiting frame of the same identifier is overwritten, as in a node's one mailbox."""
+        upcoming = self.next()
+        under_way = None
+        if upcoming is not None and upcoming[0] - upcoming[1].duration_ns <= item.ready_ns:
+            under_way = upcoming[1]
+        self.waiting = [w for w in self.waiting if w.can_id != item.can_id or w is under_way]
+        self.waiting.append(item)
 
     def take(self, end_ns: int, item: Item) -> None:
         """The transmission that `next` announced has ended."""

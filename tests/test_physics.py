@@ -1,0 +1,178 @@
+"""Laws of the gas, the orifice, the cylinder, the valve and friction."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from pneud.config import cylinder_of, gas_of, load_config
+from pneud.physics.cylinder import F0, F1_FLOOR, F1_exhaust, F1_fill
+from pneud.physics.friction import Friction, friction_force, relaxation_rate, slide, stribeck
+from pneud.physics.gas import LINEAR_FROM, flow_factor, signed_flow, subsonic_factor
+from pneud.physics.valve import Valve, dead_zone, dead_zone_inverse, opening, spool_transition
+from pneud.plant.chamber import factor_and_slope, inflow, outflow, relax
+
+CONFIG = load_config("virtual.toml")
+GAS = gas_of(CONFIG)
+CYLINDER = cylinder_of(CONFIG)
+SEALS = Friction(40.0, 55.0, 0.02, 60.0, 1e5, 300.0)
+pressures = st.floats(2e4, 1.2e6)
+ratios = st.floats(0.01, 1.0)
+
+
+def test_the_flow_factor_is_choked_at_low_ratios_and_nothing_at_one() -> None:
+    assert GAS.critical_ratio == pytest.approx(0.52828, abs=1e-5)
+    assert flow_factor(0.0, GAS) == flow_factor(GAS.critical_ratio, GAS) == pytest.approx(0.57870, abs=1e-5)
+    assert flow_factor(1.0, GAS) == 0.0
+    assert flow_factor(0.8, GAS) == pytest.approx(
+        math.sqrt(5.0) * 0.8 ** (2.4 / 2.8) * math.sqrt(0.8 ** (-0.4 / 1.4) - 1.0)
+    )
+
+
+@given(ratios, ratios)
+def test_the_flow_factor_never_grows_with_the_ratio(a: float, b: float) -> None:
+    low, high = sorted((a, b))
+    assert flow_factor(low, GAS) >= flow_factor(high, GAS) - 1e-12
+
+
+def test_the_flow_factor_has_no_steps() -> None:
+    for r in (GAS.critical_ratio, LINEAR_FROM, 1.0):
+        assert flow_factor(r - 1e-12, GAS) == pytest.approx(flow_factor(r, GAS), abs=1e-6)
+
+
+@given(pressures, pressures)
+def test_flow_reverses_with_the_pressures(a: float, b: float) -> None:
+    assert signed_flow(a, b, GAS) == -signed_flow(b, a, GAS)
+    assert (signed_flow(a, b, GAS) > 0) == (a > b)
+
+
+@given(ratios)
+def test_the_slope_is_that_of_the_flow_factor(r: float) -> None:
+    factor, slope = factor_and_slope(r, GAS)
+    assert factor == pytest.approx(flow_factor(r, GAS), rel=1e-12, abs=1e-15)
+    e = 1e-7
+    if all(abs(r - kink) > 2 * e for kink in (GAS.critical_ratio, LINEAR_FROM, 1.0)):
+        assert slope == pytest.approx(
+            (flow_factor(r + e, GAS) - flow_factor(r - e, GAS)) / (2 * e), rel=1e-4, abs=1e-6
+        )
+
+
+@given(pressures, pressures, st.booleans())
+def test_flow_through_the_valve_is_the_signed_flow_with_its_derivative(
+    chamber: float, other: float, reverse: bool
+) -> None:
+    into, into_slope = inflow(chamber, other, reverse, GAS)
+    out, out_slope = outflow(chamber, other, reverse, GAS)
+    for value, true in ((into, signed_flow(other, chamber, GAS)), (out, signed_flow(chamber, other, GAS))):
+        assert value == pytest.approx(true if reverse or true > 0 else 0.0, rel=1e-9, abs=1e-6)
+    assert into_slope <= 1e-9
+    assert out_slope >= -1e-9
+    e = 0.01
+    r = min(chamber, other) / max(chamber, other)
+    if all(abs(r - kink) > 1e-6 for kink in (GAS.critical_ratio, LINEAR_FROM, 1.0)):
+        for flow, slope in ((inflow, into_slope), (outflow, out_slope)):
+            high, low = flow(chamber + e, other, reverse, GAS)[0], flow(chamber - e, other, reverse, GAS)[0]
+            assert slope == pytest.approx((high - low) / (2 * e), rel=1e-3, abs=1e-5)
+
+
+@given(pressures, pressures, st.floats(0.0, 1e6), st.floats(1e-6, 1e-4))
+def test_flow_brings_a_chamber_towards_the_other_side_and_never_across(
+    chamber: float, supply: float, rate: float, h: float
+) -> None:
+    flow, slope = inflow(chamber, supply, True, GAS)
+    after = relax(chamber, supply, rate * flow, rate * slope, 0.0, h)
+    assert min(chamber, supply) <= after <= max(chamber, supply)
+
+
+@given(st.floats(0.02, 1.0), pressures, pressures)
+def test_the_cylinder_stiffens_and_keeps_authority(x1: float, p1: float, p2: float) -> None:
+    assert F0(x1, p1, p2, CYLINDER, GAS) < 0
+    floor = F1_FLOOR * CYLINDER.F1_nominal
+    assert F1_fill(x1, p1, p2, 6e5, CYLINDER, GAS) >= floor
+    assert F1_exhaust(x1, p1, p2, 6e5, CYLINDER, GAS) >= floor
+
+
+def test_stribeck_falls_from_static_to_coulomb() -> None:
+    assert stribeck(0.0, SEALS) == 55.0
+    assert stribeck(1.0, SEALS) == pytest.approx(40.0)
+    assert stribeck(-0.01, SEALS) == stribeck(0.01, SEALS)
+
+
+def test_sliding_settles_at_the_steady_friction() -> None:
+    for v in (0.005, -0.05, 1.0):
+        rate = relaxation_rate(v, SEALS)
+        assert friction_force(v, v / rate, SEALS) == pytest.approx(
+            math.copysign(stribeck(v, SEALS), v) + 60.0 * v
+        )
+
+
+def test_a_load_below_static_friction_is_held() -> None:
+    v = z = a = 0.0
+    for i in range(20_000):
+        force = min(50.0, i * 0.005)  # a sudden load would break away by its swing
+        mean, z = slide(v, z, v + 5e-5 * a, force, 15.0, 1e-4, SEALS)
+        a, v = (2 * mean - 2 * v) / 1e-4, 2 * mean - v
+    assert abs(v) < 1e-7
+    assert z == pytest.approx(50.0 / 1e5, rel=1e-3)
+
+
+@given(
+    st.floats(-5.0, 5.0), st.floats(-6e-4, 6e-4), st.floats(0, 1e9), st.floats(0, 1e6), st.floats(0.05, 100)
+)
+def test_friction_alone_never_accelerates_whatever_the_stiffness(
+    v: float, z: float, sigma0: float, sigma1: float, mass: float
+) -> None:
+    f = SEALS._replace(sigma0_n_m=sigma0, sigma1_n_s_m=sigma1)
+    z = z * 1e5 / max(sigma0, 1e5)
+    energy = 0.5 * mass * v * v + 0.5 * sigma0 * z * z
+    for _ in range(100):
+        mean, z = slide(v, z, v, 0.0, mass, 1e-4, f)
+        v = 2 * mean - v
+        assert math.isfinite(v)
+        assert math.isfinite(z)
+    assert 0.5 * mass * v * v <= 2.0 * energy + 1e-6
+
+
+@given(st.floats(1.0, 1e5), st.floats(0.05, 5.0), st.floats(1e-6, 1e-2))
+def test_two_half_transitions_of_the_spool_are_one_whole(omega: float, zeta: float, t: float) -> None:
+    valve = Valve(5.0, omega, zeta, 0.0)
+    half, whole = spool_transition(t / 2, valve), spool_transition(t, valve)
+    ee = half.ee * half.ee + half.er * half.re
+    rr = half.re * half.er + half.rr * half.rr
+    assert ee == pytest.approx(whole.ee, abs=1e-6)
+    assert rr == pytest.approx(whole.rr, abs=1e-6)
+
+
+@pytest.mark.parametrize("zeta", [0.3, 0.7, 0.9999999, 1.0, 1.0000001, 2.0])
+def test_the_spool_follows_its_differential_equation(zeta: float) -> None:
+    omega, t = 628.0, 2e-3
+    m = spool_transition(t, Valve(5.0, omega, zeta, 0.0))
+    truth = solve_ivp(
+        lambda _, s: [s[1], -omega * omega * s[0] - 2 * zeta * omega * s[1]],
+        (0, t), [-2.0, 100.0], rtol=1e-11, atol=1e-11,
+    ).y[:, -1]  # fmt: skip
+    assert m.ee * -2.0 + m.er * 100.0 == pytest.approx(truth[0], rel=1e-5)
+    assert m.re * -2.0 + m.rr * 100.0 == pytest.approx(truth[1], rel=1e-5)
+
+
+def test_a_spool_without_lag_is_where_it_is_told() -> None:
+    assert spool_transition(1e-6, Valve(5.0, 0.0, 0.7, 0.0)) == (0.0, 0.0, 0.0, 0.0)
+
+
+@given(st.floats(-7.0, 7.0))
+def test_the_opening_is_dead_about_the_centre_and_never_more_than_full(y: float) -> None:
+    valve = Valve(5.0, 628.0, 0.7, 0.1)
+    u = opening(y, valve)
+    assert abs(u) <= 5.0
+    assert (u == 0.0) == (abs(y) <= 0.1)
+    if 0.1 < abs(y) <= 5.0:
+        assert dead_zone_inverse(u, valve, 0.0) == pytest.approx(y)
+        assert u == dead_zone(y, valve)
+
+
+def test_subsonic_factor_meets_the_choked_one() -> None:
+    assert subsonic_factor(GAS.critical_ratio, GAS.k) == GAS.gamma_choked
