@@ -61,17 +61,21 @@ fits() { "$$1" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null
 has_uv() { command -v uv >/dev/null; }; \
 fail() { echo "pneud: $$1" >&2; exit 1; }; \
 if [ "$(SOUND)" = False ] || ! fits $(BIN)/python || ! { has_uv || $(BIN)/python -c 'import pip' 2>/dev/null; }; then \
-  rm -rf $(VENV); found=; old=; \
+  found=; old=; bare=; \
   for python in $(PYTHONS); do \
-    if fits "$$python"; then found=$$python; break; fi; \
-    old=$${old:-$$("$$python" --version 2>/dev/null)}; \
+    if ! fits "$$python"; then old=$${old:-$$("$$python" --version 2>/dev/null)}; \
+    elif ! has_uv && ! "$$python" -c 'import ensurepip, venv' 2>/dev/null; then bare=$${bare:-$$python}; \
+    else found=$$python; break; fi; \
   done; \
-  [ -n "$$found" ] || fail "needs Python 3.11 or newer, found $${old:-none}: install one, or name it: make PYTHON=/path/to/python3.11 …"; \
+  [ -n "$$found$$bare" ] || \
+    fail "needs Python 3.11 or newer, found $${old:-none}: install one, or name it: make PYTHON=/path/to/python3.11 …"; \
+  [ -n "$$found" ] || \
+    fail "$$bare cannot make environments: apt install python3-venv (Debian, Ubuntu), or install uv"; \
   echo "Making $(VENV) with $$("$$found" --version) (once)"; \
-  if has_uv; then uv venv --quiet --python "$$found" $(VENV) || { rm -rf $(VENV); exit 1; }; \
-  elif ! "$$found" -c 'import ensurepip, venv' 2>/dev/null; then \
-    fail "$$found cannot make environments: apt install python3-venv (Debian, Ubuntu), or install uv"; \
-  else trap 'rm -rf $(VENV)' INT TERM; "$$found" -m venv $(VENV) || { rm -rf $(VENV); exit 1; }; trap - INT TERM; fi; \
+  rm -rf $(VENV); trap 'rm -rf $(VENV); exit 1' INT TERM; \
+  if has_uv; then uv venv --quiet --python "$$found" $(VENV); else "$$found" -m venv $(VENV); fi || \
+    { rm -rf $(VENV); fail "$$found could not make $(VENV) (see above)"; }; \
+  trap - INT TERM; \
 fi; \
 if has_uv; then uv pip install --quiet --python $(BIN)/python -e $(1); \
 else $(BIN)/python -m pip install --quiet --disable-pip-version-check -e $(1); fi || \
