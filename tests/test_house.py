@@ -113,7 +113,7 @@ def test_every_room_has_a_contract() -> None:
 
 def skeleton(folder: Path, imports: dict[str, str]) -> subprocess.CompletedProcess[str]:
     """Checks the project's contracts against a package of the same shape that has the given imports."""
-    packages = {"physics", "control", "safety", "bus", "rt", "log", "plant", "sim", "verbs"}
+    packages = {"physics", "control", "safety", "bus", "rt", "log", "plant", "sim", "verbs", "view"}
     rooms = {room for contract in contracts() for room in named(contract)} | {"cli"}
     root = folder / "pneud"
     files = {f"{room}/__init__.py" if room in packages else f"{room}.py" for room in rooms}
@@ -145,6 +145,8 @@ ALLOWED = {
     "safety": "from pneud.signals import x",
     "axis": "from pneud.control import part\nimport pneud.safety.part\nfrom pneud.physics.part import y",
     "config": "from pneud.plant.parameters import z\nfrom pneud import resources",
+    "parameters": "from pneud import axis, config\nfrom pneud.control import part",
+    "summary": "from pneud.bus import part\nfrom pneud.rt import part as r",
     "bus": "from pneud import config, signals",
     "log": "from pneud import signals",
     "plant": "from pneud.physics import part\nfrom pneud.bus import part as b",
@@ -162,6 +164,8 @@ FORBIDDEN = {
     "axis": "from pneud.bus import part",
     "config": "from pneud.bus import part",
     "bus": "from pneud.control import part",
+    "parameters": "from pneud.bus import part",
+    "summary": "from pneud.log import part",
     "rt": "from pneud import signals",
     "log": "from pneud import config",
     "plant": "from pneud import axis",
