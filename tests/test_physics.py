@@ -120,21 +120,17 @@ def test_a_load_below_static_friction_is_held() -> None:
     assert z == pytest.approx(50.0 / 1e5, rel=1e-3)
 
 
-@given(
-    st.floats(-5.0, 5.0), st.floats(-6e-4, 6e-4), st.floats(0, 1e9), st.floats(0, 1e6), st.floats(0.05, 100)
-)
-def test_friction_alone_never_accelerates_whatever_the_stiffness(
-    v: float, z: float, sigma0: float, sigma1: float, mass: float
+@given(st.floats(-5.0, 5.0), st.floats(0, 1e9), st.floats(0, 1e6), st.floats(0.05, 100))
+def test_friction_alone_never_speeds_a_load_up_whatever_the_stiffness(
+    v: float, sigma0: float, sigma1: float, mass: float
 ) -> None:
     f = SEALS._replace(sigma0_n_m=sigma0, sigma1_n_s_m=sigma1)
-    z = z * 1e5 / max(sigma0, 1e5)
-    energy = 0.5 * mass * v * v + 0.5 * sigma0 * z * z
+    start, z = abs(v), 0.0
     for _ in range(100):
         mean, z = slide(v, z, v, 0.0, mass, 1e-4, f)
         v = 2 * mean - v
-        assert math.isfinite(v)
-        assert math.isfinite(z)
-    assert 0.5 * mass * v * v <= 2.0 * energy + 1e-6
+        assert abs(v) <= start * (1.0 + 1e-9)
+        assert abs(z) <= 1e-4 * start + (55.0 / sigma0 if sigma0 > 0 else 1e-2 * start)
 
 
 @given(st.floats(1.0, 1e5), st.floats(0.05, 5.0), st.floats(1e-6, 1e-2))
