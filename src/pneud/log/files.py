@@ -1,0 +1,77 @@
+"""Where logs lie, what they are called, and the one error that is for people."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from pathlib import Path
+
+
+class LogError(Exception):
+    """A log cannot be written or read; the text is one line for a person."""
+
+    exit_code = 2
+
+
+def log_path(option: str | None, name: str, now: float | None = None) -> Path:
+    """The file a new log goes to; its folder exists afterwards, the file does not.
+
+    Args:
+        option: a `.mcap` file, which must not exist, or a folder; None or empty for the default folder,
+            `$STATE_DIRECTORY`, else `~/.local/state/pneud`.
+        name: what the file's name begins with.
+        now: Unix time [s] in the file's name; the present if None.
+
+    Raises:
+        LogError: the file exists, or its folder cannot be made.
+    """
+    if option and option.endswith(".mcap"):
+        path = Path(option).expanduser()
+        if path.exists():
+            raise LogError(f"{path}: exists already; a log is never overwritten, name another file")
+        if not path.parent.is_dir():
+            raise LogError(f"{path}: there is no folder {path.parent}; create it or name another file")
+        return path
+    folder = _folder(option)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise LogError(f"{folder}: is a file, but neither a folder nor a name ending in .mcap") from None
+    except OSError as e:
+        raise LogError(f"{folder}: cannot be made: {e.strerror}; choose a folder with --log") from None
+    stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(now))
+    stem = f"{re.sub(r'[^A-Za-z0-9._-]+', '-', name).strip('-.') or 'log'}-{stamp}"
+    path = folder / f"{stem}.mcap"
+    count = 1
+    while path.exists():
+        count += 1
+        path = folder / f"{stem}-{count}.mcap"
+    return path
+
+
+def _folder(option: str | None) -> Path:
+    if option:
+        return Path(option).expanduser()
+    # systemd gives several folders with colons between them where a unit names several.
+    state = os.environ.get("STATE_DIRECTORY", "").split(":")[0]
+    if state:
+        return Path(state)
+    try:
+        return Path.home() / ".local" / "state" / "pneud"
+    except RuntimeError:
+        raise LogError("no home folder for the log; set STATE_DIRECTORY or choose with --log") from None
+
+
+def create_log(path: Path) -> int:
+    """Create a log's file and open it for writing; the descriptor is the caller's to close.
+
+    Raises:
+        LogError: the file exists or cannot be created.
+    """
+    try:
+        return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+    except FileExistsError:
+        raise LogError(f"{path}: exists already; a log is never overwritten, name another file") from None
+    except OSError as e:
+        raise LogError(f"{path}: cannot be created: {e.strerror}; choose another place with --log") from None

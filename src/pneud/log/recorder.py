@@ -1,0 +1,138 @@
+"""The recorder: a process that empties the ring into a file, and outlives the loop to finish it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import time
+import traceback
+from pathlib import Path
+
+from pneud.log.files import create_log
+from pneud.log.ring import RECORDER_FAILED, RecorderStatus, Ring, RingReader
+from pneud.log.writer import LogHeader, LogWriter
+from pneud.signals import Record
+
+_POLL_S = 0.02
+_NICE = 5
+
+
+def start_recorder(ring: Ring, path: Path, header: LogHeader) -> int:
+    """Create the log and fork the recorder.
+
+    It finishes by itself when the ring is closed or this process dies, however it dies.
+
+    Args:
+        ring: what to read; nothing may have been put yet.
+        path: the new file.
+        header: what the log says about its run.
+
+    Returns:
+        The child's process id; wait for it after `ring.set_closed()`.
+
+    Raises:
+        LogError: the file exists or cannot be created.
+        OSError: no more processes.
+    """
+    descriptor = create_log(path)
+    parent = os.getpid()
+    child = os.fork()
+    if child:
+        os.close(descriptor)
+        return child
+    status = 1
+    try:
+        _leave_the_parents_files(descriptor)
+        status = recorder_main(ring, descriptor, header, parent)
+    finally:
+        os._exit(status)
+
+
+def _leave_the_parents_files(keep: int) -> None:
+    """Close what the fork inherited: a socket held open here would seem alive after its owner's death."""
+    for name in sorted(entry.name for entry in Path("/proc/self/fd").iterdir()):
+        if int(name) > 2 and int(name) != keep:
+            with contextlib.suppress(OSError):
+                os.close(int(name))
+    null = os.open(os.devnull, os.O_RDWR)
+    os.dup2(null, 0)
+    os.dup2(null, 1)
+    os.close(null)
+
+
+def recorder_main(ring: Ring, descriptor: int, header: LogHeader, parent: int) -> int:
+    """Record until the ring is closed or the parent is gone, then finish the file.
+
+    Args:
+        ring: what to read.
+        descriptor: of the new file; closed here.
+        header: what the log says about its run.
+        parent: process id of the loop.
+
+    Returns:
+        Exit status: 0, or 1 if records are missing or the file is incomplete.
+    """
+    # A Ctrl-C or a closed terminal reaches the whole group; the recorder leaves after the loop, not with it.
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    try:
+        os.nice(_NICE)
+        return _Recorder(ring, LogWriter(descriptor, header), parent).run()
+    except Exception:
+        traceback.print_exc(file=sys.stderr)
+        ring.set_status(ring.status()._replace(error=RECORDER_FAILED))
+        return 1
+
+
+class _Recorder:
+    def __init__(self, ring: Ring, writer: LogWriter, parent: int) -> None:
+        self._ring = ring
+        self._reader: RingReader = ring.reader()
+        self._writer = writer
+        self._parent = parent
+        self._dropped = 0
+        self._noted = False
+        self._heartbeat = 0
+
+    def run(self) -> int:
+        self._report()
+        while not self._ring.closed and os.getppid() == self._parent:
+            self._take(self._reader.poll())
+            self._writer.attend()
+            self._report()
+            time.sleep(_POLL_S)
+        self._take(self._reader.drain())
+        complete = self._writer.close()
+        self._report(finished=complete)
+        status = self._ring.status()
+        return 0 if complete and not status.lost else 1
+
+    def _take(self, records: list[Record]) -> None:
+        if not self._noted:
+            notes = self._ring.notes()
+            if notes is not None:
+                self._writer.note(notes)
+                self._noted = True
+        # Where records were dropped, it was before the first of these, but for rare cases.
+        missed = self._reader.dropped - self._dropped
+        self._dropped = self._reader.dropped
+        for record in records:
+            self._writer.write(record, missed)
+            missed = 0
+
+    def _report(self, *, finished: bool = False) -> None:
+        self._heartbeat += 1
+        w = self._writer
+        self._ring.set_status(
+            RecorderStatus(
+                self._heartbeat,
+                w.written,
+                self._reader.dropped,
+                w.unwritten,
+                w.error,
+                int(finished),
+                w.file_bytes,
+            )
+        )

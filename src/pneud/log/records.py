@@ -1,0 +1,329 @@
+"""One tick as protobuf messages, packed by `struct` with the tag bytes baked in, and back again."""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from operator import attrgetter
+from typing import Any, NamedTuple
+
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto as F
+
+from pneud.log.schema import Detail, Field, Level, message_class, tick_fields
+from pneud.signals import Command, Estimate, Frame, Measurement, Record, Reference, Request, Tick, Timing
+
+_CHECKED = struct.Struct("<8d4d4d")
+_CODES = {
+    F.TYPE_FLOAT: (5, "f"),
+    F.TYPE_DOUBLE: (1, "d"),
+    F.TYPE_FIXED32: (5, "I"),
+    F.TYPE_FIXED64: (1, "Q"),
+    F.TYPE_SFIXED64: (1, "q"),
+    F.TYPE_ENUM: (0, "B"),  # below 128, hence one byte
+}
+_SHORT = [bytes((i,)) for i in range(128)]
+_measurement = attrgetter(*Measurement._fields)
+_estimate = attrgetter(*Estimate._fields)
+_reference = attrgetter(*Reference._fields)
+_command = attrgetter(*Command._fields)
+_timing = attrgetter(*Timing._fields)
+
+# Where the parts of a tick's values begin.
+_E = 1 + len(Measurement._fields)
+_R = _E + len(Estimate._fields)
+_C = _R + len(Reference._fields)
+_S = _C + len(Command._fields)
+
+_FLOAT_MAX = 3.4028234663852886e38
+
+
+def crc_of(tick: Tick) -> int:
+    """CRC-32 over the doubles of estimate, reference and command, in their order, little-endian.
+
+    It stands in every record, so that a replay can be compared to the bit with a log that keeps only floats.
+    """
+    voltage_v, _, _, law_v, s, ustar = tick.command
+    return zlib.crc32(_CHECKED.pack(*tick.estimate, *tick.reference, voltage_v, law_v, s, ustar))
+
+
+def varint(n: int) -> bytes:
+    """A non-negative integer as protobuf writes it."""
+    if n < 0x80:
+        return _SHORT[n]
+    if n < 0x4000:
+        return bytes((n & 0x7F | 0x80, n >> 7))
+    if n < 0x20_0000:
+        return bytes((n & 0x7F | 0x80, n >> 7 & 0x7F | 0x80, n >> 14))
+    return bytes((n & 0x7F | 0x80,)) + varint(n >> 7)
+
+
+def zigzag(n: int) -> bytes:
+    """A signed integer as protobuf writes a `sint64`."""
+    return varint(n << 1 if n >= 0 else (-n << 1) - 1)
+
+
+class _TickLayout:
+    """A message of fixed length as one `struct`: constant bytes and values by turns."""
+
+    def __init__(self, detail: Detail) -> None:
+        name, fields, nested = tick_fields(detail)
+        self._class = message_class(f"pneud.{name}")
+        constants: list[bytes] = []
+        codes: list[str] = []
+        pending = b""
+
+        def walk(fields: list[Field]) -> None:
+            nonlocal pending
+            for number, field in enumerate(fields, start=1):
+                if field.type == F.TYPE_MESSAGE:
+                    inner = nested[field.of.rpartition(".")[2]]
+                    pending += varint(number << 3 | 2) + varint(_size(inner))
+                    walk(inner)
+                else:
+                    wire, code = _CODES[field.type]
+                    constants.append(pending + varint(number << 3 | wire))
+                    codes.append(code)
+                    pending = b""
+
+        walk(fields)
+        self._struct = struct.Struct(
+            "<" + "".join(f"{len(c)}s{v}" for c, v in zip(constants, codes, strict=True))
+        )
+        self._constants = tuple(constants)
+        self._template: list[bytes | float] = [b""] * (2 * len(codes))
+        self._template[::2] = constants
+
+    def pack(self, values: tuple[float, ...]) -> bytes:
+        arguments = self._template.copy()
+        arguments[1::2] = values
+        try:
+            return self._struct.pack(*arguments)
+        except OverflowError:  # a double beyond the floats
+            arguments[1::2] = [_as_float(v) if isinstance(v, float) else v for v in values]
+            return self._struct.pack(*arguments)
+
+    def unpack(self, data: bytes) -> tuple[Any, ...]:
+        if len(data) == self._struct.size:
+            items = self._struct.unpack(data)
+            if items[::2] == self._constants:
+                return items[1::2]
+        # The same message in another order of bytes, as a tool that wrote it anew may choose.
+        t = self._class.FromString(data)
+        return (
+            t.t_ns,
+            *_measurement(t.measurement),
+            *_estimate(t.estimate),
+            *_reference(t.reference),
+            *_command(t.command),
+            t.state,
+            t.present,
+            t.latched,
+            t.request.kind,
+            t.request.value,
+            t.truth_m,
+            t.check,
+        )
+
+
+def _as_float(value: float) -> float:
+    return value if math.isnan(value) or abs(value) <= _FLOAT_MAX else math.copysign(math.inf, value)
+
+
+def _size(fields: list[Field]) -> int:
+    return sum(
+        len(varint(number << 3)) + struct.calcsize("<" + _CODES[field.type][1])
+        for number, field in enumerate(fields, start=1)
+    )
+
+
+_LAYOUTS = {"pneud.Tick": _TickLayout("compact"), "pneud.FullTick": _TickLayout("full")}
+
+
+class Packer:
+    """Packs records at one level of detail."""
+
+    def __init__(self, detail: Detail) -> None:
+        self._layout = _LAYOUTS["pneud.Tick" if detail == "compact" else "pneud.FullTick"]
+        self._ids: dict[int, bytes] = {}
+
+    def tick(self, record: Record) -> bytes:
+        """The message of `/axis/tick`."""
+        tick = record.tick
+        kind, value = (0, 0.0) if tick.request is None else tick.request
+        return self._layout.pack(
+            (
+                tick.t_ns,
+                *tick.measurement,
+                *tick.estimate,
+                *tick.reference,
+                *tick.command,
+                tick.state,
+                tick.present,
+                tick.latched,
+                kind,
+                value,
+                record.truth_m,
+                crc_of(tick),
+            )
+        )
+
+    def frames(self, record: Record) -> bytes:
+        """The message of `/can/frames`."""
+        t_ns = record.tick.t_ns
+        parts = [b"\x09", t_ns.to_bytes(8, "little", signed=True)]
+        for frame in record.frames:
+            parts += (b"\x12", self._frame(frame, t_ns))
+        parts += (b"\x18", varint(record.before))
+        for frame in record.sent:
+            parts += (b"\x22", self._frame(frame, t_ns))
+        return b"".join(parts)
+
+    def _frame(self, frame: Frame, t_ns: int) -> bytes:
+        stamp_ns, can_id, data = frame
+        identifier = self._ids.get(can_id)
+        if identifier is None:
+            identifier = b"\x10" + varint(can_id) + b"\x1a"
+            if len(self._ids) < 4096:
+                self._ids[can_id] = identifier
+        body = b"\x08" + zigzag(stamp_ns - t_ns) + identifier + _SHORT[len(data)] + data
+        return _SHORT[len(body)] + body
+
+    @staticmethod
+    def timing(record: Record) -> bytes:
+        """The message of `/loop/timing`."""
+        a, b, c, d, e, f = record.timing
+        return b"".join(
+            (
+                b"\x08",
+                zigzag(a),
+                b"\x10",
+                zigzag(b),
+                b"\x18",
+                zigzag(c),
+                b"\x20",
+                zigzag(d),
+                b"\x28",
+                zigzag(e),
+                b"\x30",
+                zigzag(f),
+            )
+        )
+
+
+_Log = message_class("foxglove.Log")
+_Frames = message_class("pneud.Frames")
+_Timing = message_class("pneud.Timing")
+
+
+class LoggedEvent(NamedTuple):
+    """A message of `/events`."""
+
+    log_time_ns: int  # Unix
+    level: Level
+    name: str
+    message: str
+
+
+def pack_event(event: LoggedEvent) -> bytes:
+    """The message of `/events`."""
+    log = _Log(level=event.level, message=event.message, name=event.name)
+    log.timestamp.seconds, log.timestamp.nanos = divmod(event.log_time_ns, 10**9)
+    packed: bytes = log.SerializeToString()
+    return packed
+
+
+def unpack_event(log_time_ns: int, data: bytes) -> LoggedEvent:
+    """An event as read."""
+    log = _Log.FromString(data)
+    return LoggedEvent(log_time_ns, Level(log.level), log.name, log.message)
+
+
+class LoggedTick(NamedTuple):
+    """One record as read. In a compact log its reals are floats of 32 bits; `check` is of the doubles."""
+
+    number: int  # counts the records of the loop from 1; a gap is where records were dropped
+    log_time_ns: int  # Unix
+    t_ns: int
+    measurement: Measurement
+    request: Request | None
+    estimate: Estimate
+    reference: Reference
+    command: Command
+    state: int
+    present: int
+    latched: int
+    check: int
+    frames: tuple[Frame, ...]
+    before: int
+    sent: tuple[Frame, ...]
+    timing: Timing
+    truth_m: float
+
+    @property
+    def skipped(self) -> int:
+        """Ticks skipped just before this one."""
+        return self.measurement.skipped
+
+    @property
+    def host(self) -> int:
+        """Bits of `Host`."""
+        return self.measurement.host
+
+    @property
+    def record(self) -> Record:
+        """The record as the loop handed it over (to the bit where the log's detail is full)."""
+        tick = Tick(
+            self.t_ns,
+            self.measurement,
+            self.request,
+            self.estimate,
+            self.reference,
+            self.command,
+            self.state,
+            self.present,
+            self.latched,
+        )
+        return Record(tick, self.timing, self.frames, self.before, self.sent, self.truth_m)
+
+
+def unpack(
+    number: int, log_time_ns: int, schema: str, tick: bytes, frames: bytes, timing: bytes
+) -> LoggedTick:
+    """The three messages of one tick, put together.
+
+    Args:
+        number: the messages' sequence number.
+        log_time_ns: Unix time.
+        schema: name of the tick's message, which tells the level of detail.
+        tick: message of `/axis/tick`.
+        frames: message of `/can/frames`.
+        timing: message of `/loop/timing`.
+
+    Raises:
+        google.protobuf.message.DecodeError: not such messages.
+    """
+    v = _LAYOUTS[schema].unpack(tick)
+    f = _Frames.FromString(frames)
+    t_ns = v[0]
+    new = tuple.__new__  # half the time of Frame(…)
+    state, present, latched, kind, value, truth_m, check = v[_S:]
+    return LoggedTick(
+        number,
+        log_time_ns,
+        t_ns,
+        Measurement._make(v[1:_E]),
+        Request(kind, value) if kind else None,
+        Estimate._make(v[_E:_R]),
+        Reference._make(v[_R:_C]),
+        Command._make(v[_C:_S]),
+        state,
+        present,
+        latched,
+        check,
+        tuple([new(Frame, (t_ns + r.stamp_after_t_ns, r.can_id, r.data)) for r in f.received]),
+        f.before,
+        tuple([new(Frame, (t_ns + r.stamp_after_t_ns, r.can_id, r.data)) for r in f.sent]),
+        Timing._make(_timing(_Timing.FromString(timing))),
+        truth_m,
+    )
