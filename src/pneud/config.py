@@ -451,7 +451,7 @@ def parse(text: str, name: str) -> Config:
     try:
         return Config.model_validate(data)
     except ValidationError as e:
-        raise ConfigError(f"{name}: " + "; ".join(_sentence(error) for error in e.errors())) from None
+        raise ConfigError(f"{name}: {explain(e)}") from None
 
 
 def load_config(file: str | Path) -> Config:
@@ -473,6 +473,11 @@ def load_with_text(file: str | Path) -> tuple[Config, str, Path]:
     except (OSError, UnicodeDecodeError) as e:
         raise ConfigError(f"{file}: cannot be read: {e}") from None
     return parse(text, str(path)), text, path
+
+
+def explain(e: ValidationError) -> str:
+    """What is wrong, in one line: key, value and bound of each error."""
+    return "; ".join(_sentence(error) for error in e.errors())
 
 
 def _sentence(error: Any) -> str:

@@ -1,0 +1,208 @@
+"""The command line: options in, one call for each verb out."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import typer
+
+from pneud import __version__
+
+DONE, ANSWER_IS_NO, USAGE, MACHINE = 0, 1, 2, 3
+
+app = typer.Typer(
+    name="pneud",
+    help="Real-time controller for pneumatic servo axes on a CAN bus.",
+    no_args_is_help=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+ConfigOption = Annotated[
+    str | None, typer.Option("--config", metavar="FILE", help="Configuration; default virtual.toml.")
+]
+BusOption = Annotated[
+    str | None, typer.Option("--bus", metavar="BUS", help="auto, socketcan:IF or unixcan:NAME.")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
+SeedOption = Annotated[int, typer.Option("--seed", help="Seed of the plant's noise.")]
+
+
+def _version(value: bool) -> None:
+    if value:
+        typer.echo(f"pneud {__version__}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def daemon(
+    ctx: typer.Context,
+    virtual: Annotated[
+        bool, typer.Option("--virtual", help="Run with the software plant on a virtual bus.")
+    ] = False,
+    config: ConfigOption = None,
+    bus: BusOption = None,
+    arm: Annotated[
+        bool, typer.Option("--arm", help="Arm once when everything allows it (benches and tests).")
+    ] = False,
+    duration: Annotated[
+        float | None, typer.Option("--duration", metavar="S", help="Stop after this time.")
+    ] = None,
+    rate: Annotated[float | None, typer.Option("--rate", metavar="HZ", help="Ticks per second.")] = None,
+    headless: Annotated[bool, typer.Option("--headless", help="No live screen.")] = False,
+    json: JsonOption = False,
+    log: Annotated[
+        str | None, typer.Option("--log", metavar="PATH", help="Log file (.mcap) or folder.")
+    ] = None,
+    seed: SeedOption = 0,
+    version: Annotated[  # noqa: ARG001
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Without a verb: the daemon."""
+    given = [
+        name
+        for name, value in (
+            ("--virtual", virtual),
+            ("--config", config),
+            ("--bus", bus),
+            ("--arm", arm),
+            ("--duration", duration),
+            ("--rate", rate),
+            ("--headless", headless),
+            ("--json", json),
+            ("--log", log),
+            ("--seed", seed),
+        )
+        if value
+    ]
+    if ctx.invoked_subcommand is not None:
+        if given:
+            _fail(
+                f"{given[0]} belongs to the daemon, not to '{ctx.invoked_subcommand}'; put options behind the verb"
+            )
+        return
+    if not virtual and config is None:
+        typer.echo(ctx.get_help())
+        raise typer.Exit(USAGE if given else DONE)
+    if duration is not None and not 0.0 < duration < 1e9:
+        _fail(f"--duration {duration:g}: must be a positive number of seconds")
+    if sys.platform != "linux":
+        _fail("the loop needs Linux; sim, replay, check and report run anywhere", MACHINE)
+
+    from pneud.verbs.run import RunOptions, run
+
+    _exit(
+        run,
+        RunOptions(
+            config=config or "virtual.toml",
+            bus=bus if bus is not None else ("auto" if virtual else None),
+            virtual=virtual,
+            arm=arm,
+            duration_s=duration,
+            rate_hz=rate,
+            headless=headless,
+            json=json,
+            log=log,
+            seed=seed,
+        ),
+    )
+
+
+@app.command()
+def plant(
+    bus: Annotated[str, typer.Option("--bus", metavar="BUS", help="socketcan:IF (a vcan) or unixcan:NAME.")],
+    config: ConfigOption = None,
+    seed: SeedOption = 0,
+) -> None:
+    """The software plant node alone."""
+    from pneud.verbs.plant import plant as verb
+
+    _exit(verb, config or "virtual.toml", bus, seed)
+
+
+@app.command()
+def sim(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="Configuration.")] = "virtual.toml",
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="LOG", help="Write a log (.mcap).")
+    ] = None,
+    duration: Annotated[float, typer.Option("--duration", metavar="S", help="Simulated time.")] = 10.0,
+    seed: SeedOption = 0,
+    json: JsonOption = False,
+) -> None:
+    """The same axis and plant in simulated time, faster than real time, the same for a seed."""
+    from pneud.verbs.simulate import simulate as verb
+
+    _exit(verb, file, output, duration, seed, json)
+
+
+@app.command()
+def replay(
+    log: Annotated[str, typer.Argument(metavar="LOG", help="Log to feed through the axis again.")],
+    config: ConfigOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Feed a log's frames and requests through the axis again and compare every command."""
+    from pneud.verbs.replay import replay as verb
+
+    _exit(verb, log, config, json)
+
+
+@app.command()
+def recover(
+    log: Annotated[str, typer.Argument(metavar="LOG", help="Log that was cut short.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help="The mended log.")],
+) -> None:
+    """Mend a log that was cut short."""
+    from pneud.verbs.recover import recover as verb
+
+    _exit(verb, log, output)
+
+
+@app.command()
+def check(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="Configuration.")],
+    json: JsonOption = False,
+) -> None:
+    """Validate a configuration and everything it names; say what is wrong where."""
+    from pneud.verbs.check import check as verb
+
+    _exit(verb, file, json)
+
+
+def _fail(text: str, status: int = USAGE) -> NoReturn:
+    typer.echo(f"pneud: {text}", err=True)
+    raise typer.Exit(status)
+
+
+def _exit(verb: object, *args: object) -> NoReturn:
+    """Run a verb and turn what people can do something about into one line and an exit status."""
+    from pneud.bus.codec import DatabaseError
+    from pneud.bus.link import LinkError
+    from pneud.config import ConfigError
+    from pneud.log.files import LogError
+
+    assert callable(verb)
+    try:
+        status = verb(*args)
+    except (ConfigError, DatabaseError, LogError) as e:
+        _fail(str(e))
+    except LinkError as e:
+        _fail(str(e), e.exit_code)
+    except KeyboardInterrupt:
+        status = 130
+    except BrokenPipeError:
+        status = DONE
+    raise typer.Exit(status)
+
+
+def main() -> None:
+    """Entry point of the `pneud` command."""
+    app()
+
+
+if __name__ == "__main__":
+    main()

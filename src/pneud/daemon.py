@@ -1,0 +1,294 @@
+"""The running loop: read, cycle, write, record; one tick at a time, by the clock.
+
+One thread. Between frames readable and command sent there is no lock, no blocking call but the waits, and
+nothing that formats text.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from typing import NamedTuple
+
+from pneud.axis import FOLLOWING, NO_ESTIMATE, NO_REFERENCE, Axis
+from pneud.bus.codec import Codecs
+from pneud.bus.inbox import Inbox
+from pneud.bus.link import Link
+from pneud.config import Config
+from pneud.log.ring import Ring
+from pneud.plant.truth import TruthReader
+from pneud.rt.histogram import Histogram
+from pneud.rt.notify import Notifier
+from pneud.rt.pacer import Pacer
+from pneud.safety.faults import BLOCKS_ARM
+from pneud.safety.supervisor import is_engaged
+from pneud.signals import Command, Frame, Host, Record, Request, RequestKind, State, Tick, Timing
+from pneud.summary import Tracking
+
+SYNC_COUNTERS = 240
+END_TICKS = 20  # times that the valve is told to centre before the loop ends
+FAULT_S = 0.1  # how long a run that ends on a fault goes on telling the valve to centre
+CHECKS_S = 0.5  # how often recorder and clock are looked at
+CLOCK_STEP_NS = 1_000_000
+NAN = float("nan")
+
+
+class Options(NamedTuple):
+    """How a run goes."""
+
+    rate_hz: float
+    set_deadline: float  # part of the period to wait for a complete set
+    spin_us: float
+    auto_arm: bool  # arm once, as soon as everything allows it
+    duration_s: float | None  # None runs until it is told to stop
+    end_on_fault: bool
+    no_realtime: bool  # real-time scheduling is required and was refused
+
+
+class Loop:
+    """The loop of one axis; `run` returns when it has been told to stop and the valve is centred."""
+
+    def __init__(
+        self,
+        axis: Axis,
+        codecs: Codecs,
+        inbox: Inbox,
+        link: Link,
+        ring: Ring,
+        options: Options,
+        truth: TruthReader | None = None,
+        recorder: int = 0,
+    ) -> None:
+        """A loop that is ready to run.
+
+        Args:
+            axis: what decides.
+            codecs: of the frames.
+            inbox: collects the answers; counts what is wrong with them.
+            link: the bus.
+            ring: to the recorder.
+            options: how the run goes.
+            truth: true positions of a software plant.
+            recorder: process id of the recorder, 0 for none.
+        """
+        self.axis = axis
+        self.inbox = inbox
+        self.link = link
+        self.ring = ring
+        self.options = options
+        self.truth = truth
+        self.period_ns = round(1e9 / options.rate_hz)
+        self.lateness = Histogram()
+        self.latency = Histogram()
+        self.tracking = Tracking(truth is not None)
+        self.ticks = 0
+        self.skipped = 0
+        self.state = int(State.STARTING)
+        self.latched = 0
+        self.ever_latched = 0
+        self.recorder_lost = False
+        self.realtime_offset_ns = link.realtime_offset_ns
+        self._codecs = codecs
+        self._recorder = recorder
+        self._stop = False
+        self._armed = not options.auto_arm
+        self._shut = False  # shutdown has been requested of the axis
+        self._notifier = Notifier()
+        self._counter_mask = codecs.valve_command.counter_mask
+        self._count = 0
+
+    def stop(self) -> None:
+        """Ask for a controlled stop and the end of the run; safe in a signal handler."""
+        self._stop = True
+
+    def handle_signals(self) -> None:
+        """Let SIGINT and SIGTERM stop the run in good order."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: self.stop())
+
+    def run(self) -> None:
+        """Tick until told to stop; whatever happens, the last thing sent is the centre."""
+        try:
+            self._run()
+        finally:
+            for _ in range(END_TICKS):
+                data = self._codecs.valve_command.encode(0.0, 0, 1, counter=self._count & self._counter_mask)
+                self.link.send(self._codecs.valve_command.can_id, data)
+                self._count += 1
+
+    def _run(self) -> None:
+        o, link, inbox, axis = self.options, self.link, self.inbox, self.axis
+        period_ns, ring, clock = self.period_ns, self.ring, time.monotonic_ns
+        pacer = Pacer(period_ns, round(o.spin_us * 1e3))
+        wait_ns = round(period_ns * o.set_deadline)
+        sync_id, command_id = self._codecs.sync.can_id, self._codecs.valve_command.can_id
+        sync_frames = [self._codecs.sync.encode(counter=n) for n in range(1, SYNC_COUNTERS + 1)]
+        encode = self._codecs.valve_command.encode
+        host = int(Host.NO_REALTIME) if o.no_realtime else 0
+        check_ticks = max(1, round(CHECKS_S * o.rate_hz))
+        fault_ticks = max(END_TICKS, round(FAULT_S * o.rate_hz))
+        total = None if o.duration_s is None else max(1, round(o.duration_s * o.rate_hz))
+        frames: list[Frame] = []
+        count = 0
+        idle_ticks = 0
+        failed_before = link.tx_failed
+        record_ns = -1
+        tick: Tick | None = None
+        self._notifier.ready()
+
+        while True:
+            _, lateness_ns, skipped = pacer.next()
+            frames.clear()
+            link.drain(frames)
+            for frame in frames:
+                inbox.feed(frame)
+            before = len(frames)
+
+            index = count % SYNC_COUNTERS
+            sync_data = sync_frames[index]
+            t_ns = clock()
+            inbox.begin(t_ns)
+            sync_sent_ns = link.send(sync_id, sync_data)
+            limit_ns = t_ns + wait_ns
+            while not inbox.complete:
+                left_ns = limit_ns - clock()
+                if left_ns <= 0:
+                    break
+                if link.wait(left_ns * 1e-9):
+                    seen = len(frames)
+                    if link.drain(frames):
+                        for frame in frames[seen:]:
+                            inbox.feed(frame)
+                    elif link.down:
+                        # a dead interface is always readable: sleep, or this would spin at high priority
+                        time.sleep(max(0.0, (limit_ns - clock()) * 1e-9))
+            set_ns = clock()
+
+            flags = host
+            if link.down:
+                flags |= Host.LINK_DOWN
+            if link.tx_failed != failed_before:
+                failed_before = link.tx_failed
+                flags |= Host.SEND_FAILED
+            if count % check_ticks == check_ticks - 1:
+                flags |= self._check()
+            if self.recorder_lost:
+                flags |= Host.RECORDER_LOST
+            measurement = inbox.measurement(skipped, flags)
+            request = self._request(tick, total)
+            try:
+                tick = axis.cycle(measurement, request, t_ns)
+            except Exception:
+                # centre first; the log replays to the same exception
+                tick = axis.trip(
+                    Tick(
+                        t_ns,
+                        measurement,
+                        request,
+                        NO_ESTIMATE,
+                        NO_REFERENCE,
+                        Command(0.0, 0, 0, NAN, NAN, NAN),
+                        int(State.FAULT),
+                        0,
+                        0,
+                    )
+                )
+            cycle_ns = clock()
+            command = tick.command
+            data = encode(command.voltage_v, command.enable, index + 1, counter=count & self._counter_mask)
+            sent_ns = link.send(command_id, data)
+
+            newest_ns = frames[-1].stamp_ns if len(frames) > before else 0
+            latency_ns = sent_ns - newest_ns if newest_ns and sent_ns > 0 else -1
+            truth_m = self.truth.get(t_ns, sync_sent_ns) if self.truth is not None else NAN
+            end_ns = clock()
+            ring.put(
+                Record(
+                    tick,
+                    Timing(
+                        lateness_ns,
+                        set_ns - t_ns,
+                        cycle_ns - set_ns,
+                        end_ns - cycle_ns,
+                        latency_ns,
+                        record_ns,
+                    ),
+                    tuple(frames),
+                    before,
+                    (
+                        Frame(sync_sent_ns, sync_id, sync_data),
+                        Frame(sent_ns, command_id, data),
+                    ),
+                    truth_m,
+                )
+            )
+            record_ns = clock() - end_ns
+
+            count += 1
+            self._count = count
+            self.latched = tick.latched
+            self.ever_latched |= tick.latched
+            if not self._shut:
+                self.ticks += 1
+                self.skipped += skipped
+                self.state = tick.state
+                self.lateness.add(lateness_ns)
+                if latency_ns >= 0:
+                    self.latency.add(latency_ns)
+                if axis.state.phase == FOLLOWING:
+                    self.tracking.add(tick, axis.state.phase_ns, truth_m)
+            if is_engaged(tick.state):
+                idle_ticks = 0
+            else:
+                idle_ticks += 1
+                if self._shut and idle_ticks >= END_TICKS:
+                    break
+                if o.end_on_fault and tick.state == State.FAULT and idle_ticks >= fault_ticks:
+                    break
+        self._notifier.stopping()
+
+    def _request(self, last: Tick | None, total: int | None) -> Request | None:
+        """What the run itself asks of the axis in this tick."""
+        if not self._shut and (self._stop or (total is not None and self.ticks + self.skipped >= total)):
+            self._shut = True
+            return Request(RequestKind.SHUTDOWN)
+        if (
+            not self._armed
+            and last is not None
+            and last.state == State.DISARMED
+            and not last.present & BLOCKS_ARM
+        ):
+            self._armed = True
+            return Request(RequestKind.ARM)
+        return None
+
+    def _check(self) -> int:
+        """Look at what changes slowly: the wall clock and the recorder."""
+        flags = 0
+        if abs(self.link.remeasure()) > CLOCK_STEP_NS:
+            flags |= int(Host.CLOCK_STEP)
+        if self._recorder and not self.recorder_lost:
+            self.recorder_lost = self.ring.status().error != 0 or _gone(self._recorder)
+        return flags
+
+
+def _gone(pid: int) -> bool:
+    try:
+        return os.waitpid(pid, os.WNOHANG)[0] != 0
+    except ChildProcessError:
+        return True
+
+
+def options_of(
+    c: Config,
+    *,
+    auto_arm: bool,
+    duration_s: float | None,
+    end_on_fault: bool,
+    no_realtime: bool,
+) -> Options:
+    """Options from a configuration and the command line."""
+    return Options(
+        c.loop.rate_hz, c.loop.set_deadline, c.loop.spin_us, auto_arm, duration_s, end_on_fault, no_realtime
+    )

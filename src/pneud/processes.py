@@ -1,0 +1,150 @@
+"""The processes around the loop: the software plant and the screen, forked; and how they end."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from typing import NoReturn
+
+from pneud.bus.codec import Codecs
+from pneud.bus.link import Link, LinkError, open_link
+from pneud.log.ring import Ring
+from pneud.plant.node import PlantNode
+from pneud.plant.parameters import PlantParameters
+from pneud.plant.process import serve
+from pneud.plant.truth import TruthWriter
+from pneud.rt import setup
+from pneud.view import LEAVE_SCREEN, ScreenInfo, run_child
+
+
+def fork(main: Callable[[], None]) -> int:
+    """Run `main` in a child process that ends with it.
+
+    Returns:
+        The child's process id.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    child = os.fork()
+    if not child:
+        _in_child(main)
+    return child
+
+
+def _in_child(main: Callable[[], None]) -> NoReturn:
+    status = 1
+    try:
+        main()
+        status = 0
+    except LinkError as e:
+        print(f"pneud: {e}", file=sys.stderr)
+    except Exception:
+        traceback.print_exc()
+    finally:
+        sys.stderr.flush()
+        os._exit(status)
+
+
+def fork_plant(
+    channel: str,
+    inherited: Link,
+    p: PlantParameters,
+    codecs: Codecs,
+    seed: int,
+    truth: mmap.mmap,
+    priority: int,
+) -> int:
+    """The software plant on the same bus.
+
+    Args:
+        channel: the bus, not "auto".
+        inherited: the parent's link, closed in the child.
+        p: the plant.
+        codecs: of the frames.
+        seed: of the sensors' noise.
+        truth: shared memory for the true positions.
+        priority: real-time priority to try for, since frames that come late are not what a real bus does.
+    """
+    parent = os.getpid()
+
+    def main() -> None:
+        stopped = False
+
+        def stop(*_: object) -> None:
+            nonlocal stopped
+            stopped = True
+
+        setup.ignore_terminal_signals()
+        signal.signal(signal.SIGTERM, stop)
+        setup.die_with_parent(parent)
+        inherited.close()
+        with open_link(channel, virtual=True) as link:
+            node = PlantNode(p, codecs, seed)
+            setup.apply(priority, None, False)
+            serve(link, node, stop=lambda: stopped, truth=TruthWriter(truth))
+
+    return fork(main)
+
+
+def fork_screen(ring: Ring, inherited: Link, info: ScreenInfo) -> int:
+    """The live screen on this terminal."""
+    parent = os.getpid()
+
+    def main() -> None:
+        inherited.close()
+        reader = ring.reader()
+
+        def log_counts() -> tuple[int, int]:
+            status = ring.status()
+            return status.written, status.lost
+
+        run_child(reader.poll, info, lambda: ring.closed, parent, log_counts=log_counts)
+
+    return fork(main)
+
+
+def end_screen(pid: int) -> None:
+    """Tell the screen to leave, and leave the terminal clean whatever it does."""
+    if not end(pid, 3.0):
+        sys.stdout.write(LEAVE_SCREEN)
+        sys.stdout.flush()
+
+
+def end(pid: int, patience_s: float) -> bool:
+    """Ask a child to leave; kill it when it does not.
+
+    Returns:
+        Whether it left by itself.
+    """
+    try:
+        os.kill(pid, signal.SIGTERM)
+    except ProcessLookupError:
+        return True
+    if wait(pid, patience_s):
+        return True
+    os.kill(pid, signal.SIGKILL)
+    wait(pid, patience_s)
+    return False
+
+
+def wait(pid: int, patience_s: float) -> bool:
+    """Wait for a child to end.
+
+    Returns:
+        Whether it has.
+    """
+    deadline = time.monotonic() + patience_s
+    while True:
+        try:
+            if os.waitpid(pid, os.WNOHANG)[0]:
+                return True
+        except ChildProcessError:
+            return True
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.005)

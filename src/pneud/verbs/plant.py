@@ -1,0 +1,47 @@
+"""The software plant node alone, on a virtual bus."""
+
+from __future__ import annotations
+
+import signal
+import sys
+
+from pneud import parameters
+from pneud.bus.link import open_link
+from pneud.config import ConfigError
+from pneud.loading import bus_name, load
+from pneud.plant.node import PlantNode
+from pneud.plant.process import serve
+from pneud.rt import setup
+from pneud.signals import ValveState
+
+
+def plant(config_file: str, bus: str, seed: int) -> int:
+    """Run the plant until Ctrl-C or SIGTERM; says on standard error what its valve node does.
+
+    Raises:
+        ConfigError: the configuration or the bus name cannot be used.
+        DatabaseError: the DBC cannot be used.
+        LinkError: the bus cannot be used, or is no virtual one.
+    """
+    axis = load(config_file)
+    config = axis.config
+    channel = bus_name(bus, config)
+    if channel == "auto":
+        raise ConfigError("--bus auto would find another bus than the daemon; name one, such as unixcan:x")
+    stopped = False
+
+    def stop(*_: object) -> None:
+        nonlocal stopped
+        stopped = True
+
+    def say(state: ValveState) -> None:
+        print(f"valve node: {state.name.lower()}", file=sys.stderr, flush=True)
+
+    with open_link(channel, virtual=True) as link:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, stop)
+        node = PlantNode(parameters.plant_of(config), axis.codecs, seed)
+        print(f"plant {config.name} on {link.name}; Ctrl-C stops", file=sys.stderr, flush=True)
+        setup.apply(max(0, config.realtime.priority - 10), None, False)
+        serve(link, node, stop=lambda: stopped, on_valve_state=say)
+    return 0

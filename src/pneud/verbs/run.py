@@ -1,0 +1,202 @@
+"""The daemon, on a rig or with the software plant on a virtual bus."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from pneud import parameters
+from pneud.axis import Axis
+from pneud.bus.inbox import Inbox
+from pneud.bus.link import Link, open_link, refuse_if_driven
+from pneud.config import Config, ConfigError
+from pneud.daemon import Loop, options_of
+from pneud.loading import Loaded, bus_name, load
+from pneud.log.files import log_path
+from pneud.log.recorder import start_recorder
+from pneud.log.ring import Ring
+from pneud.log.writer import LogHeader
+from pneud.plant.truth import TruthReader, truth_memory
+from pneud.processes import end, end_screen, fork_plant, fork_screen, wait
+from pneud.rt import setup
+from pneud.safety.faults import F, names
+from pneud.signals import State
+from pneud.summary import in_words, summarise
+from pneud.view import ScreenInfo
+
+FAULT_NAMES = tuple(f.name.lower() for f in sorted(F))
+RECORDER_PATIENCE_S = 15.0
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """What was asked for on the command line."""
+
+    config: str
+    bus: str | None
+    virtual: bool
+    arm: bool
+    duration_s: float | None
+    rate_hz: float | None
+    headless: bool
+    json: bool
+    log: str | None
+    seed: int
+
+
+def run(o: RunOptions) -> int:
+    """Run until told to stop.
+
+    Returns:
+        Exit status: 0, or 1 where there was a fault or the axis never came to track.
+
+    Raises:
+        ConfigError: the configuration cannot be used.
+        DatabaseError: the DBC cannot be used.
+        LinkError: the bus cannot be used.
+        LogError: the log cannot be written.
+    """
+    if o.arm and ("INVOCATION_ID" in os.environ or "NOTIFY_SOCKET" in os.environ):
+        raise ConfigError("--arm is for benches and tests; a service is armed by an operator: pneud arm")
+    axis = load(o.config, o.rate_hz)
+    channel = bus_name(o.bus, axis.config)
+    if channel == "auto" and not o.virtual:
+        raise ConfigError(f"{axis.path}: bus auto is for virtual runs; name the rig's bus with --bus")
+    log_file = log_path(o.log, axis.config.name)
+    codecs = axis.codecs
+    with open_link(channel, virtual=o.virtual) as link:
+        if link.note:
+            print(f"pneud: {link.note}", file=sys.stderr)
+        if channel != "auto":
+            refuse_if_driven(link, (codecs.sync.can_id, codecs.valve_command.can_id))
+        return _run(o, axis, link, log_file)
+
+
+def _run(o: RunOptions, loaded: Loaded, link: Link, log_file: Path) -> int:
+    config, path, text, dbc, codecs = loaded
+    axis = Axis(parameters.axis_of(config, codecs.command_lsb_v))
+    ring = Ring.create()
+    header = LogHeader(
+        name=config.name,
+        bus=link.name,
+        rate_hz=config.loop.rate_hz,
+        detail=config.log.detail,
+        config_name=path.name,
+        config_text=text,
+        dbc_name=dbc.name,
+        dbc=dbc.read_bytes(),
+        fault_names=FAULT_NAMES,
+        realtime_offset_ns=link.realtime_offset_ns,
+        extra={"seed": str(o.seed)} if o.virtual else {},
+    )
+    plant, screen, recorder, truth = 0, 0, 0, None
+    reports: list[setup.Report] = []
+    try:
+        recorder = start_recorder(ring, log_file, header)
+        if o.virtual:
+            memory = truth_memory()
+            truth = TruthReader(memory)
+            plant = fork_plant(
+                link.name,
+                link,
+                parameters.plant_of(config),
+                codecs,
+                o.seed,
+                memory,
+                max(0, config.realtime.priority - 10),
+            )
+        if not o.headless and sys.stdout.isatty() and not o.json:
+            screen = fork_screen(ring, link, screen_info(config, link, log_file))
+        reports = setup.apply(config.realtime.priority, config.realtime.cpu, config.realtime.lock_memory)
+        ring.set_notes(setup.as_text(reports))
+        fifo = next(r for r in reports if r.name == "fifo")
+        loop = Loop(
+            axis,
+            codecs,
+            Inbox(codecs, config.bus),
+            link,
+            ring,
+            options_of(
+                config,
+                auto_arm=o.virtual or o.arm,
+                duration_s=o.duration_s,
+                end_on_fault=o.virtual,
+                no_realtime=config.realtime.required and not fifo.ok,
+            ),
+            truth,
+            recorder,
+        )
+        loop.handle_signals()
+        loop.run()
+    finally:
+        ring.set_closed()
+        if screen:
+            end_screen(screen)
+        if plant:
+            end(plant, 2.0)
+        if recorder:
+            wait(recorder, RECORDER_PATIENCE_S)
+    return _report(o, config, loop, ring, log_file, reports)
+
+
+def _report(
+    o: RunOptions,
+    config: Config,
+    loop: Loop,
+    ring: Ring,
+    log_file: Path,
+    reports: list[setup.Report],
+) -> int:
+    status = ring.status()
+    missing = max(0, ring.put_count - status.written)
+    summary = summarise(
+        state=loop.state,
+        bus=loop.link.name,
+        rate_hz=config.loop.rate_hz,
+        ticks=loop.ticks,
+        skipped=loop.skipped,
+        lateness=loop.lateness,
+        latency=loop.latency,
+        tracking=loop.tracking,
+        counts=loop.inbox.counts(),
+        tx=loop.link.tx,
+        rx_dropped=loop.link.rx_dropped,
+        log=str(log_file),
+        log_dropped=missing,
+        faults=loop.ever_latched,
+    )
+    for report in reports:
+        if report.asked and not report.ok:
+            print(f"pneud: {report.name}: {report.reason}", file=sys.stderr)
+    if missing:
+        why = status.error_text or ("the recorder was lost" if loop.recorder_lost else "it could not keep up")
+        print(f"pneud: the log lacks {missing} records: {why}", file=sys.stderr)
+    if o.json:
+        print(json.dumps(summary))
+    else:
+        print(in_words(summary))
+    wanted = o.virtual or o.arm
+    if loop.ever_latched:
+        if not o.json:
+            print(f"pneud: stopped by {', '.join(names(loop.ever_latched))}", file=sys.stderr)
+        return 1
+    return 1 if wanted and loop.state != State.TRACKING else 0
+
+
+def screen_info(config: Config, link: Link, log_file: Path) -> ScreenInfo:
+    """What the screen shows of this run."""
+    return ScreenInfo(
+        name=config.name,
+        bus=link.name,
+        rate_hz=config.loop.rate_hz,
+        travel_min_m=config.limits.travel_min_m,
+        travel_max_m=config.limits.travel_max_m,
+        u_max_v=config.valve.u_max_v,
+        note=link.note,
+        fault_names=FAULT_NAMES,
+        log_path=str(log_file),
+        sync=config.bus.sync,
+    )
