@@ -110,6 +110,17 @@ def test_sliding_settles_at_the_steady_friction() -> None:
         )
 
 
+def test_slow_and_fast_relaxation_of_the_bristles_meet() -> None:
+    guess = 1e-5 * 55.0 / (1e-4 * 1e5)  # where a·h = 1e-5
+    below, above = (
+        slide(0.01, 2e-4, guess * factor, 500.0, 15.0, 1e-4, SEALS) for factor in (0.999999, 1.000001)
+    )
+    assert below == pytest.approx(above, rel=1e-9)
+    stiff = SEALS._replace(sigma0_n_m=1e9)  # the trapezium rule where nothing slips
+    mean, z = slide(0.01, 0.0, 0.0, 0.0, 15.0, 1e-4, stiff)
+    assert 15.0 * 2 * (0.01 - mean) / 1e-4 == pytest.approx(1e9 * z / 2 + 300.0 * z / 1e-4 + 60.0 * mean)
+
+
 def test_a_load_below_static_friction_is_held() -> None:
     v = z = a = 0.0
     for i in range(60_000):

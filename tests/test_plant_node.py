@@ -112,9 +112,9 @@ def test_the_lowest_identifier_wins_but_nothing_interrupts_a_frame() -> None:
     for ready, can_id in ((0, 0x203), (10, 0x183), (20, 0x080), (150, 0x181)):
         wire.add(Item(ready, can_id, 100, None))
     order = []
-    while (upcoming := wire.next()) is not None:
-        wire.take(*upcoming)
-        order.append((upcoming[1].can_id, upcoming[0]))
+    while wire.upcoming is not None:
+        end, item = wire.take()
+        order.append((item.can_id, end))
     assert order == [(0x203, 100), (0x080, 200), (0x181, 300), (0x183, 400)]
 
 

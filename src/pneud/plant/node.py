@@ -82,8 +82,11 @@ class PlantNode:
         )
         self._delay_ns = round(p.node_delay_s * 1e9)
         self._age_s = min(p.node_delay_s, codecs.older_s)
+        self._sync_id, self._command_id = codecs.sync.can_id, codecs.valve_command.can_id
         answers = (codecs.encoder, codecs.pressure, codecs.valve_status)
         self._durations = tuple(wire_ns(codec.length, p.bitrate_bit_s) for codec in answers)
+        self._answer_ids = frozenset(codec.can_id for codec in answers)
+        self._shortest_ns = min(self._durations)
         self._counters = [0, 0, 0]
         self._wire = Wire()
         self._ended: list[tuple[int, _Answer]] = []  # transmitted, not yet polled
@@ -115,8 +118,8 @@ class PlantNode:
 
     def on_frame(self, frame: Frame) -> None:
         """A frame was sent at its stamp; frames come in order of stamps, foreign ones are ignored."""
-        sync = frame.can_id == self._codecs.sync.can_id
-        if not sync and frame.can_id != self._codecs.valve_command.can_id:
+        sync = frame.can_id == self._sync_id
+        if not sync and frame.can_id != self._command_id:
             return
         sent_ns = max(frame.stamp_ns, self._now_ns)
         if not self.started:
@@ -126,22 +129,24 @@ class PlantNode:
             self._integrate(sent_ns)
             self._truth = Truth(frame.stamp_ns, stroke_position(self._state, self.p), self._state)
         for passed in (frame,) if self.hook is None else self.hook(frame, False):
-            if len(self._wire.waiting) < MAX_WAITING:
+            if passed.can_id in (self._sync_id, self._command_id) and len(self._wire.waiting) < MAX_WAITING:
                 duration = wire_ns(len(passed.data), self.p.bitrate_bit_s)
                 self._wire.add(Item(max(passed.stamp_ns, sent_ns), passed.can_id, duration, passed))
 
     def due(self) -> int | None:
         """Earliest time [ns] at which `poll` may have a frame; None as long as no frame comes in."""
         times = [end for end, _ in self._ended] + [frame.stamp_ns for frame in self._held]
-        upcoming = self._wire.next()
+        upcoming = self._wire.upcoming
         if upcoming is not None:
             end, item = upcoming
-            if isinstance(item.load, _Answer):
+            if item.can_id in self._answer_ids:
                 times.append(end)
-            elif any(isinstance(waiting.load, _Answer) for waiting in self._wire.waiting):
-                times.append(end + min(self._durations))
-            elif any(waiting.can_id == self._codecs.sync.can_id for waiting in self._wire.waiting):
-                times.append(end + self._delay_ns + min(self._durations))
+            else:
+                waiting = {other.can_id for other in self._wire.waiting}
+                if not waiting.isdisjoint(self._answer_ids):
+                    times.append(end + self._shortest_ns)
+                elif self._sync_id in waiting:
+                    times.append(end + self._delay_ns + self._shortest_ns)
         return min(times) if times else None
 
     def poll(self, t_ns: int, *, current_only: bool = False) -> list[Frame]:
@@ -155,8 +160,7 @@ class PlantNode:
         self._run(t_ns)
         if not self._ended and not self._held:
             return []
-        frames = self._held
-        later = []
+        frames, later = self._held, []
         for end_ns, answer in self._ended:
             if end_ns > t_ns:
                 later.append((end_ns, answer))
@@ -174,26 +178,25 @@ class PlantNode:
         self._integrate(t_ns)
 
     def _run(self, t_ns: int) -> None:
+        wire, valve = self._wire, self.valve
         while True:
-            upcoming = self._wire.next()
-            deadline_ns = self.valve.deadline_ns
-            if upcoming is not None and upcoming[0] <= min(t_ns, deadline_ns):
-                self._wire.take(*upcoming)
-                self._end_of(*upcoming)
-            elif deadline_ns <= t_ns:
-                self._integrate(deadline_ns)
-                self.valve.expire()
+            upcoming = wire.upcoming
+            if upcoming is not None and upcoming[0] <= t_ns and upcoming[0] <= valve.deadline_ns:
+                self._end_of(*wire.take())
+            elif valve.deadline_ns <= t_ns:
+                self._integrate(valve.deadline_ns)
+                valve.expire()
             else:
                 break
         self._now_ns = max(self._now_ns, t_ns)
 
     def _end_of(self, end_ns: int, item: Item) -> None:
-        if isinstance(item.load, _Answer):
+        if item.can_id in self._answer_ids:
             self._ended.append((end_ns, item.load))
             return
         self._integrate(end_ns)
         frame: Frame = item.load
-        if item.can_id == self._codecs.valve_command.can_id:
+        if item.can_id == self._command_id:
             self.valve.command(frame.data, end_ns)
         elif self._codecs.sync.valid(frame.data):
             self._sample(end_ns, frame.stamp_ns)

@@ -25,39 +25,60 @@ class Item(NamedTuple):
 class Wire:
     """The frames that wait for the wire, and the one under way.
 
-    Nothing is decided before its time: a frame may be added as long as it is not ready before the end of a
-    transmission that `take` has already ended.
+    `upcoming` is the end of the next transmission and its frame, unless a better one gets ready before it
+    starts; None when nothing waits. Nothing is decided before its time: a frame may be added as long as it is
+    not ready before the end of a transmission that `take` has already ended.
     """
 
     def __init__(self) -> None:
         self.waiting: list[Item] = []
+        self.upcoming: tuple[int, Item] | None = None
         self._free_ns = 0
-
-    def next(self) -> tuple[int, Item] | None:
-        """The end of the next transmission and its frame, unless a better one gets ready before it starts."""
-        if not self.waiting:
-            return None
-        start = max(self._free_ns, min(item.ready_ns for item in self.waiting))
-        winner = min((item for item in self.waiting if item.ready_ns <= start), key=_priority)
-        return start + winner.duration_ns, winner
 
     def add(self, item: Item) -> None:
         """Let a frame wait for the wire."""
         self.waiting.append(item)
+        self._arbitrate()
 
     def replace(self, item: Item) -> None:
         """As `add`, but a waiting frame of the same identifier is overwritten, as in a node's one mailbox."""
-        upcoming = self.next()
-        under_way = None
-        if upcoming is not None and upcoming[0] - upcoming[1].duration_ns <= item.ready_ns:
-            under_way = upcoming[1]
-        self.waiting = [w for w in self.waiting if w.can_id != item.can_id or w is under_way]
-        self.waiting.append(item)
+        for other in self.waiting:
+            if other.can_id == item.can_id and not self._under_way(other, item.ready_ns):
+                self.waiting.remove(other)
+                break
+        self.add(item)
 
-    def take(self, end_ns: int, item: Item) -> None:
-        """The transmission that `next` announced has ended."""
-        self.waiting.remove(item)
-        self._free_ns = end_ns
+    def take(self) -> tuple[int, Item]:
+        """End the upcoming transmission.
+
+        Raises:
+            IndexError: nothing waits.
+        """
+        if self.upcoming is None:
+            raise IndexError("no frame waits for the wire")
+        ended = self.upcoming
+        self.waiting.remove(ended[1])
+        self._free_ns = ended[0]
+        self._arbitrate()
+        return ended
+
+    def _under_way(self, item: Item, t_ns: int) -> bool:
+        upcoming = self.upcoming
+        return upcoming is not None and upcoming[1] is item and upcoming[0] - item.duration_ns <= t_ns
+
+    def _arbitrate(self) -> None:
+        waiting = self.waiting
+        if len(waiting) > 1:
+            first = min(item.ready_ns for item in waiting)
+            start = first if first > self._free_ns else self._free_ns
+            item = min([item for item in waiting if item.ready_ns <= start], key=_priority)
+        elif waiting:
+            item = waiting[0]
+            start = item.ready_ns if item.ready_ns > self._free_ns else self._free_ns
+        else:
+            self.upcoming = None
+            return
+        self.upcoming = (start + item.duration_ns, item)
 
 
 def _priority(item: Item) -> tuple[int, int]:
