@@ -11,6 +11,7 @@ from pneud.plant.truth import TruthWriter
 from pneud.signals import Frame, ValveState
 
 IDLE_S = 0.02  # longest wait: how late `stop` and a valve time-out may be noticed
+MAX_DRAINS = 4  # looks for further frames before answering
 LAG_NS = 5_000_000  # how far behind the clock an idle plant is kept
 
 
@@ -52,20 +53,25 @@ def serve(
         timeout_s = IDLE_S if due_ns is None else min(IDLE_S, (due_ns - time.monotonic_ns()) * 1e-9)
         if timeout_s > 0.0:
             link.wait(timeout_s)
-        # before the drain: whatever was sent until now is then known to the node
-        now_ns = time.monotonic_ns()
-        frames.clear()
-        link.drain(frames)
-        for frame in frames:
-            node.on_frame(frame)
-            at = node.truth()
-            if at.t_ns != synced_ns:
-                synced_ns = at.t_ns
-                if truth is not None:
-                    truth.put(at.t_ns, at.position_m)
+        heard = False
+        for _ in range(MAX_DRAINS):
+            # before the drain: whatever was sent until now is then known to the node
+            now_ns = time.monotonic_ns()
+            frames.clear()
+            link.drain(frames)
+            heard = heard or bool(frames)
+            for frame in frames:
+                node.on_frame(frame)
+                at = node.truth()
+                if at.t_ns != synced_ns:
+                    synced_ns = at.t_ns
+                    if truth is not None:
+                        truth.put(at.t_ns, at.position_m)
+            if not frames or not link.wait(0.0):
+                break  # else a SYNC came while the plant integrated, and outdated answers must not leave
         for frame in node.poll(now_ns, current_only=True):
             link.send(frame.can_id, frame.data)
-        if not frames and due_ns is None and node.started:
+        if not heard and due_ns is None and node.started:
             node.advance(
                 now_ns - LAG_NS
             )  # in small portions, or the next frame would find hours to integrate
