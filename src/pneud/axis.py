@@ -87,6 +87,7 @@ class Axis:
         """An axis that has just been switched on."""
         self.parameters = parameters
         self.state = AxisState(INITIAL, None, 0, NONE, 0, NO_PATH, 0.0)
+        self.failure: Exception | None = None  # the first exception in a cycle
 
     def freeze(self) -> AxisState:
         """The whole state, to be logged or kept."""
@@ -97,13 +98,34 @@ class Axis:
         self.state = state
 
     def cycle(self, m: Measurement, request: Request | None, t_ns: int) -> Tick:
-        """One tick.
+        """One tick. An exception in it centres the valve, latches the fault `internal` and is kept in
+        `failure`.
 
         Args:
             m: the newest measurement.
             request: at most one request of the operator.
             t_ns: instant of this tick's SYNC.
         """
+        try:
+            return self._cycle(m, request, t_ns)
+        except Exception as e:
+            if self.failure is None:
+                self.failure = e
+            after = trip(self.state.supervisor, 1 << F.INTERNAL)
+            self.state = self.state._replace(supervisor=after, controller=None, phase=NONE, last_v=0.0)
+            return Tick(
+                t_ns,
+                m,
+                request,
+                NO_ESTIMATE,
+                NO_REFERENCE,
+                Command(0.0, 0, 0, NAN, NAN, NAN),
+                after.state,
+                after.latched,
+                after.latched,
+            )
+
+    def _cycle(self, m: Measurement, request: Request | None, t_ns: int) -> Tick:
         p = self.parameters
         state = self.state
         sampled_ns = t_ns + m.encoder_offset_ns
@@ -137,6 +159,8 @@ class Axis:
         phase, phase_ns, path, reference = state.phase, state.phase_ns, state.path, NO_REFERENCE
         if controller is not None:
             present |= _believed(estimate, p.limits)
+            if not engaged and abs(estimate.velocity_m_s) > MOVING_M_S:
+                present |= 1 << F.MOVING
             if engaged:
                 if phase == JOINING and sampled_ns - phase_ns >= path.T * 1e9:
                     phase, phase_ns = FOLLOWING, phase_ns + round(path.T * 1e9)
@@ -179,17 +203,6 @@ class Axis:
             after.state,
             present,
             after.latched,
-        )
-
-    def trip(self, tick: Tick) -> Tick:
-        """Centre and latch after an exception in the cycle; `tick` says what is known of it."""
-        after = trip(self.state.supervisor, 1 << F.INTERNAL)
-        self.state = self.state._replace(supervisor=after, phase=NONE, last_v=0.0)
-        return tick._replace(
-            command=Command(0.0, 0, 0, NAN, NAN, NAN),
-            state=after.state,
-            present=tick.present | 1 << F.INTERNAL,
-            latched=after.latched,
         )
 
 
@@ -255,12 +268,7 @@ def _believed(e: Estimate, limits: Limits) -> int:
     """Faults that the estimate shows."""
     if not math.isfinite(e.position_m + e.velocity_m_s + e.force_n + e.d_hat_n_s):
         return 1 << F.NOT_FINITE
-    bits = 0
-    if abs(e.velocity_m_s) > limits.speed_m_s:
-        bits |= 1 << F.OVERSPEED
-    if abs(e.velocity_m_s) > MOVING_M_S:
-        bits |= 1 << F.MOVING
-    return bits
+    return 1 << F.OVERSPEED if abs(e.velocity_m_s) > limits.speed_m_s else 0
 
 
 def _engaged_only(m: Measurement, s: Supervisor, p: AxisParameters) -> int:

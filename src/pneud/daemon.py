@@ -11,7 +11,7 @@ import signal
 import time
 from typing import NamedTuple
 
-from pneud.axis import FOLLOWING, NO_ESTIMATE, NO_REFERENCE, Axis
+from pneud.axis import FOLLOWING, Axis
 from pneud.bus.codec import Codecs
 from pneud.bus.inbox import Inbox
 from pneud.bus.link import Link
@@ -23,7 +23,7 @@ from pneud.rt.notify import Notifier
 from pneud.rt.pacer import Pacer
 from pneud.safety.faults import BLOCKS_ARM
 from pneud.safety.supervisor import is_engaged
-from pneud.signals import Command, Frame, Host, Record, Request, RequestKind, State, Tick, Timing
+from pneud.signals import Frame, Host, Record, Request, RequestKind, State, Tick, Timing
 from pneud.summary import Tracking
 
 SYNC_COUNTERS = 240
@@ -177,23 +177,7 @@ class Loop:
                 flags |= Host.RECORDER_LOST
             measurement = inbox.measurement(skipped, flags)
             request = self._request(tick, total)
-            try:
-                tick = axis.cycle(measurement, request, t_ns)
-            except Exception:
-                # centre first; the log replays to the same exception
-                tick = axis.trip(
-                    Tick(
-                        t_ns,
-                        measurement,
-                        request,
-                        NO_ESTIMATE,
-                        NO_REFERENCE,
-                        Command(0.0, 0, 0, NAN, NAN, NAN),
-                        int(State.FAULT),
-                        0,
-                        0,
-                    )
-                )
+            tick = axis.cycle(measurement, request, t_ns)
             cycle_ns = clock()
             command = tick.command
             data = encode(command.voltage_v, command.enable, index + 1, counter=count & self._counter_mask)

@@ -195,6 +195,9 @@ TABLE: tuple[Fault, ...] = (
 )
 
 
+FAULT_NAMES = tuple(bit.name.lower() for bit in sorted(F))  # by bit number
+
+
 def mask(*reactions: Reaction) -> int:
     """Bits of all faults with one of these reactions."""
     return sum(1 << fault.bit for fault in TABLE if fault.reaction in reactions)

@@ -1,6 +1,7 @@
 """Controller and plant in lock step without frames: for tuning, sweeps and tables, compiled or not.
 
-Quantisation, noise, transport delay and the valve's step size are in force; what is left out is the bus and the supervisor.
+Quantisation, noise, transport delay and the valve's step size are in force; what is left out is the bus and
+the supervisor.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ def run_sine(
         command_step_v: step of the DAC, 0 for a continuous one [V].
         noise_pa: array (n, 3), added to P1, P2 and supply before quantisation.
         force_n: array (n,), external force on the load against positive motion.
-        trace: array (n, 8), filled with error [m], command [V], position [m], velocity [m/s], P1, P2 [Pa], F̂ [N], d̂ [N/s].
+        trace: array (n, 8), filled with error [m], command [V], position [m], velocity [m/s], P1, P2 [Pa],
+        F̂ [N], d̂ [N/s].
     """
     state, rig, last_v = begin
     applied_v = last_v

@@ -22,12 +22,11 @@ from pneud.log.writer import LogHeader
 from pneud.plant.truth import TruthReader, truth_memory
 from pneud.processes import end, end_screen, fork_plant, fork_screen, wait
 from pneud.rt import setup
-from pneud.safety.faults import F, names
+from pneud.safety.faults import FAULT_NAMES, names
 from pneud.signals import State
 from pneud.summary import in_words, summarise
 from pneud.view import ScreenInfo
 
-FAULT_NAMES = tuple(f.name.lower() for f in sorted(F))
 RECORDER_PATIENCE_S = 15.0
 
 
@@ -171,6 +170,8 @@ def _report(
     for report in reports:
         if report.asked and not report.ok:
             print(f"pneud: {report.name}: {report.reason}", file=sys.stderr)
+    if loop.axis.failure is not None:
+        print(f"pneud: exception in the cycle: {loop.axis.failure!r}", file=sys.stderr)
     if missing:
         why = status.error_text or ("the recorder was lost" if loop.recorder_lost else "it could not keep up")
         print(f"pneud: the log lacks {missing} records: {why}", file=sys.stderr)

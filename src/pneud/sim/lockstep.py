@@ -1,0 +1,100 @@
+"""The axis and the software rig in simulated time: the same cycle, the same frames, no process and no clock.
+
+Frames carry quantisation, age, checksums and the delays of the bus, exactly as in real time; only waiting
+takes no time. The same seed gives the same records on every run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from pneud import parameters
+from pneud.axis import Axis
+from pneud.bus.inbox import Inbox
+from pneud.loading import Loaded
+from pneud.plant.node import PlantNode
+from pneud.safety.faults import BLOCKS_ARM
+from pneud.safety.supervisor import is_engaged
+from pneud.signals import Frame, Record, Request, RequestKind, State, Timing
+
+START_NS = 1_000_000_000
+COMPUTING_NS = 100_000  # from the last answer to the command's send()
+SYNC_COUNTERS = 240
+END_TICKS = 20
+
+
+class Simulation:
+    """One run; iterate over `records`, then look at what is left in the parts."""
+
+    def __init__(self, loaded: Loaded, duration_s: float, seed: int = 0) -> None:
+        """A run that has not begun.
+
+        Args:
+            loaded: the axis.
+            duration_s: simulated time until the axis is told to shut down.
+            seed: of the sensors' noise.
+        """
+        self.axis = Axis(parameters.axis_of(loaded.config, loaded.codecs.command_lsb_v))
+        self.inbox = Inbox(loaded.codecs, loaded.config.bus)
+        self.node = PlantNode(parameters.plant_of(loaded.config), loaded.codecs, seed)
+        self.shut = False  # the run is over and the axis is coming to rest
+        self.tx = 0
+        self._codecs = loaded.codecs
+        self._period_ns = round(1e9 / loaded.config.loop.rate_hz)
+        self._wait_ns = round(self._period_ns * loaded.config.loop.set_deadline)
+        self._total = max(1, round(duration_s * loaded.config.loop.rate_hz))
+
+    def records(self) -> Iterator[Record]:
+        """The ticks, as the loop hands them to the recorder."""
+        sync, command = self._codecs.sync, self._codecs.valve_command
+        armed, idle, count = False, 0, 0
+        last_state, last_present = int(State.STARTING), 0
+        left_over: list[Frame] = []
+        while idle < END_TICKS:
+            t_ns = START_NS + count * self._period_ns
+            frames = self.node.poll(t_ns)
+            left_over.extend(frames)
+            before = len(left_over)
+            for frame in left_over:
+                self.inbox.feed(frame)
+            sync_frame = Frame(t_ns, sync.can_id, sync.encode(counter=count % SYNC_COUNTERS + 1))
+            self.node.on_frame(sync_frame)
+            self.inbox.begin(t_ns)
+            answers = self.node.poll(t_ns + self._wait_ns)
+            for frame in answers:
+                self.inbox.feed(frame)
+            done_ns = answers[-1].stamp_ns if self.inbox.complete else t_ns + self._wait_ns
+            measurement = self.inbox.measurement(0, 0)
+
+            request = None
+            if not self.shut and count >= self._total:
+                self.shut = True
+                request = Request(RequestKind.SHUTDOWN)
+            elif not armed and last_state == State.DISARMED and not last_present & BLOCKS_ARM:
+                armed = True
+                request = Request(RequestKind.ARM)
+            tick = self.axis.cycle(measurement, request, t_ns)
+            last_state, last_present = tick.state, tick.present
+
+            sent_ns = done_ns + COMPUTING_NS
+            data = command.encode(
+                tick.command.voltage_v,
+                tick.command.enable,
+                sync_frame.data[0],
+                counter=count & command.counter_mask,
+            )
+            command_frame = Frame(sent_ns, command.can_id, data)
+            self.node.on_frame(command_frame)
+            self.tx += 2
+            yield Record(
+                tick,
+                Timing(0, done_ns - t_ns, 0, COMPUTING_NS, COMPUTING_NS, -1),
+                (*left_over, *answers),
+                before,
+                (sync_frame, command_frame),
+                self.node.truth().position_m,
+            )
+            left_over = []
+            count += 1
+            over = self.shut or tick.state == State.FAULT
+            idle = idle + 1 if over and not is_engaged(tick.state) else 0

@@ -1,0 +1,89 @@
+"""The axis and the plant in simulated time."""
+
+from __future__ import annotations
+
+import json as json_
+import os
+import sys
+from pathlib import Path
+
+from pneud.axis import FOLLOWING
+from pneud.config import ConfigError
+from pneud.loading import load
+from pneud.log.files import create_log, log_path
+from pneud.log.writer import LogHeader, LogWriter
+from pneud.safety.faults import FAULT_NAMES
+from pneud.signals import State
+from pneud.sim.lockstep import Simulation
+from pneud.summary import Tracking, in_words, summarise
+
+
+def simulate(config_file: str, output: Path | None, duration_s: float, seed: int, json: bool) -> int:
+    """Simulate an axis.
+
+    Returns:
+        Exit status: 0 where the axis tracks until the end, 1 where it does not.
+
+    Raises:
+        ConfigError: the configuration cannot be used.
+        DatabaseError: the DBC cannot be used.
+        LogError: the log cannot be written.
+    """
+    if not 0.0 < duration_s <= 1e6:
+        raise ConfigError(f"--duration {duration_s:g}: must lie between 0 and 1,000,000 s")
+    loaded = load(config_file)
+    run = Simulation(loaded, duration_s, seed)
+    writer, path = None, None
+    if output is not None:
+        path = log_path(str(output), loaded.config.name)
+        writer = LogWriter(
+            create_log(path),
+            LogHeader(
+                name=loaded.config.name,
+                bus="simulated",
+                rate_hz=loaded.config.loop.rate_hz,
+                detail=loaded.config.log.detail,
+                config_name=loaded.path.name,
+                config_text=loaded.text,
+                dbc_name=loaded.dbc.name,
+                dbc=loaded.dbc.read_bytes(),
+                fault_names=FAULT_NAMES,
+                realtime_offset_ns=0,
+                extra={"seed": str(seed)},
+            ),
+        )
+    tracking = Tracking(True)
+    state, ticks, faults = int(State.STARTING), 0, 0
+    for record in run.records():
+        tick = record.tick
+        faults |= tick.latched
+        if not run.shut:
+            state, ticks = tick.state, ticks + 1
+            if run.axis.state.phase == FOLLOWING:
+                tracking.add(tick, run.axis.state.phase_ns, record.truth_m)
+        if writer is not None:
+            writer.write(record)
+    lost = 0
+    if writer is not None and not writer.close():
+        lost = writer.unwritten
+        print(f"pneud: {path}: could not be written whole: {os.strerror(writer.error)}", file=sys.stderr)
+    if run.axis.failure is not None:
+        print(f"pneud: exception in the cycle: {run.axis.failure!r}", file=sys.stderr)
+    summary = summarise(
+        state=state,
+        bus="simulated",
+        rate_hz=loaded.config.loop.rate_hz,
+        ticks=ticks,
+        skipped=0,
+        lateness=None,
+        latency=None,
+        tracking=tracking,
+        counts=run.inbox.counts(),
+        tx=run.tx,
+        rx_dropped=0,
+        log=str(path) if path is not None else None,
+        log_dropped=lost,
+        faults=faults,
+    )
+    print(json_.dumps(summary) if json else in_words(summary))
+    return 0 if state == State.TRACKING and not faults else 1
