@@ -6,6 +6,7 @@ import itertools
 import math
 import random
 import statistics
+import sys
 
 import pytest
 from hypothesis import given
@@ -190,6 +191,7 @@ def test_compiled_code_gives_the_same_bits() -> None:
             a = advance(a, u, 0.0, i * 1e-3, (i + 1) * 1e-3, p)
             b = compiled(b, u, 0.0, i * 1e-3, (i + 1) * 1e-3, p)
             assert a == b
+        assert jitted(step)(a, u, 10.0, 1.0, 7e-5, p) == step(a, u, 10.0, 1.0, 7e-5, p)
 
 
 def test_a_small_compiled_function_gives_the_same_bits() -> None:
@@ -207,6 +209,12 @@ def test_what_cannot_be_compiled_is_named() -> None:
         jitted(nested)
     with pytest.raises(JitError, match="no plain Python function"):
         jitted(math.sin)
+
+
+def test_a_missing_compiler_is_named_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "numba", None)
+    with pytest.raises(JitError, match=r"pneud\[sim\]"):
+        jitted(step)
 
 
 def test_quantisation_rounds_to_the_nearest_and_zero_is_exact() -> None:
