@@ -1,0 +1,162 @@
+"""A log through the axis again: the same frames, requests and times, and every command compared."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from pneud import parameters
+from pneud.axis import Axis
+from pneud.bus.codec import load_codecs
+from pneud.bus.inbox import Inbox
+from pneud.config import Config, parse
+from pneud.loading import at_rate
+from pneud.log.fingerprint import numeric_fingerprint
+from pneud.log.reader import LogReader
+from pneud.log.records import LoggedTick, crc_of
+from pneud.safety.supervisor import is_engaged
+from pneud.signals import State, Tick
+
+
+class Difference(NamedTuple):
+    """Where a replay first left its log."""
+
+    tick: int
+    variable: str
+    logged: str
+    replayed: str
+
+    def __str__(self) -> str:
+        return f"tick {self.tick}: {self.variable} logged {self.logged}, replayed {self.replayed}"
+
+
+class Outcome(NamedTuple):
+    """What a replay comes to."""
+
+    ticks: int
+    commands: int
+    mismatches: int  # ticks in which anything differs
+    first: Difference | None
+    engaged_ticks: int
+    worst_lsb: int  # greatest difference of a command on the wire
+    same_states: bool
+    same_fingerprint: bool
+    truncated: bool
+    damage: str
+
+    @property
+    def identical(self) -> bool:
+        """Every state and command to the bit."""
+        return self.mismatches == 0
+
+    @property
+    def equivalent(self) -> bool:
+        """Every command within one step on the wire, and the same states."""
+        return self.worst_lsb <= 1 and self.same_states
+
+    @property
+    def good(self) -> bool:
+        """Engaged, and as equal as the numeric fingerprints let one expect."""
+        return self.engaged_ticks > 0 and (self.identical or (self.equivalent and not self.same_fingerprint))
+
+
+def replay(log: LogReader, config: Config | None = None) -> Outcome:
+    """Feed a log through the axis again.
+
+    Args:
+        log: the log.
+        config: another configuration than the log's own.
+
+    Raises:
+        ConfigError: the configuration in the log cannot be used by this version.
+        DatabaseError: nor its DBC.
+    """
+    chosen = config or parse(log.config_text, f"{log.path}:{log.config_name}")
+    if chosen.loop.rate_hz != log.rate_hz:
+        chosen = at_rate(chosen, log.rate_hz)
+    with tempfile.TemporaryDirectory() as folder:
+        dbc = Path(folder) / (Path(log.dbc_name).name or "log.dbc")
+        dbc.write_bytes(log.dbc)
+        codecs = load_codecs(chosen.bus, dbc)
+    axis = Axis(parameters.axis_of(chosen, codecs.command_lsb_v))
+    inbox = Inbox(codecs, chosen.bus)
+    command, sync_id = codecs.valve_command, codecs.sync.can_id
+
+    ticks = commands = mismatches = engaged = worst_lsb = 0
+    first: Difference | None = None
+    same_states = True
+    gap = ""
+    for logged in log:
+        if logged.number != ticks + 1:
+            gap = f"records {ticks + 1} to {logged.number - 1} are missing"
+            break
+        for frame in logged.frames[: logged.before]:
+            inbox.feed(frame)
+        inbox.begin(logged.t_ns)
+        for frame in logged.frames[logged.before :]:
+            inbox.feed(frame)
+        measurement = inbox.measurement(logged.skipped, logged.host)
+        tick = axis.cycle(measurement, logged.request, logged.t_ns)
+        different = crc_of(tick) != logged.check or _states(tick) != _states(logged.record.tick)
+        same_states = same_states and _states(tick) == _states(logged.record.tick)
+        sequence = next((f.data[0] for f in logged.sent if f.can_id == sync_id and f.data), 1)
+        for frame in logged.sent:
+            if frame.can_id == command.can_id and command.valid(frame.data):
+                commands += 1
+                again = command.encode(
+                    tick.command.voltage_v,
+                    tick.command.enable,
+                    sequence,
+                    counter=command.counter(frame.data),
+                )
+                if again != frame.data:
+                    different = True
+                    apart = abs(command.decode(frame.data)[0] - command.decode(again)[0])
+                    worst_lsb = max(worst_lsb, round(apart / codecs.command_lsb_v))
+        if different:
+            mismatches += 1
+            if first is None:
+                first = _difference(ticks, logged, tick)
+        engaged += is_engaged(tick.state)
+        ticks += 1
+    return Outcome(
+        ticks,
+        commands,
+        mismatches,
+        first,
+        engaged,
+        worst_lsb,
+        same_states,
+        log.metadata.get("fingerprint") == numeric_fingerprint(),
+        log.truncated or bool(gap),
+        log.damage or gap,
+    )
+
+
+def _states(t: Tick) -> tuple[int, int, int, int]:
+    return t.state, t.present, t.latched, t.command.enable
+
+
+def _difference(number: int, logged: LoggedTick, tick: Tick) -> Difference:
+    """The first value that differs, in the order in which a cycle makes them."""
+    for name, was, now in _pairs(logged, tick):
+        if repr(was) != repr(now):  # which makes NaN equal to itself
+            # a compact log holds floats of 32 bits
+            if isinstance(was, float) and abs(was - now) <= 6e-8 * abs(now):
+                continue
+            return Difference(number, name, f"{was!r}", f"{now!r}")
+    return Difference(number, "the checksum of the states", f"{logged.check:08x}", f"{crc_of(tick):08x}")
+
+
+def _pairs(logged: LoggedTick, tick: Tick) -> Iterator[tuple[str, float | str, float | str]]:
+    for group in ("measurement", "estimate", "reference"):
+        old, new = getattr(logged, group), getattr(tick, group)
+        for name in new._fields:
+            yield f"{group}.{name}", getattr(old, name), getattr(new, name)
+    yield "state", State(logged.state).label, State(tick.state).label
+    yield "present", logged.present, tick.present
+    yield "latched", logged.latched, tick.latched
+    for name in tick.command._fields:
+        yield f"command.{name}", getattr(logged.command, name), getattr(tick.command, name)

@@ -1,0 +1,30 @@
+"""Validate a configuration and everything it names."""
+
+from __future__ import annotations
+
+import json as json_
+
+from pneud import parameters
+from pneud.axis import Axis
+from pneud.loading import load
+
+
+def check(config_file: str, json: bool) -> int:
+    """Load a configuration and its DBC as the daemon would, and say what they describe.
+
+    Raises:
+        ConfigError: names the file, the key, the value and the bound.
+        DatabaseError: names the DBC, the message and the signal.
+    """
+    loaded = load(config_file)
+    c, codecs = loaded.config, loaded.codecs
+    Axis(parameters.axis_of(c, codecs.command_lsb_v))
+    parameters.plant_of(c)
+    if json:
+        print(json_.dumps({"schema": 1, "ok": True, "name": c.name, "file": str(loaded.path)}))
+        return 0
+    print(f"{loaded.path}: fine")
+    stroke, mass = c.cylinder.stroke_m, c.cylinder.moving_mass_kg
+    print(f"axis {c.name}: {stroke:g} m stroke, {mass:g} kg, {c.loop.rate_hz:g} Hz")
+    print(f"law {c.control.law}, {c.control.discretisation}, on {c.bus.channel} with {loaded.dbc.name}")
+    return 0
