@@ -1,0 +1,197 @@
+"""What the live screen remembers of the ticks it has seen: counts, histograms, and short bounded curves."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable
+
+from pneud.rt.histogram import Histogram
+from pneud.signals import ALL_SOURCES, Defect, Measurement, Record
+
+BUCKET_NS = 20_000_000
+SPAN_S = 10.0
+_SPAN_BUCKETS = round(SPAN_S * 1e9 / BUCKET_NS)
+_LARGEST = 1e30  # squares of smaller values and their sums stay finite
+_SEEN_NS = 2**61  # a source's age above this means that it was never seen
+_BLOCKS = " ▁▂▃▄▅▆▇█"
+
+Column = tuple[float, float] | None
+"""Smallest and largest value in one column of a curve; None in a gap."""
+
+
+def _group(width: int) -> int:
+    """Buckets in a column, so that all columns but the newest, still growing one show `SPAN_S` seconds."""
+    return -(-_SPAN_BUCKETS // max(width - 1, 1))
+
+
+def span_s(width: int) -> float:
+    """Time [s] that `width` columns show."""
+    return _group(width) * width * BUCKET_NS * 1e-9
+
+
+class Series:
+    """The last seconds of one signal: of every 20 ms the smallest and largest value.
+
+    Extremes survive any further decimation, so a spike of one tick stays visible at every width.
+    """
+
+    __slots__ = ("_buckets", "_index")
+
+    def __init__(self) -> None:
+        self._buckets: deque[list[float]] = deque(
+            maxlen=2 * _SPAN_BUCKETS
+        )  # index, low, high, count, squares
+        self._index = -1
+
+    def add(self, t_ns: int, value: float) -> None:
+        """Take one value; NaN, infinity and what is beyond all measure leave a gap."""
+        if not -_LARGEST < value < _LARGEST:
+            return
+        index = t_ns // BUCKET_NS
+        if index == self._index:
+            bucket = self._buckets[-1]
+            if value < bucket[1]:
+                bucket[1] = value
+            elif value > bucket[2]:
+                bucket[2] = value
+            bucket[3] += 1.0
+            bucket[4] += value * value
+        elif index > self._index:
+            self._index = index
+            self._buckets.append([index, value, value, 1.0, value * value])
+
+    def rms(self, t_ns: int) -> float:
+        """Root mean square of the last `SPAN_S` seconds before t_ns; NaN when there is no value."""
+        oldest = t_ns // BUCKET_NS - _SPAN_BUCKETS
+        recent = [b for b in self._buckets if b[0] > oldest]
+        return math.sqrt(sum(b[4] for b in recent) / sum(b[3] for b in recent)) if recent else math.nan
+
+    def columns(self, t_ns: int, width: int) -> list[Column]:
+        """The last `span_s(width)` seconds in `width` columns of extremes, oldest first; None in gaps.
+
+        Columns hold whole buckets on a grid fixed in time, so that a curve moves without changing its shape.
+        """
+        group = _group(width)
+        first = t_ns // BUCKET_NS // group - width + 1
+        columns: list[Column] = [None] * width
+        now_at, lowest, highest = -1, 0.0, 0.0
+        for index, low, high, _, _ in reversed(self._buckets):
+            at = int(index) // group - first
+            if at == now_at:
+                # comparisons, as this runs for some two thousand buckets a picture
+                if low < lowest:  # noqa: PLR1730
+                    lowest = low
+                if high > highest:  # noqa: PLR1730
+                    highest = high
+            elif at < 0:
+                break
+            elif at < width:
+                now_at, lowest, highest = at, low, high
+            else:
+                continue
+            columns[at] = (lowest, highest)
+        return columns
+
+
+def sparkline(columns: list[Column], low: float, high: float, height: int) -> list[str]:
+    """Rows of block characters, top first, that fill each column from `low` to its value.
+
+    Of the two extremes of a column the one farther from the middle is drawn.
+
+    Args:
+        columns: as `Series.columns` gives them.
+        low: value at the bottom.
+        high: value at the top.
+        height: number of rows.
+    """
+    span = high - low if high > low else 1.0
+    middle = 0.5 * (low + high)
+    levels: list[int] = []
+    for column in columns:
+        if column is None:
+            levels.append(0)
+            continue
+        value = column[1] if column[1] - middle >= middle - column[0] else column[0]
+        levels.append(max(1, min(8 * height, round((value - low) / span * 8 * height))))
+    return [
+        "".join(_BLOCKS[max(0, min(8, level - 8 * row))] for level in levels)
+        for row in range(height - 1, -1, -1)
+    ]
+
+
+class History:
+    """Everything the screen shows that one record alone does not tell.
+
+    Args:
+        sync: whether every source owes a frame in every tick; free-running ones are never `lost`.
+    """
+
+    def __init__(self, sync: bool = True) -> None:
+        self._sync = sync
+        self.last: Record | None = None
+        self.ticks = 0
+        self.skipped = 0
+        self.saturated = 0
+        self.received = 0
+        self.lost = 0  # expected frames that did not come, of sources that had come before
+        self.corrupt = 0  # ticks times sources, as are the next two
+        self.frozen = 0
+        self.late = 0
+        self.log_written: int | None = None
+        self.log_dropped: int | None = None
+        self.silent_s = 0.0  # since the newest record came
+        self.lateness = Histogram()
+        self.latency = Histogram()
+        self.error = Series()
+        self.command = Series()
+        self.p1 = Series()
+        self.p2 = Series()
+        self._first_ns = 0
+
+    @property
+    def elapsed_s(self) -> float:
+        """Time between the first and the newest tick."""
+        return (self.last.tick.t_ns - self._first_ns) * 1e-9 if self.last else 0.0
+
+    def add(self, records: Iterable[Record]) -> None:
+        """Take records in their order."""
+        for record in records:
+            self._add(record)
+
+    def _add(self, record: Record) -> None:
+        tick, timing = record.tick, record.timing
+        m = tick.measurement
+        t_ns = tick.t_ns
+        if self.last is None:
+            self._first_ns = t_ns
+        else:
+            self.skipped += m.skipped
+        self.last = record
+        self.ticks += 1
+        self.received += len(record.frames)
+        self.saturated += tick.command.saturated
+        if timing.lateness_ns >= 0:
+            self.lateness.add(timing.lateness_ns)
+        if timing.latency_ns >= 0:
+            self.latency.add(timing.latency_ns)
+        if m.fresh != ALL_SOURCES:
+            self._count_missing(m)
+        self.error.add(t_ns, tick.reference.position_m - tick.estimate.position_m)
+        self.command.add(t_ns, tick.command.voltage_v)
+        self.p1.add(t_ns, m.p1_pa)
+        self.p2.add(t_ns, m.p2_pa)
+
+    def _count_missing(self, m: Measurement) -> None:
+        sources = (
+            (1, m.encoder_age_ns, m.encoder_defects),
+            (2, m.pressure_age_ns, m.pressure_defects),
+            (4, m.valve_age_ns, m.valve_defects),
+        )
+        for bit, age_ns, defects in sources:
+            if m.fresh & bit or age_ns > _SEEN_NS:
+                continue
+            self.corrupt += bool(defects & Defect.CORRUPT)
+            self.frozen += bool(defects & Defect.FROZEN)
+            self.late += bool(defects & Defect.LATE)
+            self.lost += self._sync and not defects

@@ -1,0 +1,115 @@
+"""Text for the live screen: rows of exact width, with ASCII stand-ins, and numbers with their units."""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+
+from rich.cells import cell_len, set_cell_size
+from rich.segment import Segment
+from rich.style import Style
+
+LABEL_WIDTH = 10
+HAT = "\u0302"  # combining, as in d̂
+PLAIN = Style()
+DIM = Style(dim=True)
+
+# one for one
+_ASCII = str.maketrans("µ·─├┤│●█▁▂▃▄▅▆▇…" + HAT, "u--|||O#_.:-=+*.^")
+
+
+class Rows:
+    """Rows under construction, each cropped to the width."""
+
+    def __init__(self, width: int, ascii_only: bool) -> None:
+        self.width = width
+        self._ascii_only = ascii_only
+        self._rows: list[list[Segment]] = []
+        self.room = 0
+
+    def row(self, label: str = "") -> None:
+        """Begin a row."""
+        self._rows.append([])
+        self.room = self.width
+        if label:
+            self.put(label, DIM, LABEL_WIDTH)
+
+    def put(self, text: str, style: Style = PLAIN, width: int = 0) -> None:
+        """Append text, padded or cropped to a width if one is given, and to what room is left."""
+        if self._ascii_only and not text.isascii():
+            text = text.translate(_ASCII).encode("ascii", "replace").decode()
+        cells = cell_len(text)
+        wanted = min(width or cells, self.room)
+        if cells != wanted:
+            text = set_cell_size(text, wanted)
+        self.room -= wanted
+        if wanted:
+            self._rows[-1].append(Segment(text, style))
+
+    def right(self, text: str, style: Style = PLAIN) -> None:
+        """Append text at the right edge."""
+        gap = self.room - cell_len(text)
+        if gap > 0:
+            self.put(" " * gap)
+        self.put(text, style)
+
+    def rule(self, title: str) -> None:
+        """A line across with a title."""
+        self.row()
+        self.put(f"── {title} " + "─" * self.width, DIM, self.width)
+
+    def done(self, height: int) -> list[list[Segment]]:
+        """Exactly `height` rows; the last one stays the last."""
+        rows = self._rows
+        missing = height - len(rows)
+        if missing >= 0:
+            return rows[:-1] + [[] for _ in range(missing)] + rows[-1:]
+        return rows[: height - 1] + rows[-1:]
+
+
+def number(value: float, form: str, unit: str) -> str:
+    """A value with its unit; a dash where there is none."""
+    return f"{value:{form}} {unit}" if math.isfinite(value) else "-"
+
+
+def length(metres: float, sign: str = "+") -> str:
+    """A small length in the unit that suits it, with the sign always shown unless `sign` is empty."""
+    if abs(metres) < 1e-3:
+        return number(metres * 1e6, f"{sign}7.1f", "µm")
+    return number(metres * 1e3, f"{sign}7.3f", "mm")
+
+
+def duration(ns: float) -> str:
+    """Nanoseconds in the unit that suits them."""
+    if not math.isfinite(ns):
+        return "-"
+    for scale, unit in ((1e3, "µs"), (1e6, "ms")):
+        if ns < 1000.0 * scale:
+            return f"{ns / scale:.1f} {unit}"
+    return f"{ns * 1e-9:.2f} s"
+
+
+def clock(seconds: float) -> str:
+    """Seconds as hours, minutes and seconds."""
+    s = int(seconds)
+    return f"{s // 3600}:{s // 60 % 60:02}:{s % 60:02}"
+
+
+def name_of(kind: type[IntEnum], value: int) -> str:
+    """The name of a member, or the number where there is no such member."""
+    try:
+        return kind(value).name.lower().replace("_", " ")
+    except ValueError:
+        return str(value)
+
+
+def bit_names(mask: int, names: tuple[str, ...]) -> list[str]:
+    """The names of the bits that are set."""
+    return [
+        clean(names[i]) if i < len(names) else f"bit {i}" for i in range(mask.bit_length()) if mask >> i & 1
+    ]
+
+
+def clean(text: str) -> str:
+    """Text from outside without anything that a terminal could take for a command."""
+    return "".join(c if c.isprintable() else "?" for c in text)

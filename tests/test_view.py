@@ -1,0 +1,454 @@
+"""The live screen: what it shows, that it fits, and that it leaves the terminal as it was."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import os
+import re
+import select
+import signal
+import sys
+import termios
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rich.cells import cell_len
+from rich.console import Console
+
+from pneud.signals import (
+    ALL_SOURCES,
+    Command,
+    Defect,
+    Estimate,
+    Frame,
+    Host,
+    Measurement,
+    Record,
+    Reference,
+    State,
+    Tick,
+    Timing,
+)
+from pneud.view import LEAVE_SCREEN, History, ScreenInfo, Snapshot, render, run, run_child, status_line
+from pneud.view.history import BUCKET_NS, SPAN_S, Series, span_s, sparkline
+
+MS = 1_000_000
+T0 = 10**15
+NEVER_NS = 2**62
+INFO = ScreenInfo(
+    name="virtual",
+    bus="unixcan:x1",
+    rate_hz=1000.0,
+    travel_min_m=0.02,
+    travel_max_m=0.98,
+    u_max_v=5.0,
+    note="no vcan0 here",
+    fault_names=("encoder_stale", "over_travel", "valve_timed_out"),
+    log_path="/var/lib/pneud/virtual-1.mcap",
+)
+MEASUREMENT = Measurement(
+    *(T0, ALL_SOURCES, 0.436801, 312_100.0, 298_300.0, 600_400.0, -0.312, 1, 2),
+    *(0, 0, 0, 0, 0, 0, 61_000, 0, 0),
+)
+TICK = Tick(
+    t_ns=T0,
+    measurement=MEASUREMENT,
+    request=None,
+    estimate=Estimate(0.436801, 0.1571, -43.7, 100.0, 101.0, 1546.0, 1e-6, -0.31),
+    reference=Reference(0.436790, 0.1571, 0.0, 0.0),
+    command=Command(-0.312, 1, 0, -0.312, 0.0, 0.0),
+    state=int(State.TRACKING),
+    present=0,
+    latched=0,
+)
+TIMING = Timing(27_500, 500_000, 30_000, 20_000, 84_000, 9_000)
+FRAMES = tuple(Frame(T0, can_id, bytes(8)) for can_id in (0x181, 0x182, 0x183))
+RECORD = Record(TICK, TIMING, FRAMES, 0, (), 0.436795)
+
+
+def at(tick: int, record: Record = RECORD, **measured: int) -> Record:
+    """A record `tick` milliseconds on."""
+    t_ns = T0 + tick * MS
+    measurement = record.tick.measurement._replace(t_ns=t_ns, **measured)
+    return record._replace(tick=record.tick._replace(t_ns=t_ns, measurement=measurement))
+
+
+def drawn(
+    history: History,
+    size: tuple[int, int] = (80, 24),
+    info: ScreenInfo = INFO,
+    ascii_only: bool | None = None,
+) -> list[str]:
+    """The page's lines as plain text."""
+    console = Console(file=io.StringIO(), width=size[0], color_system=None, legacy_windows=False)
+    with console.capture() as capture:
+        console.print(render(Snapshot(history.last, info), history, size, ascii_only), end="")
+    return capture.get().splitlines()
+
+
+def history_of(*records: Record) -> History:
+    history = History()
+    history.add(records)
+    return history
+
+
+def test_everything_an_operator_needs_stands_on_80_by_24() -> None:
+    history = history_of(*(at(i) for i in range(100)), at(102, skipped=2))
+    history.log_written, history.log_dropped = 12_345, 7
+    page = "\n".join(drawn(history))
+    wanted = """virtual|unixcan:x1|1000 Hz|tracking|no vcan0 here|none|20 ├|┤ 980 mm|436.801 mm|436.790 mm
+        |-11.0 µm|+157.1 mm/s|-5.0 µm|3.121 bar|2.983 bar|6.004 bar|-43.7 N|+1546 N/s|enabled|-0.312 V
+        |27.5 µs|84.0 µs|run 101|skipped 2|saturated 0|rx 303|lost 0|crc 0|frozen 0|late 0
+        |written 12,345|dropped 7|Ctrl-C stops|virtual-1.mcap"""
+    for text in re.split(r"\s*\|", wanted):
+        assert text in page
+
+
+def test_latched_and_present_faults_are_named_and_so_is_what_the_host_says() -> None:
+    tick = TICK._replace(state=int(State.FAULT), latched=0b010, present=0b110 | 1 << 30)
+    record = RECORD._replace(tick=tick)
+    lines = drawn(history_of(at(0, record, host=int(Host.LINK_DOWN | Host.RECORDER_LOST))))
+    assert "fault" in lines[0]
+    assert lines[2].split("  ")[:-1] == [
+        *("faults", "", "over_travel", "valve_timed_out", "bit 30", "link down", "recorder lost")
+    ]
+
+
+def test_before_the_first_tick_and_in_silence_the_screen_says_so() -> None:
+    history = History()
+    assert any("waiting for the first tick" in line for line in drawn(history))
+    history.add([RECORD])
+    history.silent_s = 1.25
+    assert any("no ticks for 1.2 s" in line for line in drawn(history))
+
+
+numbers = st.one_of(st.floats(), st.floats(-1, 1), st.sampled_from([math.nan, math.inf, -math.inf, 0.0]))
+
+
+@st.composite
+def records(draw: st.DrawFn) -> Record:
+    m = MEASUREMENT._replace(
+        position_m=draw(numbers),
+        p1_pa=draw(numbers),
+        p2_pa=draw(numbers),
+        supply_pa=draw(numbers),
+        applied_v=draw(numbers),
+        valve_state=draw(st.integers(0, 255)),
+        host=draw(st.integers(0, 255)),
+        fresh=draw(st.integers(0, 7)),
+        skipped=draw(st.integers(0, 10**9)),
+    )
+    tick = TICK._replace(
+        t_ns=T0 + draw(st.integers(0, 10**11)),
+        measurement=m,
+        estimate=Estimate(*(draw(numbers) for _ in Estimate._fields)),
+        reference=Reference(*(draw(numbers) for _ in Reference._fields)),
+        command=Command(draw(numbers), 1, draw(st.integers(0, 1)), draw(numbers), 0.0, 0.0),
+        state=draw(st.integers(0, 20)),
+        present=draw(st.integers(0, 2**40)),
+        latched=draw(st.integers(0, 2**40)),
+    )
+    timing = Timing(*(draw(st.integers(-1, 2**62)) for _ in Timing._fields))
+    return Record(tick, timing, FRAMES, 0, (), draw(numbers))
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.lists(records(), max_size=3), st.tuples(st.integers(1, 250), st.integers(1, 80)), st.booleans())
+def test_the_page_fills_any_terminal_exactly_whatever_the_values(
+    some: list[Record], size: tuple[int, int], ascii_only: bool
+) -> None:
+    history = history_of(*some)
+    lines = drawn(history, size, ascii_only=ascii_only)
+    assert len(lines) == size[1]
+    assert all(cell_len(line) <= size[0] for line in lines)
+    assert not ascii_only or all(line.isascii() for line in lines)
+    assert "\n" not in status_line(Snapshot(history.last, INFO), history)
+
+
+def test_a_larger_terminal_gives_larger_curves() -> None:
+    history = history_of(*(at(i) for i in range(12_000)))
+    blocks = [
+        sum(line.count("█") for line in drawn(history, size)) for size in ((80, 24), (80, 40), (160, 40))
+    ]
+    assert blocks[0] < blocks[1] < blocks[2]
+
+
+def test_names_from_outside_cannot_command_the_terminal() -> None:
+    evil = "a\x1b[2J\x07\nb"
+    info = INFO._replace(name=evil, bus=evil, note=evil, log_path=evil, fault_names=(evil,))
+    record = RECORD._replace(tick=TICK._replace(latched=1))
+    text = "\n".join(drawn(history_of(record), info=info))
+    assert "\x1b" not in text
+    assert "\x07" not in text
+    assert text.count("\n") == 23
+
+
+def test_an_ascii_console_gets_ascii_without_being_told() -> None:
+    raw = io.BytesIO()
+    console = Console(file=io.TextIOWrapper(raw, encoding="ascii"), width=80, force_terminal=True)
+    history = history_of(*(at(i) for i in range(1000)))
+    console.print(render(Snapshot(history.last, INFO), history, (80, 24)))
+    console.file.flush()
+    assert b"us" in raw.getvalue()
+    assert raw.getvalue().isascii()
+
+
+@given(
+    st.lists(st.tuples(st.integers(1, 400 * MS), st.floats(-1e3, 1e3)), min_size=1, max_size=300),
+    st.integers(2, 700),
+)
+def test_extremes_survive_every_width(steps: list[tuple[int, float]], width: int) -> None:
+    series, t_ns, values = Series(), T0, []
+    for step, value in steps:
+        t_ns += step
+        series.add(t_ns, value)
+        values.append((t_ns, value))
+    first = (t_ns // BUCKET_NS + 1) * BUCKET_NS - round(SPAN_S * 1e9)
+    recent = [v for t, v in values if t >= first]
+    columns = [c for c in series.columns(t_ns, width) if c is not None]
+    assert min(c[0] for c in columns) <= min(recent)
+    assert max(c[1] for c in columns) >= max(recent)
+    assert {v for c in columns for v in c} <= {v for _, v in values}
+
+
+@given(st.integers(2, 300), st.integers(0, 499))
+def test_a_spike_of_one_tick_is_seen_at_full_height(width: int, bucket: int) -> None:
+    series = Series()
+    for i in range(500):
+        series.add(T0 + i * BUCKET_NS, 9.0 if i == bucket else 0.0)
+    columns = series.columns(T0 + 499 * BUCKET_NS, width)
+    assert "█" in sparkline(columns, 0.0, 9.0, 1)[0]
+
+
+def test_a_curve_moves_without_changing_its_shape() -> None:
+    series, width = Series(), 52
+    for i in range(0, 20_000, 10):
+        series.add(T0 + i * MS, math.sin(i * 0.003))
+    end = T0 + 19_990 * MS
+    column_ns = round(span_s(width) * 1e9) // width
+    assert series.columns(end, width)[1:-1] == series.columns(end + column_ns, width)[:-2]
+
+
+def test_values_that_are_not_finite_leave_a_gap_and_old_ones_are_forgotten() -> None:
+    series = Series()
+    for i in range(100_000):
+        series.add(T0 + i * BUCKET_NS, math.nan if i % 2 else 1.0)
+    columns = series.columns(T0 + 99_999 * BUCKET_NS, 501)
+    assert columns == [None if i % 2 else (1.0, 1.0) for i in range(99_499, 100_000)]
+    assert len(series._buckets) <= 1000
+    assert series.rms(T0 + 99_999 * BUCKET_NS) == 1.0
+    assert math.isnan(series.rms(T0 + 200_000 * BUCKET_NS))
+
+
+def test_a_sparkline_fills_from_bottom_to_top() -> None:
+    columns = [None, (0.0, 0.0), (4.0, 4.0), (8.0, 8.0)]
+    assert sparkline(columns, 0.0, 8.0, 1) == [" ▁▄█"]
+    assert sparkline(columns, 0.0, 8.0, 2) == ["   █", " ▁██"]
+
+
+def test_frames_that_were_not_used_are_counted_by_their_defect() -> None:
+    history = history_of(
+        at(0),
+        at(1, fresh=6, encoder_defects=int(Defect.CORRUPT)),
+        at(2, fresh=5, pressure_defects=int(Defect.FROZEN)),
+        at(3, fresh=3, valve_defects=int(Defect.LATE)),
+        at(4, fresh=0),
+        at(5, fresh=0, encoder_age_ns=NEVER_NS, pressure_age_ns=NEVER_NS, valve_age_ns=NEVER_NS),
+    )
+    assert (history.corrupt, history.frozen, history.late, history.lost) == (1, 1, 1, 3)
+
+
+def test_free_running_sensors_owe_no_frame_in_every_tick() -> None:
+    history = History(sync=False)
+    history.add([at(0), at(1, fresh=0), at(2, fresh=6, encoder_defects=int(Defect.CORRUPT))])
+    assert (history.lost, history.corrupt) == (0, 1)
+
+
+def test_times_that_were_not_taken_are_in_no_histogram() -> None:
+    history = history_of(RECORD, RECORD._replace(timing=Timing(-1, -1, -1, -1, -1, -1)))
+    assert (history.lateness.count, history.latency.count) == (1, 1)
+
+
+class Screen:
+    """A view in a child process on a terminal of its own."""
+
+    def __init__(self, environment: dict[str, str], through: bool = False) -> None:
+        self.master, slave = os.openpty()
+        termios.tcsetwinsize(slave, (24, 80))
+        told_r, self.stop_w = os.pipe()
+        names_r, names_w = os.pipe()
+        self.between = os.fork() if through else 0
+        if through and self.between:
+            self.child = int(os.read(names_r, 20))
+        else:
+            parent = os.getpid()
+            self.child = os.fork()
+            if self.child == 0:
+                os.close(self.stop_w)
+                os.close(self.master)
+                self._be_the_view(slave, told_r, parent, environment)
+            if through:
+                os.write(names_w, str(self.child).encode())
+                while True:
+                    signal.pause()
+        for descriptor in (slave, told_r, names_r, names_w):
+            os.close(descriptor)
+        self.seen = ""
+
+    @staticmethod
+    def _be_the_view(slave: int, told: int, parent: int, environment: dict[str, str]) -> None:
+        status = 1
+        try:
+            for descriptor in (0, 1, 2):
+                os.dup2(slave, descriptor)
+            os.close(slave)
+            for name in ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):
+                os.environ.pop(name, None)
+            os.environ.update({"TERM": "xterm-256color", **environment})
+            sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+            ticks = iter(range(10**9))
+            run_child(
+                lambda: [at(next(ticks)) for _ in range(50)],
+                INFO,
+                lambda: bool(select.select([told], [], [], 0)[0]),
+                parent,
+                log_counts=lambda: (1, 0),
+            )
+            status = 0
+        finally:
+            os._exit(status)
+
+    def read_until(self, ends: Callable[[str], object]) -> None:
+        """Read what the view writes until a condition holds for all of it, or the view is gone."""
+        give_up = time.monotonic() + 60
+        while not ends(self.seen) and time.monotonic() < give_up:
+            if not select.select([self.master], [], [], 0.1)[0]:
+                continue
+            try:
+                more = os.read(self.master, 65536)
+            except OSError:  # every other end is closed
+                return
+            self.seen += more.decode(errors="replace")
+
+    def status(self) -> int:
+        """Exit status of the view, which must end within a minute."""
+        for _ in range(6000):
+            pid, status = os.waitpid(self.child, os.WNOHANG)
+            if pid:
+                return os.waitstatus_to_exitcode(status)
+            time.sleep(0.01)
+        raise AssertionError("the view does not end")
+
+    def close(self) -> None:
+        for pid in (self.child, self.between):
+            if pid:
+                with contextlib.suppress(ProcessLookupError, ChildProcessError):
+                    os.kill(pid, signal.SIGKILL)
+                    os.waitpid(pid, 0)
+        with contextlib.suppress(OSError):
+            os.close(self.stop_w)
+        os.close(self.master)
+
+
+@contextlib.contextmanager
+def screen(environment: dict[str, str] | None = None, through: bool = False) -> Iterator[Screen]:
+    s = Screen(environment or {}, through)
+    try:
+        yield s
+    finally:
+        s.close()
+
+
+def ended(text: str) -> bool:
+    return False
+
+
+def assert_left_clean(text: str) -> None:
+    assert "\x1b[?1049h" in text
+    assert text.rindex("\x1b[?1049l") > text.rindex("\x1b[?1049h")
+    assert text.rindex("\x1b[?25h") > text.rindex("\x1b[?25l")
+    assert text.rindex("\x1b[?1049l") > text.rindex("Ctrl-C stops")
+
+
+@pytest.mark.parametrize("how", ["stop", "SIGTERM", "SIGHUP"])
+def test_the_terminal_is_left_as_it_was(how: str) -> None:
+    with screen() as s:
+        s.read_until(lambda text: text.count("Ctrl-C stops") >= 3)
+        if how == "stop":
+            os.close(s.stop_w)
+        else:
+            os.kill(s.child, getattr(signal, how))
+        s.read_until(ended)
+        assert s.status() == 0
+        assert "tracking" in s.seen
+        assert_left_clean(s.seen)
+
+
+def test_the_terminal_is_left_clean_when_the_parent_is_killed() -> None:
+    with screen(through=True) as s:
+        s.read_until(lambda text: "Ctrl-C stops" in text)
+        os.kill(s.between, signal.SIGKILL)
+        s.read_until(ended)
+        assert_left_clean(s.seen)
+
+
+def test_keys_that_send_signals_are_the_parents_matter() -> None:
+    with screen() as s:
+        s.read_until(lambda text: "Ctrl-C stops" in text)
+        for signum in (signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP):
+            os.kill(s.child, signum)
+        before = s.seen.count("Ctrl-C stops")
+        s.read_until(lambda text: text.count("Ctrl-C stops") >= before + 3)
+        assert s.seen.count("Ctrl-C stops") >= before + 3
+
+
+def test_a_view_on_a_stalled_terminal_still_ends() -> None:
+    with screen() as s:
+        s.read_until(lambda text: "Ctrl-C stops" in text)
+        time.sleep(0.5)  # nobody reads: a page of some kilobytes no longer fits into the terminal's queue
+        os.kill(s.child, signal.SIGTERM)
+        assert s.status() in (0, -signal.SIGALRM)
+
+
+def test_the_page_follows_the_size_of_the_terminal() -> None:
+    with screen() as s:
+        s.read_until(lambda text: "Ctrl-C stops" in text)
+        assert "─" * 100 not in s.seen
+        termios.tcsetwinsize(s.master, (40, 132))
+        s.read_until(lambda text: "─" * 100 in text)
+        assert "─" * 100 in s.seen
+
+
+def test_no_color_means_no_colour() -> None:
+    def colours(text: str) -> list[str]:
+        codes = [c for group in re.findall(r"\x1b\[([\d;]*)m", text) for c in group.split(";") if c]
+        return [c for c in codes if int(c) >= 30]
+
+    for environment in ({}, {"NO_COLOR": "1"}):
+        with screen(environment) as s:
+            s.read_until(lambda text: "Ctrl-C stops" in text)
+            assert bool(colours(s.seen)) == (not environment)
+
+
+def test_a_dumb_terminal_gets_lines_without_control_codes() -> None:
+    with screen({"TERM": "dumb"}) as s:
+        s.read_until(lambda text: "faults none" in text)
+        assert "tracking" in s.seen
+        assert "\x1b" not in s.seen
+
+
+def test_without_a_terminal_lines_are_written() -> None:
+    out = io.StringIO()
+    pictures = iter([False, False, True])
+    run(lambda: [RECORD], INFO, lambda: next(pictures), console=Console(file=out, width=40))
+    assert out.getvalue().splitlines()[0] == status_line(Snapshot(RECORD, INFO), history_of(RECORD))
+
+
+def test_what_a_parent_writes_after_a_kill_restores_screen_and_cursor() -> None:
+    assert "\x1b[?1049l" in LEAVE_SCREEN
+    assert "\x1b[?25h" in LEAVE_SCREEN
