@@ -1,14 +1,15 @@
 """unixcan: one party on a bus made of Unix sockets, for machines without SocketCAN.
 
-Each party listens on a SOCK_SEQPACKET socket of its own in the channel's private folder and connects, when
-it joins, to all that are there already; every pair of parties thus shares one connection. Frames travel as
-`struct can_frame`. A connection holds as many frames as its send buffer takes (about 10,000 with 4 MiB, 278
-with the kernel's default `net.core.wmem_max` of 208 KiB, which bounds what a user without privileges gets);
-what a party that does not read loses beyond that is counted and hinders nobody.
+Each party listens on a SOCK_SEQPACKET socket of its own in the channel's private folder. Who joins hands
+every party that is there already one end of a socket pair; frames travel over these pairs as `struct
+can_frame`. A pair holds as many frames as its send buffer takes (about 10,000 with 4 MiB, 278 with the
+kernel's default `net.core.wmem_max` of 208 KiB, which bounds what a user without privileges gets); what a
+party that does not read loses beyond that is counted and hinders nobody.
 
 Order: a party that only listens must see a frame before the answers to it. So arrivals are read until
 nothing is left and then sorted by the kernel's stamps, and a frame goes to those who never sent anything
-before it goes to those who answer.
+before it goes to those who answer. The pair is made by the newcomer, and not by connecting, because the
+kernel stamps nothing for a connection that has not been accepted yet.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ _SO_SNDBUFFORCE = 32
 _CREDENTIALS = struct.Struct("3i")
 _SEND_FLAGS = socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL
 _MOST_PATH_BYTES = 107
+# a flood must not hold a caller for ever, but to stop short spoils the order: more than the buffers hold
+_MOST_AT_ONCE = 65536
 _STAMP = attrgetter("stamp_ns")
 
 
@@ -60,6 +63,7 @@ class Party:
         self.dropped = 0  # frames that a party which does not read has lost
         self.refused = 0  # strangers turned away
         self._peers: dict[int, socket.socket] = {}  # all connections, by descriptor
+        self._doors: dict[int, socket.socket] = {}  # those who knock and have not handed over anything yet
         self._talkers: set[int] = set()  # those that ever sent something
         self._targets: tuple[socket.socket, ...] = ()
         self._deaf: socket.socket | None = None  # the end on which the own frames come back
@@ -83,7 +87,6 @@ class Party:
             )
         self._epoll = select.epoll()
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
-        self._listening = self._listener.fileno()
         try:
             with folder.locked(self._folder, create=True):
                 self._join()
@@ -114,35 +117,28 @@ class Party:
         """
         frames: list[Frame] = []
         poll, read, peers, talkers = self._epoll.poll, self._reader.read, self._peers, self._talkers
-        listener, sources, admitted, progress = self._listening, 0, False, True
-        # A pass that finds nothing new ends it: then whatever caused a frame at hand is at hand, too.
-        while progress and len(frames) < wire.MOST_AT_ONCE:
-            progress = False
-            for descriptor, _ in poll(0, 16):
-                if descriptor == listener:
-                    progress = progress or not admitted
-                    admitted = True
-                    self.admit()
-                    continue
+        source, several = -1, False
+        # Until nothing is left: then whatever caused a frame at hand is at hand, too.
+        while len(frames) < _MOST_AT_ONCE and (ready := poll(0, 16)):
+            for descriptor, _ in ready:
                 sock = peers.get(descriptor)
                 if sock is None:
+                    self.admit()
                     continue
-                sources += 1
+                several = several or descriptor != source != -1
+                source = descriptor
                 before = len(frames)
                 try:
                     alive = read(sock, offset_ns, frames)
                 except OSError as e:
                     # a reset comes ahead of what the other end had sent before it died
                     alive = e.errno == errno.ECONNRESET
-                    progress = True
-                if len(frames) > before:
-                    progress = True
-                    if descriptor not in talkers:
-                        talkers.add(descriptor)
-                        self._retarget()
+                if len(frames) > before and descriptor not in talkers:
+                    talkers.add(descriptor)
+                    self._retarget()
                 if not alive:
                     self._forget(descriptor)
-        if sources > 1:
+        if several:
             frames.sort(key=_STAMP)
         into += frames
         return len(frames)
@@ -159,16 +155,18 @@ class Party:
 
     def admit(self) -> None:
         """Let in everybody who knocks, except other users."""
-        while True:
-            try:
-                sock, _ = self._listener.accept()
-            except OSError:
-                return
-            if _peer_uid(sock) == os.geteuid():
-                self._welcome(sock)
-            else:
-                self.refused += 1
-                sock.close()
+        with suppress(OSError):
+            while True:
+                door, _ = self._listener.accept()
+                if _peer_uid(door) == os.geteuid():
+                    door.setblocking(False)
+                    self._doors[door.fileno()] = door
+                    self._epoll.register(door, select.EPOLLIN)
+                else:
+                    self.refused += 1
+                    door.close()
+        for door in list(self._doors.values()):
+            self._answer(door)
 
     def close(self) -> None:
         """Leave; the last one out removes the channel's folder."""
@@ -177,9 +175,10 @@ class Party:
         self._closed = True
         with self._changing:
             self._targets = ()
-            for sock in self._peers.values():
+            for sock in (*self._peers.values(), *self._doors.values()):
                 sock.close()
             self._peers.clear()
+            self._doors.clear()
         self._listener.close()
         self._epoll.close()
         if os.getpid() != self._owner:
@@ -192,28 +191,45 @@ class Party:
     def _join(self) -> None:
         self._listener.bind(os.fspath(self._path))
         self._listener.listen(4096)
-        self._epoll.register(self._listener, select.EPOLLIN)
+        # edge-triggered, or a process out of descriptors could never finish a drain
+        self._epoll.register(self._listener, select.EPOLLIN | select.EPOLLET)
         for path in _sockets(self._folder):
             if path != self._path:
-                sock = _connect(path)
-                if sock is not None:
-                    self._welcome(sock)
+                door = _connect(path)
+                if door is not None:
+                    ours, theirs = _pair()
+                    with suppress(OSError):  # it is leaving
+                        socket.send_fds(door, (b"\0",), (theirs.fileno(),))
+                    door.close()
+                    theirs.close()
+                    self._welcome(ours)
 
     def _hear_self(self) -> None:
-        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+        ours, theirs = _pair()
         self._welcome(ours)
         self._welcome(theirs)
         # one end is only read and the other only written, or every frame would come twice
         self._deaf = ours
         self._retarget()
 
-    def _welcome(self, sock: socket.socket) -> None:
-        sock.setblocking(False)
-        wire.stamp_arrivals(sock)
+    def _answer(self, door: socket.socket) -> None:
+        """Take the end of a pair that somebody at the door hands over."""
+        descriptors: list[int] = []
         try:
-            sock.setsockopt(socket.SOL_SOCKET, _SO_SNDBUFFORCE, SEND_BUFFER_BYTES)
+            _, descriptors, _, _ = socket.recv_fds(door, 1, 1, socket.MSG_CMSG_CLOEXEC)
+        except BlockingIOError:
+            return  # still looking for it
         except OSError:
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+            pass  # gone again
+        if self._doors.pop(door.fileno(), None) is not None:  # unless another thread is just doing this
+            self._epoll.unregister(door)
+            door.close()
+        for descriptor in descriptors:
+            sock = socket.socket(fileno=descriptor)
+            sock.setblocking(False)
+            self._welcome(sock)
+
+    def _welcome(self, sock: socket.socket) -> None:
         with self._changing:
             self._peers[sock.fileno()] = sock
         self._epoll.register(sock, select.EPOLLIN)
@@ -254,6 +270,18 @@ def channels() -> list[str]:
                 if sock is not None:
                     sock.close()
     return alive
+
+
+def _pair() -> tuple[socket.socket, socket.socket]:
+    """Two ends of a connection on which the kernel stamps every packet from the first one on."""
+    ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+    for sock in ends:
+        wire.stamp_arrivals(sock)
+        try:
+            sock.setsockopt(socket.SOL_SOCKET, _SO_SNDBUFFORCE, SEND_BUFFER_BYTES)
+        except OSError:
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+    return ends
 
 
 def _connect(path: Path) -> socket.socket | None:

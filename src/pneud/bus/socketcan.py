@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import select
 import socket
 import struct
 
@@ -16,6 +17,7 @@ _SO_RCVBUFFORCE = 33
 _CAN_RAW_ERR_FILTER = 2
 _ALL_ERRORS = struct.pack("=I", 0x1FFFFFFF)
 _SEND_FLAGS = socket.MSG_DONTWAIT
+_MOST_AT_ONCE = 4096  # a flood must not hold a caller for ever
 
 
 class SocketCanError(Exception):
@@ -48,10 +50,11 @@ class SocketCan:
             )
         except OSError as e:
             raise SocketCanError(_reason(interface, e)) from None
+        self._epoll = select.epoll()
         try:
             self._configure(interface)
         except OSError as e:
-            self._socket.close()
+            self.close()
             raise SocketCanError(_reason(interface, e)) from None
 
     @property
@@ -60,8 +63,8 @@ class SocketCan:
         return self._reader.dropped
 
     def fileno(self) -> int:
-        """The socket's descriptor."""
-        return self._socket.fileno()
+        """A descriptor that is readable when there is something to drain."""
+        return self._epoll.fileno()
 
     def drain(self, offset_ns: int, into: list[Frame]) -> int:
         """Append everything that has arrived, and tell how much that was.
@@ -70,7 +73,9 @@ class SocketCan:
             OSError: the interface went down (ENETDOWN) or away (ENODEV).
         """
         before = len(into)
-        self._reader.read(self._socket, offset_ns, into)
+        poll, read, sock = self._epoll.poll, self._reader.read, self._socket
+        while len(into) - before < _MOST_AT_ONCE and poll(0, 1):
+            read(sock, offset_ns, into)
         return len(into) - before
 
     def send(self, packet: bytes) -> None:
@@ -82,7 +87,8 @@ class SocketCan:
         self._socket.send(packet, _SEND_FLAGS)
 
     def close(self) -> None:
-        """Close the socket."""
+        """Leave the bus."""
+        self._epoll.close()
         self._socket.close()
 
     def _check(self, name: str, virtual: bool) -> None:
@@ -118,6 +124,7 @@ class SocketCan:
         except OSError:
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
         sock.bind((name,))
+        self._epoll.register(sock, select.EPOLLIN)
 
 
 def _reason(name: str, error: OSError, kind: str = "can") -> str:

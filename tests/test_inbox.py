@@ -1,0 +1,285 @@
+"""The inbox: only frames of this tick with a right checksum and a moving counter make a measurement."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pneud import resources
+from pneud.bus.codec import load_codecs
+from pneud.bus.inbox import NEVER_NS, Counts, Inbox, wire_time_ns
+from pneud.config import BusConfig
+from pneud.signals import ALL_SOURCES, Defect, Frame, Measurement, Source
+
+BUS = BusConfig()
+FREE = BusConfig(sync=False)
+CODECS = load_codecs(BUS, resources.configs() / "pneud.dbc")
+MS = 1_000_000
+ENCODER, PRESSURE, VALVE = CODECS.encoder, CODECS.pressure, CODECS.valve_status
+
+
+def encoder(stamp: int, counter: int, position: float = 0.25, age: float = 0.0, status: int = 1) -> Frame:
+    return Frame(stamp, ENCODER.can_id, ENCODER.encode(position, status, age, counter & 255))
+
+
+def pressure(stamp: int, counter: int, p1: float = 3e5) -> Frame:
+    return Frame(stamp, PRESSURE.can_id, PRESSURE.encode(p1, 2e5, 6e5, counter & 255))
+
+
+def valve(stamp: int, counter: int, applied: float = 1.5, state: int = 2) -> Frame:
+    return Frame(stamp, VALVE.can_id, VALVE.encode(applied, state, counter & 255))
+
+
+def broken(frame: Frame) -> Frame:
+    return frame._replace(data=frame.data[:-1] + bytes((frame.data[-1] ^ 1,)))
+
+
+def tick(inbox: Inbox, t_ns: int, *frames: Frame) -> Measurement:
+    inbox.begin(t_ns)
+    for frame in frames:
+        inbox.feed(frame)
+    return inbox.measurement(0, 0)
+
+
+def a_set(t_ns: int, counter: int) -> tuple[Frame, Frame, Frame]:
+    return encoder(t_ns + 1000, counter), pressure(t_ns + 2000, counter), valve(t_ns + 3000, counter)
+
+
+def test_a_set_is_complete_and_carries_the_values() -> None:
+    inbox = Inbox(CODECS, BUS)
+    inbox.begin(MS)
+    complete = [inbox.complete]
+    for frame in a_set(MS, 7):
+        inbox.feed(frame)
+        complete.append(inbox.complete)
+    assert complete == [False, False, False, True]
+    m = inbox.measurement(skipped=3, host=5)
+    assert m == Measurement(
+        MS, ALL_SOURCES, 0.25, 3e5, 2e5, 6e5, 1.5, 1, 2, 0, 0, 0, 0, 0, 0, wire_time_ns(1, 1e6), 3, 5
+    )
+    assert inbox.complete is False
+    assert inbox.counts() == Counts(3, 0, 0, 0, 0, 0, 0, ())
+
+
+def test_before_anything_was_heard_values_are_unknown_and_infinitely_old() -> None:
+    m = tick(Inbox(CODECS, BUS), MS)
+    assert m.fresh == 0
+    floats = (m.position_m, m.p1_pa, m.p2_pa, m.supply_pa, m.applied_v)
+    assert all(math.isnan(value) for value in floats)
+    assert (m.encoder_status, m.valve_state) == (0, 0)
+    assert {m.encoder_age_ns, m.pressure_age_ns, m.valve_age_ns} == {NEVER_NS}
+    assert (m.encoder_defects, m.pressure_defects, m.valve_defects) == (0, 0, 0)
+
+
+def test_an_absent_source_keeps_its_value_and_ages() -> None:
+    inbox = Inbox(CODECS, BUS)
+    tick(inbox, MS, *a_set(MS, 1))
+    m = tick(inbox, 3 * MS, pressure(3 * MS + 10, 2), valve(3 * MS + 20, 2))
+    assert m.fresh == Source.PRESSURE | Source.VALVE
+    assert m.position_m == 0.25
+    assert m.encoder_age_ns == 2 * MS - 1000
+    assert (m.pressure_age_ns, m.valve_age_ns) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("damage", "defect", "counted"),
+    [
+        (broken, Defect.CORRUPT, "crc"),
+        (lambda f: f._replace(data=f.data[:7]), Defect.CORRUPT, "crc"),
+        (lambda f: f._replace(data=b""), Defect.CORRUPT, "crc"),
+        (lambda f: encoder(f.stamp_ns, 1, 0.5), Defect.FROZEN, "stale"),
+        (lambda f: f._replace(stamp_ns=2 * MS - 1), Defect.LATE, "late"),
+        (lambda f: encoder(2 * MS + 10_000, 2, 0.5, age=2e-5), Defect.LATE, "late"),
+        (lambda f: encoder(9 * MS, 2, 0.5, age=0.00255), Defect.LATE, "late"),
+    ],
+)
+def test_a_bad_frame_is_not_used_but_told(damage: Any, defect: Defect, counted: str) -> None:
+    inbox = Inbox(CODECS, BUS)
+    tick(inbox, MS, *a_set(MS, 1))
+    m = tick(inbox, 2 * MS, damage(encoder(2 * MS + 1000, 2, 0.5)))
+    assert m.fresh == 0
+    assert m.position_m == 0.25
+    assert m.encoder_defects == defect
+    assert (m.pressure_defects, m.valve_defects) == (0, 0)
+    assert inbox.counts()._asdict()[counted] == 1
+    good = tick(inbox, 3 * MS, encoder(3 * MS + 1000, 3, 0.75))
+    assert (good.position_m, good.encoder_defects) == (0.75, 0), "a valid frame ends the complaint"
+
+
+def test_defects_add_up_until_a_valid_frame() -> None:
+    inbox = Inbox(CODECS, BUS)
+    tick(inbox, MS, *a_set(MS, 1))
+    tick(inbox, 2 * MS, broken(encoder(2 * MS + 1, 2)))
+    m = tick(inbox, 3 * MS, encoder(3 * MS + 1, 1), encoder(0, 2))
+    assert m.encoder_defects == Defect.CORRUPT | Defect.FROZEN | Defect.LATE
+
+
+def test_a_frame_sampled_exactly_at_sync_is_in_time() -> None:
+    inbox = Inbox(CODECS, BUS)
+    assert tick(inbox, MS, encoder(MS + 20_000, 1, age=2e-5)).fresh == Source.ENCODER
+
+
+def test_what_is_left_over_from_the_last_tick_updates_nothing() -> None:
+    inbox = Inbox(CODECS, BUS)
+    tick(inbox, MS, *a_set(MS, 1))
+    inbox.feed(encoder(MS + 900_000, 2, 0.9))  # after measurement(), before begin()
+    m = tick(inbox, 2 * MS)
+    assert (m.fresh, m.position_m, m.encoder_defects) == (0, 0.25, Defect.LATE)
+    assert inbox.counts().late == 1
+    assert tick(inbox, 3 * MS, *a_set(3 * MS, 3)).fresh == ALL_SOURCES
+    assert inbox.counts().lost == 2, "the late frame itself was not lost; pressure and valve missed one each"
+
+
+def test_the_last_of_two_frames_in_one_tick_counts() -> None:
+    inbox = Inbox(CODECS, BUS)
+    m = tick(inbox, MS, encoder(MS + 1, 1, 0.1), encoder(MS + 2, 2, 0.2))
+    assert m.position_m == ENCODER.decode(encoder(0, 0, 0.2).data)[0]
+
+
+def test_the_first_counter_is_taken_and_later_ones_wrap() -> None:
+    inbox = Inbox(CODECS, BUS)
+    for i in range(600):
+        t = (i + 1) * MS
+        assert tick(inbox, t, *a_set(t, i + 250)).fresh == ALL_SOURCES
+    assert inbox.counts() == Counts(1800, 0, 0, 0, 0, 0, 0, ())
+
+
+def test_gaps_in_the_counter_are_lost_frames() -> None:
+    inbox = Inbox(CODECS, BUS)
+    for t, counter in ((1, 254), (2, 1), (3, 2), (4, 12)):
+        tick(inbox, t * MS, encoder(t * MS + 1, counter))
+    assert inbox.counts().lost == 2 + 9
+
+
+def test_corrupt_frames_are_not_lost_ones() -> None:
+    inbox = Inbox(CODECS, BUS)
+    frames = [encoder(MS + i, i) for i in range(6)]
+    tick(inbox, MS, frames[0], broken(frames[1]), broken(frames[2]), frames[4])
+    assert inbox.counts()._replace(rx=0) == Counts(0, 1, 2, 0, 0, 0, 0, ())
+
+
+def test_free_running_takes_what_came_since_the_last_measurement() -> None:
+    inbox = Inbox(CODECS, FREE)
+    inbox.feed(encoder(MS - 5000, 1, 0.5, age=3e-5))
+    m = tick(inbox, MS, pressure(MS + 1, 1))
+    assert m.fresh == Source.ENCODER | Source.PRESSURE
+    assert m.encoder_age_ns == 0
+    assert m.encoder_offset_ns == -5000 - 30_000 - wire_time_ns(8, 1e6)
+    m = tick(inbox, 2 * MS)
+    assert m.fresh == 0
+    assert m.encoder_age_ns == MS + 5000 + 30_000
+    assert m.encoder_defects == 0
+
+
+def test_free_running_does_not_take_frames_older_than_can_be_told() -> None:
+    inbox = Inbox(CODECS, FREE)
+    m = tick(inbox, MS, encoder(MS, 1, age=0.00255))
+    assert (m.fresh, m.encoder_defects, m.encoder_age_ns) == (0, Defect.LATE, NEVER_NS)
+
+
+def test_wire_time_is_that_of_the_bit_rate() -> None:
+    assert wire_time_ns(1, 1e6) == 60_500
+    assert wire_time_ns(8, 5e5) == 244_200
+    assert wire_time_ns(8, math.inf) == 0
+    inbox = Inbox(CODECS, BusConfig(bitrate_bit_s=math.inf))
+    assert tick(inbox, MS, *a_set(MS, 1)).encoder_offset_ns == 0
+
+
+def test_frames_of_others_are_told_apart() -> None:
+    inbox = Inbox(CODECS, BUS)
+    inbox.begin(0)
+    command = CODECS.valve_command.encode(1.0, 1, 1, counter=0)
+    for frame in (
+        Frame(1, CODECS.sync.can_id, b"\x01"),
+        Frame(1, CODECS.valve_command.can_id, command),
+        Frame(1, 0x20000000 | 0x40, bytes(8)),  # error frame
+        Frame(1, 0x40000000 | ENCODER.can_id, b""),  # remote request
+        Frame(1, 0x80000000 | ENCODER.can_id, encoder(1, 1).data),  # 29-bit identifier
+        Frame(1, 0x082, b"\x20\x81\x01" + bytes(5)),
+        Frame(1, 0x081, b"\x00\x50\x01" + bytes(5)),
+        Frame(1, 0x082, b"\x00\x00\x00" + bytes(5)),
+        Frame(1, 0x701, b"\x05"),
+        Frame(1, 0x7FF, b""),
+    ):
+        inbox.feed(frame)
+    assert inbox.counts() == Counts(9, 0, 0, 0, 0, 2, 1, ((1, 0x5000), (2, 0)))
+    m = inbox.measurement(0, 0)
+    assert m.fresh == 0
+    assert m.encoder_age_ns == NEVER_NS
+
+
+ids = st.one_of(
+    st.sampled_from([ENCODER.can_id, PRESSURE.can_id, VALVE.can_id, 0x080, 0x203, 0x081]),
+    st.integers(0, 2**32 - 1),
+)
+noise = st.builds(Frame, st.integers(-(2**40), 2**62), ids, st.binary(max_size=8))
+proper = st.builds(
+    lambda make, stamp, counter: make(stamp, counter),
+    st.sampled_from([encoder, pressure, valve]),
+    st.integers(0, 20 * MS),
+    st.integers(0, 255),
+)
+damaged = proper.map(broken)
+steps = st.lists(
+    st.one_of(noise, proper, damaged, st.integers(1, 15).map(lambda k: k * MS), st.none()), max_size=60
+)
+
+
+@pytest.mark.parametrize("bus", [BUS, FREE], ids=["sync", "free"])
+@given(steps=steps)
+def test_any_sequence_is_digested_twice_alike_and_only_valid_frames_are_used(
+    bus: BusConfig, steps: list[Any]
+) -> None:
+    one, two = Inbox(CODECS, bus), Inbox(CODECS, bus)
+    valid = {PRESSURE.can_id: set(), VALVE.can_id: set(), ENCODER.can_id: set()}  # type: ignore[var-annotated]
+    began = None
+    for step in steps:
+        if step is None:
+            m = one.measurement(0, 0)
+            assert repr(m) == repr(two.measurement(0, 0))
+            for value, can_id in (
+                (m.position_m, ENCODER.can_id),
+                (m.p1_pa, PRESSURE.can_id),
+                (m.applied_v, VALVE.can_id),
+            ):
+                assert math.isnan(value) or value in valid[can_id]
+            if bus.sync and began is None:
+                assert m.fresh == 0
+            began = None
+        elif isinstance(step, int):
+            one.begin(step)
+            two.begin(step)
+            began = step
+        else:
+            one.feed(step)
+            two.feed(step)
+            codec = {c.can_id: c for c in (ENCODER, PRESSURE, VALVE)}.get(step.can_id)
+            in_time = not bus.sync or (began is not None and step.stamp_ns >= began)
+            if codec is not None and codec.valid(step.data) and in_time:
+                valid[step.can_id].add(codec.decode(step.data)[0])
+    assert one.counts() == two.counts()
+    fed = sum(isinstance(step, Frame) for step in steps)
+    assert one.counts().rx + one.counts().error_frames == fed
+
+
+@given(st.lists(st.tuples(st.integers(0, 255), st.booleans()), min_size=1, max_size=80))
+def test_counters_account_for_every_frame(moves: list[tuple[int, bool]]) -> None:
+    inbox = Inbox(CODECS, BUS)
+    inbox.begin(0)
+    seen: int | None = None
+    stale = used = 0
+    for counter, damage in moves:
+        frame = encoder(1, counter)
+        inbox.feed(broken(frame) if damage else frame)
+        if not damage:
+            stale += counter == seen
+            used += counter != seen
+            seen = counter
+    counts = inbox.counts()
+    assert counts.stale == stale
+    assert counts.crc == sum(damage for _, damage in moves)
+    assert bool(inbox.measurement(0, 0).fresh) is bool(used)
