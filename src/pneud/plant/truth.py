@@ -7,6 +7,7 @@ import mmap
 import struct
 
 SLOTS = 64
+_HEAD = 32  # bytes before the slots; the first eight count what was put
 # native and aligned: these 64-bit numbers are written and read in one piece
 _SEQUENCE = struct.Struct("@Q")
 _CONTENT = struct.Struct("@qd")
@@ -15,7 +16,7 @@ _SLOT = 32
 
 def truth_memory() -> mmap.mmap:
     """Anonymous shared memory for one writer and its readers; both sides inherit it by fork."""
-    return mmap.mmap(-1, SLOTS * _SLOT)
+    return mmap.mmap(-1, _HEAD + SLOTS * _SLOT)
 
 
 class TruthWriter:
@@ -27,11 +28,12 @@ class TruthWriter:
 
     def put(self, t_ns: int, position_m: float) -> None:
         """The true stroke position [m] at the SYNC sent at `t_ns`."""
-        offset = self._count % SLOTS * _SLOT
         self._count += 1
+        offset = _HEAD + self._count % SLOTS * _SLOT
         _SEQUENCE.pack_into(self._memory, offset, self._count)
         _CONTENT.pack_into(self._memory, offset + 8, t_ns, position_m)
         _SEQUENCE.pack_into(self._memory, offset + 24, self._count)
+        _SEQUENCE.pack_into(self._memory, 0, self._count)
 
 
 class TruthReader:
@@ -46,11 +48,14 @@ class TruthReader:
         The plant's stamp of a SYNC and its sender's differ by microseconds, hence bounds.
         """
         memory = self._memory
-        newest, position = t_sync_min_ns - 1, math.nan
-        for offset in range(0, SLOTS * _SLOT, _SLOT):
+        (count,) = _SEQUENCE.unpack_from(memory, 0)
+        for number in range(count, max(0, count - SLOTS), -1):
+            offset = _HEAD + number % SLOTS * _SLOT
             (end,) = _SEQUENCE.unpack_from(memory, offset + 24)
             t_ns, position_m = _CONTENT.unpack_from(memory, offset + 8)
             (begin,) = _SEQUENCE.unpack_from(memory, offset)
-            if begin == end != 0 and newest < t_ns <= t_sync_max_ns:
-                newest, position = t_ns, position_m
-        return position
+            if not begin == end == number or t_ns < t_sync_min_ns:
+                break  # overwritten meanwhile, or older than asked for: so are all before it
+            if t_ns <= t_sync_max_ns:
+                return float(position_m)
+        return math.nan
