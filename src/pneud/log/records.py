@@ -35,8 +35,6 @@ _R = _E + len(Estimate._fields)
 _C = _R + len(Reference._fields)
 _S = _C + len(Command._fields)
 
-_FLOAT_MAX = 3.4028234663852886e38
-
 
 def crc_of(tick: Tick) -> int:
     """CRC-32 over the doubles of estimate, reference and command, in their order, little-endian.
@@ -90,6 +88,7 @@ class _TickLayout:
         self._struct = struct.Struct(
             "<" + "".join(f"{len(c)}s{v}" for c, v in zip(constants, codes, strict=True))
         )
+        self._codes = tuple(codes)
         self._constants = tuple(constants)
         self._template: list[bytes | float] = [b""] * (2 * len(codes))
         self._template[::2] = constants
@@ -100,7 +99,10 @@ class _TickLayout:
         try:
             return self._struct.pack(*arguments)
         except OverflowError:  # a double beyond the floats
-            arguments[1::2] = [_as_float(v) if isinstance(v, float) else v for v in values]
+            arguments[1::2] = [
+                _as_float(value) if code == "f" else value
+                for code, value in zip(self._codes, values, strict=True)
+            ]
             return self._struct.pack(*arguments)
 
     def unpack(self, data: bytes) -> tuple[Any, ...]:
@@ -127,7 +129,11 @@ class _TickLayout:
 
 
 def _as_float(value: float) -> float:
-    return value if math.isnan(value) or abs(value) <= _FLOAT_MAX else math.copysign(math.inf, value)
+    try:
+        struct.pack("<f", value)
+    except OverflowError:
+        return math.copysign(math.inf, value)
+    return value
 
 
 def _size(fields: list[Field]) -> int:

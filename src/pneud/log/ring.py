@@ -48,7 +48,7 @@ class RecorderStatus(NamedTuple):
     """What the recorder says of itself."""
 
     heartbeat: int  # grows while it lives
-    written: int  # records handed to the file
+    written: int  # records that the file has taken
     dropped: int  # records overwritten in the ring before they were read
     unwritten: int  # records read but not written, because the disk would not take them
     error: int  # errno of the last failure, RECORDER_FAILED for any other, 0 for none
@@ -180,6 +180,11 @@ class Ring:
             )
             self._words[(offset + self.slot_bytes) // 8 - 1] = sequence
         return sequence
+
+    @property
+    def put_count(self) -> int:
+        """Records put so far, lost ones included."""
+        return self._words[_NUMBER]
 
     def set_closed(self) -> None:
         """Say that nothing more will be put."""

@@ -6,6 +6,7 @@ up: the records meanwhile are counted and given up, and the file goes on where i
 
 from __future__ import annotations
 
+import errno
 import os
 import struct
 import threading
@@ -98,7 +99,8 @@ class _Output:
         try:
             os.fdatasync(self._descriptor)
         except OSError as e:
-            self.error = e.errno or FAILED
+            if e.errno != errno.EINVAL:  # a pipe or a device has nothing to sync
+                self.error = e.errno or FAILED
 
     def close(self) -> None:
         if self._sync is not None:
@@ -117,8 +119,8 @@ class LogWriter:
             descriptor: of the new file (see `create_log`); closed by `close`.
             header: what the log says about its run.
         """
-        self.written = 0
         self.unwritten = 0
+        self._accepted = 0
         self._header = header
         self._output = _Output(descriptor)
         self._writer = Writer(
@@ -137,6 +139,11 @@ class LogWriter:
         self._unsettled = 0
         self._last_t_ns = 0
         self._start()
+
+    @property
+    def written(self) -> int:
+        """Records that the file has taken."""
+        return self._accepted - self._unsettled
 
     @property
     def error(self) -> int:
@@ -216,7 +223,7 @@ class LogWriter:
             self._writer.add_message(self._channels[topic], log_time, data, publish_time, number)
             self._chunk_bytes += len(data)
         self._chunk_bytes += _OVERHEAD_BYTES
-        self.written += 1
+        self._accepted += 1
         self._unsettled += 1
         for event in self._events.after(record):
             self._add_event(event)
@@ -274,8 +281,11 @@ class LogWriter:
             self._retry(time.monotonic_ns())
         self._writer.finish()  # type: ignore[no-untyped-call]
         complete = self._output.settle()
-        if not complete:
-            self.written -= self._unsettled
+        if complete:
+            self._unsettled = 0
+        else:
+            self._accepted -= self._unsettled
             self.unwritten += self._unsettled
+            self._unsettled = 0
         self._output.close()
         return complete

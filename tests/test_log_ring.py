@@ -1,0 +1,180 @@
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import tracemalloc
+
+import pytest
+from hypothesis import given, settings
+
+from log_samples import any_record, bits, noisy, tick_at
+from pneud.log.ring import RecorderStatus, Ring
+from pneud.signals import Frame, Record, Timing
+
+NO_TIME = Timing(0, 0, 0, 0, 0, 0)
+
+
+def numbered(n: int, frames: int = 0) -> Record:
+    some = tuple(Frame(n + i, 0x181, bytes((i & 255,))) for i in range(frames))
+    return Record(tick_at(n), NO_TIME, some, 0, (), 0.0)
+
+
+@given(record=any_record())
+@settings(max_examples=60, deadline=None)
+def test_what_is_put_is_read_to_the_bit(record: Record) -> None:
+    ring = Ring.create(slots=32)
+    reader = ring.reader()
+    ring.put(record)
+    assert [bits(r) for r in reader.drain()] == [bits(record)]
+    assert reader.dropped == 0
+
+
+def test_a_record_is_delivered_once_and_only_after_it_was_complete_at_the_previous_poll() -> None:
+    ring = Ring.create(slots=16)
+    reader = ring.reader()
+    first, second = numbered(1), numbered(2)
+    ring.put(first)
+    assert reader.poll() == []
+    ring.put(second)
+    assert reader.poll() == [first]
+    assert reader.poll() == [second]
+    assert reader.poll() == []
+
+
+def test_records_of_several_slots_come_back_in_order_around_the_end_of_the_ring() -> None:
+    ring = Ring.create(slots=16)
+    reader = ring.reader()
+    sizes = [0, 70, 3, 26, 27, 67, 68, 5] * 5
+    for n, size in enumerate(sizes, start=1):
+        record = numbered(n, size)
+        ring.put(record)
+        assert reader.drain() == [record]
+    assert (reader.delivered, reader.dropped) == (len(sizes), 0)
+
+
+def test_a_reader_that_is_overrun_counts_exactly_what_it_missed_and_goes_on_in_order() -> None:
+    ring = Ring.create(slots=64)
+    reader = ring.reader()
+    total = 0
+    got: list[int] = []
+    for burst in (10, 500, 3, 64, 65, 1, 200):
+        for _ in range(burst):
+            total += 1
+            ring.put(numbered(total, 40 if total % 7 == 0 else 2))
+        got += [r.tick.t_ns for r in reader.poll()]
+    got += [r.tick.t_ns for r in reader.drain()]
+    assert got == sorted(set(got))
+    assert got[-1] == total
+    assert reader.dropped > 0
+    assert reader.delivered + reader.dropped == total == ring.put_count
+
+
+def test_a_record_too_long_or_unfit_for_the_ring_is_counted_as_dropped_and_harms_no_other() -> None:
+    ring = Ring.create(slots=16)
+    reader = ring.reader()
+    ring.put(numbered(1))
+    ring.put(numbered(2, 1000))
+    ring.put(numbered(3)._replace(before=-1))
+    ring.put(numbered(4))
+    assert [r.tick.t_ns for r in reader.drain()] == [1, 4]
+    assert reader.dropped == 2
+    ring.put(numbered(5)._replace(before=-1))
+    assert reader.drain() == []
+    assert reader.dropped == 3
+
+
+def test_two_readers_do_not_disturb_each_other() -> None:
+    ring = Ring.create(slots=16)
+    one, other = ring.reader(), ring.reader()
+    ring.put(numbered(1))
+    assert len(one.drain()) == 1
+    ring.put(numbered(2))
+    assert [r.tick.t_ns for r in other.drain()] == [1, 2]
+
+
+def test_latest_is_the_newest_whatever_has_been_read() -> None:
+    ring = Ring.create(slots=16)
+    reader = ring.reader()
+    assert reader.latest() is None
+    for n in range(1, 40):
+        ring.put(numbered(n, 50 if n % 3 == 0 else 1))
+        latest = reader.latest()
+        assert latest is not None and latest.tick.t_ns == n
+    assert reader.delivered == 0
+
+
+def test_a_slot_that_is_being_written_is_not_delivered() -> None:
+    ring = Ring.create(slots=16)
+    reader = ring.reader()
+    ring.put(numbered(1))
+    reader.poll()
+    slot = 16_384 + 1 * 1024
+    ring._memory[slot : slot + 8] = (17).to_bytes(8, "little")  # the writer has come round and begun
+    assert reader.poll() == []
+    assert reader.latest() is None
+
+
+def test_a_put_keeps_no_memory() -> None:
+    ring = Ring.create(slots=64)
+    records = list(noisy(200))
+    for record in records:
+        ring.put(record)
+    gc.collect()
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        for _ in range(10):
+            for record in records:
+                ring.put(record)
+        assert tracemalloc.get_traced_memory()[0] - before < 2000
+    finally:
+        tracemalloc.stop()
+
+
+def test_status_and_notes_pass_between_processes() -> None:
+    ring = Ring.create(slots=16)
+    assert ring.status() == RecorderStatus(0, 0, 0, 0, 0, 0, 0)
+    assert ring.notes() is None
+    child = os.fork()
+    if child == 0:
+        ring.set_notes({"fifo": "refused: RLIMIT_RTPRIO is 0"})
+        ring.set_status(RecorderStatus(3, 100, 2, 1, 28, 1, 4096))
+        ring.set_closed()
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0
+    assert ring.notes() == {"fifo": "refused: RLIMIT_RTPRIO is 0"}
+    assert ring.closed
+    assert ring.status().lost == 3
+    assert ring.status().error_text == os.strerror(28)
+
+
+def test_notes_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(ValueError, match="do not fit"):
+        Ring.create(slots=16).set_notes({"x": "y" * 20_000})
+
+
+def test_a_writer_killed_at_any_moment_leaves_only_whole_records() -> None:
+    """A child puts as fast as it can and is killed; what is there afterwards is consistent."""
+    for _ in range(3):
+        ring = Ring.create(slots=256)
+        reader = ring.reader()
+        child = os.fork()
+        if child == 0:
+            n = 0
+            while True:
+                n += 1
+                ring.put(numbered(n, n % 60))
+        while ring.put_count < 2000:
+            pass
+        seen = reader.poll()
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        seen += reader.drain()
+        assert seen
+        for record in seen:
+            n = record.tick.t_ns
+            assert record == numbered(n, n % 60)
+        numbers = [r.tick.t_ns for r in seen]
+        assert numbers == sorted(set(numbers))
+        assert numbers[-1] >= ring.put_count
