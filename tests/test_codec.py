@@ -218,7 +218,7 @@ def encoder_bus(**changes: Any) -> BusConfig:
     return BusConfig.model_validate({"frames": {"encoder": frame}})
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**32), data=st.data())
 def test_any_layout_equals_cantools(
     tmp_path_factory: pytest.TempPathFactory, seed: int, data: st.DataObject

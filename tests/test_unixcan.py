@@ -16,12 +16,12 @@ from pathlib import Path
 
 import can
 import pytest
-from tests.unixcan_tools import python, said, short_folder, until
 
 from pneud.bus import folder, party, wire
 from pneud.bus.party import Party, UnixCanError, channels
 from pneud.bus.unixcan import UnixCanBus
 from pneud.signals import Frame
+from unixcan_tools import python, said, short_folder, until
 
 PACKET = wire.PACKET.pack(0x123, 2, b"\x01\x02")
 
