@@ -46,7 +46,7 @@ def same(got: tuple[Any, ...], expected: tuple[Any, ...]) -> bool:
 
 @pytest.mark.parametrize("detail", ["compact", "full"])
 @given(record=any_record())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_what_is_packed_by_struct_is_what_protobuf_parses(detail: Detail, record: Record) -> None:
     packer = Packer(detail)
     packed = packer.tick(record)
@@ -72,7 +72,7 @@ def test_what_is_packed_by_struct_is_what_protobuf_parses(detail: Detail, record
 
 
 @given(record=any_record())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_frames_and_timing_are_what_protobuf_parses(record: Record) -> None:
     packer = Packer("compact")
     frames = message_class("pneud.Frames").FromString(packer.frames(record))
@@ -90,7 +90,7 @@ def test_frames_and_timing_are_what_protobuf_parses(record: Record) -> None:
 
 
 @given(record=any_record())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_full_detail_comes_back_to_the_bit(record: Record) -> None:
     packer = Packer("full")
     messages = packer.tick(record), packer.frames(record), packer.timing(record)
@@ -101,7 +101,7 @@ def test_full_detail_comes_back_to_the_bit(record: Record) -> None:
 
 
 @given(record=any_record(), detail=st.sampled_from(["compact", "full"]))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_a_message_written_anew_by_protobuf_reads_the_same(record: Record, detail: Detail) -> None:
     packer, name = Packer(detail), NAMES[detail]
     tick, rest = packer.tick(record), (packer.frames(record), packer.timing(record))

@@ -21,7 +21,7 @@ def numbered(n: int, frames: int = 0) -> Record:
 
 
 @given(record=any_record())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_what_is_put_is_read_to_the_bit(record: Record) -> None:
     ring = Ring.create(slots=32)
     reader = ring.reader()
