@@ -36,13 +36,15 @@ class Series:
     Extremes survive any further decimation, so a spike of one tick stays visible at every width.
     """
 
-    __slots__ = ("_buckets", "_index")
+    __slots__ = ("_buckets", "_columns", "_group", "_index", "_merged")
 
     def __init__(self) -> None:
-        self._buckets: deque[list[float]] = deque(
-            maxlen=2 * _SPAN_BUCKETS
-        )  # index, low, high, count, squares
+        # index, smallest, largest, count and sum of squares of each
+        self._buckets: deque[list[float]] = deque(maxlen=2 * _SPAN_BUCKETS)
         self._index = -1
+        self._columns: dict[int, tuple[float, float]] = {}  # by time, for the width of the last call
+        self._group = 0
+        self._merged = -1
 
     def add(self, t_ns: int, value: float) -> None:
         """Take one value; NaN, infinity and what is beyond all measure leave a gap."""
@@ -73,25 +75,19 @@ class Series:
         Columns hold whole buckets on a grid fixed in time, so that a curve moves without changing its shape.
         """
         group = _group(width)
-        first = t_ns // BUCKET_NS // group - width + 1
-        columns: list[Column] = [None] * width
-        now_at, lowest, highest = -1, 0.0, 0.0
+        known = self._columns
+        if group != self._group or len(known) > 3 * width:
+            self._group, self._merged = group, -1
+            known.clear()
         for index, low, high, _, _ in reversed(self._buckets):
-            at = int(index) // group - first
-            if at == now_at:
-                # comparisons, as this runs for some two thousand buckets a picture
-                if low < lowest:  # noqa: PLR1730
-                    lowest = low
-                if high > highest:  # noqa: PLR1730
-                    highest = high
-            elif at < 0:
-                break
-            elif at < width:
-                now_at, lowest, highest = at, low, high
-            else:
-                continue
-            columns[at] = (lowest, highest)
-        return columns
+            if index < self._merged:
+                break  # nothing older can have changed since the last call
+            at = int(index) // group
+            was = known.get(at)
+            known[at] = (min(was[0], low), max(was[1], high)) if was else (low, high)
+        self._merged = self._index
+        first = t_ns // BUCKET_NS // group - width + 1
+        return [known.get(at) for at in range(first, first + width)]
 
 
 def sparkline(columns: list[Column], low: float, high: float, height: int) -> list[str]:
@@ -114,10 +110,9 @@ def sparkline(columns: list[Column], low: float, high: float, height: int) -> li
             continue
         value = column[1] if column[1] - middle >= middle - column[0] else column[0]
         levels.append(max(1, min(8 * height, round((value - low) / span * 8 * height))))
-    return [
-        "".join(_BLOCKS[max(0, min(8, level - 8 * row))] for level in levels)
-        for row in range(height - 1, -1, -1)
-    ]
+    rest = 8 * (height - 1)
+    ramp = " " * rest + _BLOCKS + "█" * rest
+    return ["".join([ramp[level + shift] for level in levels]) for shift in range(0, rest + 1, 8)]
 
 
 class History:

@@ -111,9 +111,10 @@ class Page:
         ascii_only = options.ascii_only if self._ascii_only is None else self._ascii_only
         rows = Rows(self._width, ascii_only)
         _fill(rows, self._snapshot, self._history, self._height)
-        for row in rows.done(self._height):
+        for i, row in enumerate(rows.done(self._height)):
+            if i:
+                yield Segment.line()
             yield from row
-            yield Segment.line()
 
 
 def _fill(rows: Rows, snapshot: Snapshot, history: History, height: int) -> None:

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 
 from rich.console import Console
-from rich.live import Live
+from rich.control import Control
 
 from pneud.rt.setup import die_with_parent
 from pneud.signals import Record
@@ -54,10 +54,7 @@ def run(
     ascii_only = True if os.environ.get("TERM") == "linux" else None
     plain = not console.is_terminal or console.is_dumb_terminal
     frame_s = PLAIN_LINE_S if plain else FRAME_S
-    live = Live(
-        console=console, screen=True, auto_refresh=False, redirect_stdout=False, redirect_stderr=False
-    )
-    with contextlib.nullcontext() if plain else live:
+    with contextlib.nullcontext() if plain else console.screen():
         heard_s = due_s = time.monotonic()
         while not stop():
             records = poll()
@@ -75,7 +72,9 @@ def run(
                         status_line(snapshot, history), soft_wrap=True, markup=False, highlight=False
                     )
                 else:
-                    live.update(render(snapshot, history, console.size, ascii_only), refresh=True)
+                    # half the work of rich's Live, which lays a picture out twice; a page has its exact shape
+                    page = render(snapshot, history, console.size, ascii_only)
+                    console.print(Control.home(), page, end="", crop=False)
                 due_s = now_s + frame_s
             time.sleep(max(0.0, now_s + FRAME_S - time.monotonic()))
 

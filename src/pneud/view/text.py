@@ -29,6 +29,7 @@ class Rows:
 
     def row(self, label: str = "") -> None:
         """Begin a row."""
+        self._finish()
         self._rows.append([])
         self.room = self.width
         if label:
@@ -59,12 +60,16 @@ class Rows:
         self.put(f"── {title} " + "─" * self.width, DIM, self.width)
 
     def done(self, height: int) -> list[list[Segment]]:
-        """Exactly `height` rows; the last one stays the last."""
+        """Exactly `height` rows of the full width; the last one stays the last."""
+        self._finish()
         rows = self._rows
-        missing = height - len(rows)
-        if missing >= 0:
-            return rows[:-1] + [[] for _ in range(missing)] + rows[-1:]
-        return rows[: height - 1] + rows[-1:]
+        empty = [Segment(" " * self.width)]
+        return (rows[:-1] + [empty] * (height - len(rows)))[: height - 1] + rows[-1:]
+
+    def _finish(self) -> None:
+        """Pad the row under construction: what stood there before must not show through."""
+        if self._rows and self.room:
+            self._rows[-1].append(Segment(" " * self.room))
 
 
 def number(value: float, form: str, unit: str) -> str:
@@ -112,4 +117,4 @@ def bit_names(mask: int, names: tuple[str, ...]) -> list[str]:
 
 def clean(text: str) -> str:
     """Text from outside without anything that a terminal could take for a command."""
-    return "".join(c if c.isprintable() else "?" for c in text)
+    return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
