@@ -192,6 +192,7 @@ class ControlConfig(Section):
     k3: Positive
     alpha: Annotated[float, Field(gt=0.5, le=1)]
     eta_m_s3: NonNegative
+    rod_force: bool = True  # the law knows of the atmosphere on the rod's side
     estimate_force: bool = True
     feed_force_rate: bool = False
     compensate_dead_zone: bool = False

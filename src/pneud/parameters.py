@@ -56,7 +56,7 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
         delay_s=delay_s,
         spool_before=spool_transition(delay_s, valve_of(c)),
         gas=gas_of(c),
-        cylinder=cylinder_of(c),
+        cylinder=cylinder_of(c) if law.rod_force else cylinder_of(c)._replace(rod_force_n=0.0),
         valve=valve_of(c),
         motion=motion_of(c),
         observer=Observer(
