@@ -49,6 +49,7 @@ class Pacer:
 
         Returns:
             The ideal grid point [ns], how late it is now [ns], how many grid points were skipped before it.
+            The wake-up itself came `lateness + skipped * period_ns` after the grid point that was waited for.
         """
         clock = self._clock
         now = clock()
