@@ -106,6 +106,8 @@ class Loop:
         """Let SIGINT and SIGTERM stop the run in good order."""
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: self.stop())
+        # stopped from the keyboard, the axis would be gone but not centred, and the screen in the way
+        signal.signal(signal.SIGTSTP, signal.SIG_IGN)
 
     def run(self) -> None:
         """Tick until told to stop; whatever happens, the last thing sent is the centre."""
@@ -138,7 +140,8 @@ class Loop:
         self._notifier.ready()
 
         while True:
-            _, lateness_ns, skipped = pacer.next()
+            _, late_ns, skipped = pacer.next()
+            lateness_ns = late_ns + skipped * period_ns  # since the first of the grid points it missed
             frames.clear()
             link.drain(frames)
             for frame in frames:

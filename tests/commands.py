@@ -1,0 +1,68 @@
+"""Runs the pneud command as its users do."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+PNEUD = [sys.executable, "-m", "pneud.cli"]
+
+
+def pneud(*args: object, timeout: float = 120.0, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """One command to its end."""
+    return subprocess.run(
+        [*PNEUD, *map(str, args)], capture_output=True, text=True, timeout=timeout, cwd=cwd, check=False
+    )
+
+
+def object_of(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
+    """The one JSON object on standard output."""
+    lines = done.stdout.splitlines()
+    assert len(lines) == 1, (done.stdout, done.stderr)
+    found: dict[str, Any] = json.loads(lines[0], parse_constant=no_json)
+    return found
+
+
+def no_json(constant: str) -> None:
+    """Called for NaN and infinity, which are no JSON."""
+    raise AssertionError(f"{constant} in the output")
+
+
+@contextmanager
+def background(*args: object) -> Iterator[subprocess.Popen[str]]:
+    """A command that runs beside the test and is killed with it."""
+    process = subprocess.Popen(
+        [*PNEUD, *map(str, args)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def eventually(holds: Callable[[], bool], timeout: float = 30.0) -> None:
+    """Wait until something holds; fail if it never does."""
+    deadline = time.monotonic() + timeout
+    while not holds():
+        assert time.monotonic() < deadline, "never came true"
+        time.sleep(0.02)
+
+
+def children(pid: int) -> list[int]:
+    """Process ids of a process's children, the oldest first."""
+    text = Path(f"/proc/{pid}/task/{pid}/children").read_text()
+    return [int(word) for word in text.split()]
+
+
+def kill(pid: int, number: signal.Signals = signal.SIGKILL) -> None:
+    """Send a signal."""
+    os.kill(pid, number)

@@ -1,0 +1,110 @@
+"""`pneud check` names the file, the key, the value and the bound."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from commands import pneud
+from pneud import resources
+from pneud.config import ConfigError, load_config, parse
+from pneud.loading import load
+
+GOOD = (resources.configs() / "virtual.toml").read_text()
+DBC = (resources.configs() / "pneud.dbc").read_text()
+
+BROKEN = [
+    ("unknown key", "stroke_m = 1.0", "stroke_m = 1.0\nstroke_mm = 1000", "cylinder.stroke_mm: unknown key"),
+    ("value out of its range", "rate_hz = 1000.0", "rate_hz = 100000.0", "loop.rate_hz = 100000.0"),
+    ("gains that are not Hurwitz", "k3 = ", "k3 = 0.001 # ", "not Hurwitz"),
+    ("more than 5 V", "u_max_v = 5.0", "u_max_v = 6.0", "valve.u_max_v = 6.0"),
+    (
+        "limits the wrong way round",
+        "travel_min_m = 0.02",
+        "travel_min_m = 0.99",
+        "must lie below travel_max_m",
+    ),
+    ("NaN", "moving_mass_kg = 15.0", "moving_mass_kg = nan", "cylinder.moving_mass_kg = nan"),
+    ("missing key", "moving_mass_kg = 15.0", "", "cylinder.moving_mass_kg: missing"),
+    ("wrong type", "moving_mass_kg = 15.0", 'moving_mass_kg = "heavy"', "cylinder.moving_mass_kg = 'heavy'"),
+    ("no TOML", "[gas]", "[gas", "not valid TOML"),
+    ("another schema", "schema = 1", "schema = 2", "schema = 2"),
+    ("reference beyond the travel", "amplitude_m = 0.05", "amplitude_m = 0.6", "reference reaches"),
+    ("supply outside its limits", "supply_min_pa = 450_000.0", "supply_min_pa = 650_000.0", "gas.supply_pa"),
+    (
+        "time-out below two ticks",
+        "sensor_timeout_ms = 50.0",
+        "sensor_timeout_ms = 1.5",
+        "bus.sensor_timeout_ms",
+    ),
+    ("missing DBC", 'dbc = "pneud.dbc"', 'dbc = "absent.dbc"', "absent.dbc: no such file"),
+    ("observer that cannot follow", "lambda1 = 1.1", "lambda1 = 0.9", "lambda1 must exceed 1"),
+    ("bus of no known form", 'channel = "auto"', 'channel = "can0"', "none of auto"),
+]
+
+
+@pytest.mark.parametrize(("_name", "old", "new", "says"), BROKEN, ids=[b[0] for b in BROKEN])
+def test_a_broken_configuration_gets_one_line(
+    tmp_path: Path, _name: str, old: str, new: str, says: str
+) -> None:
+    assert old in GOOD
+    (tmp_path / "pneud.dbc").write_text(DBC)
+    file = tmp_path / "axis.toml"
+    file.write_text(GOOD.replace(old, new, 1))
+    with pytest.raises(ConfigError) as e:
+        load(file)
+    text = str(e.value)
+    assert says in text
+    assert str(file) in text
+    assert "\n" not in text
+
+
+def test_the_answers_differ(tmp_path: Path) -> None:
+    answers = set()
+    for _, old, new, _ in BROKEN:
+        file = tmp_path / "axis.toml"
+        file.write_text(GOOD.replace(old, new, 1))
+        with pytest.raises(ConfigError) as e:
+            load(file)
+        answers.add(str(e.value))
+    assert len(answers) == len(BROKEN)
+
+
+def test_check_exits_2_with_the_line_on_standard_error(tmp_path: Path) -> None:
+    file = tmp_path / "axis.toml"
+    file.write_text(GOOD.replace("u_max_v = 5.0", "u_max_v = 50.0"))
+    done = pneud("check", file)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1
+    assert "valve.u_max_v = 50.0" in done.stderr
+
+
+def test_a_dbc_without_a_signal_is_named(tmp_path: Path) -> None:
+    (tmp_path / "pneud.dbc").write_text(DBC.replace("SG_ P2 ", "SG_ Pressure2 "))
+    file = tmp_path / "axis.toml"
+    file.write_text(GOOD)
+    done = pneud("check", file)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1
+    assert "PRESSURE" in done.stderr
+    assert "P2" in done.stderr
+
+
+@pytest.mark.parametrize("file", sorted(resources.configs().glob("*.toml")), ids=lambda f: f.name)
+def test_every_configuration_that_comes_with_pneud_is_fine(file: Path) -> None:
+    assert load(file).config.name == file.stem
+
+
+def test_rig_and_virtual_describe_the_same_axis() -> None:
+    rig, virtual = load_config("rig.toml"), load_config("virtual.toml")
+    for section in ("cylinder", "gas", "valve", "loop", "control", "reference", "limits"):
+        assert getattr(rig, section) == getattr(virtual, section), section
+    assert rig.realtime.required
+    assert rig.bus.sensor_timeout_ms == 5.0
+
+
+def test_text_of_a_configuration_can_be_parsed_again() -> None:
+    assert parse(GOOD, "virtual.toml") == load_config("virtual.toml")

@@ -1,0 +1,158 @@
+"""Replay: identical or not, where, and what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from commands import object_of, pneud
+from pneud import resources
+from pneud.config import parse
+from pneud.log.files import LogError
+from pneud.log.reader import read_log
+from pneud.replaying import replay
+
+ENCODER = 0x181
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated run of one second."""
+    path = tmp_path_factory.mktemp("replay") / "sim.mcap"
+    assert pneud("sim", "virtual.toml", "--duration", 1, "-o", path).returncode == 0
+    return path
+
+
+def rewritten(source: Path, target: Path, tick: int) -> Path:
+    """A copy of a log in which the lowest bit of the position in one encoder frame is the other one."""
+    from mcap.reader import NonSeekingReader  # noqa: PLC0415
+    from mcap.writer import Writer  # noqa: PLC0415
+
+    wanted = next(
+        f.data for i, t in enumerate(read_log(source)) if i == tick for f in t.frames if f.can_id == ENCODER
+    )
+    changed = bytes((wanted[0] ^ 1,)) + wanted[1:]
+    with source.open("rb") as f, target.open("wb") as g:
+        writer = Writer(g)
+        writer.start()
+        reader = NonSeekingReader(f)
+        channels: dict[int, int] = {}
+        schemas: dict[int, int] = {}
+        done = 0
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            assert schema is not None
+            if channel.id not in channels:
+                if schema.id not in schemas:
+                    schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schemas[schema.id]
+                )
+            data = message.data
+            if channel.topic == "/can/frames" and message.sequence == tick + 1:
+                assert data.count(wanted) == 1
+                data = data.replace(wanted, changed)
+                done += 1
+            writer.add_message(
+                channels[channel.id], message.log_time, data, message.publish_time, message.sequence
+            )
+        assert done == 1
+        with source.open("rb") as again:
+            head = NonSeekingReader(again)
+            for attachment in head.iter_attachments():
+                writer.add_attachment(
+                    attachment.create_time,
+                    attachment.log_time,
+                    attachment.name,
+                    attachment.media_type,
+                    attachment.data,
+                )
+        with source.open("rb") as again:
+            for metadata in NonSeekingReader(again).iter_metadata():
+                writer.add_metadata(metadata.name, dict(metadata.metadata))
+        writer.finish()
+    return target
+
+
+def test_a_simulation_replays_to_the_bit(log: Path) -> None:
+    done = pneud("replay", log, "--json")
+    assert done.returncode == 0
+    s = object_of(done)
+    assert list(s) == [
+        "schema",
+        "ticks",
+        "commands",
+        "mismatches",
+        "first_mismatch_tick",
+        "engaged_ticks",
+        "identical",
+        "equivalent",
+        "fingerprint",
+        "truncated",
+    ]
+    assert s["identical"] is True
+    assert s["equivalent"] is True
+    assert s["fingerprint"] == "same"
+    assert s["mismatches"] == 0
+    assert s["first_mismatch_tick"] is None
+    assert s["commands"] == s["ticks"] > 1000
+    assert s["truncated"] is False
+
+
+def test_one_flipped_bit_is_found_in_its_tick(log: Path, tmp_path: Path) -> None:
+    outcome = replay(read_log(rewritten(log, tmp_path / "flipped.mcap", tick=600)))
+    assert not outcome.good
+    assert outcome.first is not None
+    assert outcome.first.tick == 600
+    assert "encoder" in outcome.first.variable or "fresh" in outcome.first.variable
+
+
+def test_other_gains_differ_and_say_where(log: Path, tmp_path: Path) -> None:
+    text = (resources.configs() / "virtual.toml").read_text()
+    gain = next(line for line in text.splitlines() if line.startswith("k3 = "))
+    other = parse(text.replace(gain, f"k3 = {float(gain.split('=')[1].split('#')[0]) * 1.01}"), "other")
+    outcome = replay(read_log(log), other)
+    assert outcome.mismatches > 0
+    assert outcome.first is not None
+    assert outcome.first.variable.startswith("command.")
+    assert outcome.first.logged != outcome.first.replayed
+
+
+def test_a_log_cut_short_replays_as_far_as_it_goes(log: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
+    done = pneud("replay", cut, "--json")
+    s = object_of(done)
+    assert done.returncode == 0
+    assert s["truncated"] is True
+    assert s["identical"] is True
+    assert 0 < s["ticks"] < 1000
+
+
+def test_a_mended_log_replays(log: Path, tmp_path: Path) -> None:
+    cut, mended = tmp_path / "cut.mcap", tmp_path / "mended.mcap"
+    cut.write_bytes(log.read_bytes()[: log.stat().st_size * 2 // 3])
+    assert pneud("recover", cut, "-o", mended).returncode == 0
+    s = object_of(pneud("replay", mended, "--json"))
+    assert s["identical"] is True
+    assert s["truncated"] is False
+
+
+def test_a_log_that_was_never_engaged_is_no_pass(tmp_path: Path) -> None:
+    path = tmp_path / "short.mcap"
+    pneud("sim", "virtual.toml", "--duration", "0.005", "-o", path)
+    done = pneud("replay", path, "--json")
+    assert done.returncode == 1
+    assert object_of(done)["engaged_ticks"] == 0
+
+
+@pytest.mark.parametrize("content", [b"", b"no log at all" * 100, b"\x89MCAP0\r\n"])
+def test_a_foreign_file_is_one_line_and_exit_2(tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "foreign.mcap"
+    file.write_bytes(content)
+    done = pneud("replay", file)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1
+    with pytest.raises(LogError):
+        read_log(file)
