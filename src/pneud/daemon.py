@@ -110,14 +110,14 @@ class Loop:
         signal.signal(signal.SIGTSTP, signal.SIG_IGN)
 
     def run(self) -> None:
-        """Tick until told to stop; whatever happens, the last thing sent is the centre."""
+        """Tick until told to stop; an exception that gets here is passed on after the valve is centred."""
         try:
             self._run()
-        finally:
-            for _ in range(END_TICKS):
-                data = self._codecs.valve_command.encode(0.0, 0, 1, counter=self._count & self._counter_mask)
-                self.link.send(self._codecs.valve_command.can_id, data)
-                self._count += 1
+        except BaseException:
+            command = self._codecs.valve_command
+            for count in range(self._count, self._count + END_TICKS):
+                self.link.send(command.can_id, command.encode(0.0, 0, 1, counter=count & self._counter_mask))
+            raise
 
     def _run(self) -> None:
         o, link, inbox, axis = self.options, self.link, self.inbox, self.axis
