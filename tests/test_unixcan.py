@@ -109,8 +109,22 @@ def test_who_knocks_and_hands_over_nothing_holds_up_nobody(home: Path) -> None:
     member.close()
 
 
-def test_who_only_listens_is_served_before_who_answers() -> None:
-    speaker, answerer, listener = Party("x"), Party("x"), Party("x")
+@pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2), (2, 1, 0), (1, 2, 0)])
+def test_who_only_listens_is_served_before_who_answers(order: tuple[int, ...]) -> None:
+    members: dict[int, Party] = {}
+    for i in order:
+        members[i] = Party("x", answers=i == 1)
+    speaker, answerer, listener = members[0], members[1], members[2]
+    drained(speaker)
+    speaker.send(PACKET)
+    (early,), (late,) = drained(listener), drained(answerer)
+    assert early.stamp_ns < late.stamp_ns
+    for member in members.values():
+        member.close()
+
+
+def test_who_was_taken_for_a_listener_is_found_out_when_it_sends() -> None:
+    answerer, listener, speaker = Party("x"), Party("x"), Party("x")
     for member in (speaker, answerer, listener):
         drained(member)
     answerer.send(PACKET)
@@ -474,7 +488,7 @@ import sys
 from pneud.bus.party import Party
 from pneud.bus import wire
 import select
-party = Party("x")
+party = Party("x", answers=True)
 print("here")
 left = int(sys.argv[1])
 while left:
@@ -509,7 +523,8 @@ def exchange(ticks: int) -> list[tuple[float, int, int]]:
     assert output is not None
     reader = threading.Thread(target=lambda: lines.extend(output))
     reader.start()
-    controller = Party("x")
+    until(lambda: any("Logger" in line for line in lines), "the logger is on the bus")
+    controller = Party("x", answers=True)
     node = python(NODE, str(ticks))
     said(node, "here")
     until(lambda: (drained(controller), controller.parties)[1] == 2, "logger and node are there")

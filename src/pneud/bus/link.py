@@ -159,7 +159,7 @@ def open_link(channel: str, *, virtual: bool = False) -> Link:
         if kind == "socketcan" and name:
             return Link(channel, SocketCan(name, virtual=virtual))
         if kind == "unixcan" and name:
-            return Link(channel, Party(name))
+            return Link(channel, Party(name, answers=True))
     except NotVirtualError as e:
         raise LinkError(str(e), USAGE) from None
     except (SocketCanError, UnixCanError) as e:

@@ -7,9 +7,10 @@ kernel's default `net.core.wmem_max` of 208 KiB, which bounds what a user withou
 party that does not read loses beyond that is counted and hinders nobody.
 
 Order: a party that only listens must see a frame before the answers to it. So arrivals are read until
-nothing is left and then sorted by the kernel's stamps, and a frame goes to those who never sent anything
-before it goes to those who answer. The pair is made by the newcomer, and not by connecting, because the
-kernel stamps nothing for a connection that has not been accepted yet.
+nothing is left and then sorted by the kernel's stamps, and a frame goes to those who only listen before it
+goes to those who answer (whom it may wake at once, on the sender's own processor). The pair is made by the
+newcomer, and not by connecting, because the kernel stamps nothing for a connection that has not been
+accepted yet.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ _SO_SNDBUFFORCE = 32
 _CREDENTIALS = struct.Struct("3i")
 _SEND_FLAGS = socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL
 _MOST_PATH_BYTES = 107
+_ANSWERS, _LISTENS = "a", "l"  # how a party behaves: the last letter of its socket's name
 # a flood must not hold a caller for ever, but to stop short spoils the order: more than the buffers hold
 _MOST_AT_ONCE = 65536
 _STAMP = attrgetter("stamp_ns")
@@ -49,11 +51,13 @@ class Party:
     for as long as others join or leave.
     """
 
-    def __init__(self, channel: str, *, hear_self: bool = False) -> None:
+    def __init__(self, channel: str, *, answers: bool = False, hear_self: bool = False) -> None:
         """Join `channel`.
 
         Args:
             channel: a name; whoever of this user gives the same name is on the same bus.
+            answers: it will send, so that those who may only listen are served before it. Who does not say so
+                is found out when it first sends.
             hear_self: receive the own frames too.
 
         Raises:
@@ -64,19 +68,20 @@ class Party:
         self.refused = 0  # strangers turned away
         self._peers: dict[int, socket.socket] = {}  # all connections, by descriptor
         self._doors: dict[int, socket.socket] = {}  # those who knock and have not handed over anything yet
-        self._talkers: set[int] = set()  # those that ever sent something
+        self._talkers: set[int] = set()  # those that answer or ever sent something
         self._targets: tuple[socket.socket, ...] = ()
         self._deaf: socket.socket | None = None  # the end on which the own frames come back
         self._changing = threading.Lock()
         self._reader = wire.Reader()
         self._owner = os.getpid()
+        self._manner = _ANSWERS if answers else _LISTENS
         self._closed = False
         if not channel or channel in (".", "..") or "/" in channel or "\0" in channel:
             raise UnixCanError(f"unixcan:{channel}: a channel is a plain name without slashes")
         try:
             home = folder.private_folder(folder.runtime_folder() / "can")
             self._folder = home / channel
-            self._path = self._folder / f"{self._owner}.{secrets.token_hex(2)}"
+            self._path = self._folder / f"{self._owner}.{secrets.token_hex(2)}{self._manner}"
         except OSError as e:
             raise UnixCanError(f"unixcan:{channel}: {e}") from None
         length = len(os.fsencode(self._path))
@@ -199,24 +204,24 @@ class Party:
                 if door is not None:
                     ours, theirs = _pair()
                     with suppress(OSError):  # it is leaving
-                        socket.send_fds(door, (b"\0",), (theirs.fileno(),))
+                        socket.send_fds(door, (self._manner.encode(),), (theirs.fileno(),))
                     door.close()
                     theirs.close()
-                    self._welcome(ours)
+                    self._welcome(ours, path.name[-1])
 
     def _hear_self(self) -> None:
         ours, theirs = _pair()
-        self._welcome(ours)
-        self._welcome(theirs)
+        self._welcome(ours, _ANSWERS)
+        self._welcome(theirs, _ANSWERS)
         # one end is only read and the other only written, or every frame would come twice
         self._deaf = ours
         self._retarget()
 
     def _answer(self, door: socket.socket) -> None:
         """Take the end of a pair that somebody at the door hands over."""
-        descriptors: list[int] = []
+        manner, descriptors = b"", list[int]()
         try:
-            _, descriptors, _, _ = socket.recv_fds(door, 1, 1, socket.MSG_CMSG_CLOEXEC)
+            manner, descriptors, _, _ = socket.recv_fds(door, 1, 1, socket.MSG_CMSG_CLOEXEC)
         except BlockingIOError:
             return  # still looking for it
         except OSError:
@@ -227,11 +232,13 @@ class Party:
         for descriptor in descriptors:
             sock = socket.socket(fileno=descriptor)
             sock.setblocking(False)
-            self._welcome(sock)
+            self._welcome(sock, manner.decode("latin-1"))
 
-    def _welcome(self, sock: socket.socket) -> None:
+    def _welcome(self, sock: socket.socket, manner: str) -> None:
         with self._changing:
             self._peers[sock.fileno()] = sock
+            if manner == _ANSWERS:
+                self._talkers.add(sock.fileno())
         self._epoll.register(sock, select.EPOLLIN)
         self._retarget()
 
