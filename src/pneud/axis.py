@@ -6,55 +6,36 @@ function, and its whole state is one record.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
-from pneud.control.reference import Bounds, Septic, Sine, at, rest, sine, to_rest, transfer
+from pneud.control.reference import Bounds, Septic, Sine, at, rest, sine, stays, stop, transfer
 from pneud.control.step import Controller, ControllerState, act, join, observe, start
-from pneud.safety.faults import NO_SENSORS, F
+from pneud.safety import checks
+from pneud.safety.checks import Limits
+from pneud.safety.faults import BLOCKS_ARM, NO_SENSORS, F
 from pneud.safety.output import CENTRED, OutputLimits, emit
 from pneud.safety.supervisor import INITIAL, Supervisor, advance, is_engaged, trip
 from pneud.signals import (
     ALL_SOURCES,
     Command,
-    Defect,
-    EncoderStatus,
     Estimate,
-    Host,
     Measurement,
     Reference,
     Request,
+    RequestKind,
     Source,
     State,
     Tick,
-    ValveState,
 )
 
 NAN = float("nan")
 SETTLE_NS = 50_000_000  # the load is given this long after the reference has come to rest
-MOVING_M_S = 0.01  # faster than this cannot be armed
 NO_ESTIMATE = Estimate(NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN)
 NO_REFERENCE = Reference(NAN, NAN, NAN, NAN)
 NO_PATH = Septic(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 # what the reference is doing
 NONE, JOINING, FOLLOWING, COMING_TO_REST = 0, 1, 2, 3
-
-
-class Limits(NamedTuple):
-    """What the axis may never exceed."""
-
-    travel_min_m: float
-    travel_max_m: float
-    speed_m_s: float
-    tracking_error_m: float
-    chamber_min_pa: float
-    chamber_max_pa: float
-    supply_min_pa: float
-    supply_max_pa: float
-    sensor_timeout_ns: int
-    valve_timeout_ns: int
-    deadline_timeout_ns: int
 
 
 class AxisParameters(NamedTuple):
@@ -73,7 +54,10 @@ class AxisState(NamedTuple):
 
     supervisor: Supervisor
     controller: ControllerState | None  # None until all sensors have spoken
-    sampled_ns: int  # instant of the last sample
+    t_ns: int  # of the last tick
+    sampled_ns: int  # instant that the estimate holds for
+    read_ns: int  # instant of the last encoder reading
+    started_ns: int  # since when there have been estimates
     phase: int
     phase_ns: int  # when the phase began
     path: Septic
@@ -86,7 +70,7 @@ class Axis:
     def __init__(self, parameters: AxisParameters) -> None:
         """An axis that has just been switched on."""
         self.parameters = parameters
-        self.state = AxisState(INITIAL, None, 0, NONE, 0, NO_PATH, 0.0)
+        self.state = AxisState(INITIAL, None, 0, 0, 0, 0, NONE, 0, NO_PATH, 0.0)
         self.failure: Exception | None = None  # the first exception in a cycle
 
     def freeze(self) -> AxisState:
@@ -98,8 +82,9 @@ class Axis:
         self.state = state
 
     def cycle(self, m: Measurement, request: Request | None, t_ns: int) -> Tick:
-        """One tick. An exception in it centres the valve, latches the fault `internal` and is kept in
-        `failure`.
+        """One tick.
+
+        An exception in it centres the valve, latches the fault `internal` and is kept in `failure`.
 
         Args:
             m: the newest measurement.
@@ -111,8 +96,11 @@ class Axis:
         except Exception as e:
             if self.failure is None:
                 self.failure = e
-            after = trip(self.state.supervisor, 1 << F.INTERNAL)
-            self.state = self.state._replace(supervisor=after, controller=None, phase=NONE, last_v=0.0)
+            bits, kind = 1 << F.INTERNAL, request.kind if request is not None else 0
+            after = trip(self.state.supervisor, bits, kind)
+            self.state = self.state._replace(
+                supervisor=after, controller=None, t_ns=t_ns, phase=NONE, last_v=0.0
+            )
             return Tick(
                 t_ns,
                 m,
@@ -121,78 +109,106 @@ class Axis:
                 NO_REFERENCE,
                 Command(0.0, 0, 0, NAN, NAN, NAN),
                 after.state,
-                after.latched,
+                bits,
                 after.latched,
             )
 
     def _cycle(self, m: Measurement, request: Request | None, t_ns: int) -> Tick:
-        p = self.parameters
-        state = self.state
-        sampled_ns = t_ns + m.encoder_offset_ns
+        p, state = self.parameters, self.state
+        limits, h = p.limits, p.controller.h
+        before = state.supervisor
+        engaged = is_engaged(before.state)
+        kind = request.kind if request is not None else 0
+        arming = kind == RequestKind.ARM and before.state == State.DISARMED
 
-        lacking = _lacking(m, p.limits)
+        present = checks.lacking(m, limits)
+        measured = bool(m.fresh & Source.ENCODER)
         controller, estimate = state.controller, NO_ESTIMATE
-        if lacking & NO_SENSORS:
+        # without a reading the offset belongs to an old one
+        sampled_ns = t_ns + m.encoder_offset_ns if measured else state.sampled_ns + t_ns - state.t_ns
+        read_ns, started_ns = state.read_ns, state.started_ns
+        elapsed_ns = sampled_ns - state.sampled_ns
+        if present & NO_SENSORS or (not engaged and elapsed_ns > limits.sensor_timeout_ns):
             controller = None
-        elif controller is None:
-            if m.fresh == ALL_SOURCES:
-                controller = start(m.position_m, m.p1_pa, m.p2_pa, m.supply_pa, p.controller)
-                estimate = _first_estimate(controller)
-        else:
-            dt = (sampled_ns - state.sampled_ns) * 1e-9
-            applied = m.applied_v if m.fresh & Source.VALVE else state.last_v
+        if controller is not None:
             controller, estimate = observe(
                 controller,
                 m.position_m,
-                bool(m.fresh & Source.ENCODER),
+                measured,
                 m.p1_pa,
                 m.p2_pa,
                 m.supply_pa,
-                applied,
-                dt if dt > 0.0 else p.controller.h,
+                m.applied_v if m.fresh & Source.VALVE else state.last_v,
+                elapsed_ns * 1e-9 if elapsed_ns > 0 else h,
                 p.controller,
             )
+            if measured:
+                read_ns = sampled_ns
+        elif m.fresh == ALL_SOURCES:
+            controller = start(m.position_m, m.p1_pa, m.p2_pa, m.supply_pa, p.controller)
+            estimate = _first_estimate(controller)
+            read_ns = started_ns = sampled_ns
 
-        before = state.supervisor
-        present = lacking | _found(m, p.limits) | _host(m.host)
-        engaged = is_engaged(before.state)
+        present |= checks.measured(m, limits) | checks.of_host(m.host)
+        if controller is None:
+            # sensors that never answer together are not lacking, but there is nothing to arm on
+            present |= 0 if present & NO_SENSORS else 1 << F.UNSETTLED
+        else:
+            present |= checks.believed(estimate, (read_ns - state.read_ns) * 1e-9, limits)
+            if not engaged:
+                present |= checks.unready(estimate, sampled_ns - started_ns, h)
         phase, phase_ns, path, reference = state.phase, state.phase_ns, state.path, NO_REFERENCE
-        if controller is not None:
-            present |= _believed(estimate, p.limits)
-            if not engaged and abs(estimate.velocity_m_s) > MOVING_M_S:
-                present |= 1 << F.MOVING
-            if engaged:
-                if phase == JOINING and sampled_ns - phase_ns >= path.T * 1e9:
-                    phase, phase_ns = FOLLOWING, phase_ns + round(path.T * 1e9)
-                reference = _reference(phase, (sampled_ns - phase_ns) * 1e-9, path, p.reference)
-                if not abs(reference.position_m - estimate.position_m) <= p.limits.tracking_error_m:
-                    present |= 1 << F.TRACKING_ERROR
         if engaged:
-            present |= _engaged_only(m, before, p)
+            present |= checks.engaged(m, before.state, before.ticks, h, limits)
+            if phase == JOINING and sampled_ns - phase_ns >= path.T * 1e9:
+                phase, phase_ns = FOLLOWING, phase_ns + round(path.T * 1e9)
+            reference = _reference(phase, (sampled_ns - phase_ns) * 1e-9, path, p.reference)
+            error_m = reference.position_m - estimate.position_m
+            if controller is not None and not abs(error_m) <= limits.tracking_error_m:
+                present |= 1 << F.TRACKING_ERROR
+        else:
+            present |= checks.disengaged(m, before.ticks, arming)
+            if arming and not present & BLOCKS_ARM:
+                phase, phase_ns, path = _join(sampled_ns, estimate, p)
+                reference = _reference(phase, 0.0, path, p.reference)
+                if not _reachable(phase, path, reference, estimate, p):
+                    present |= 1 << F.UNREACHABLE
 
         at_rest = phase == COMING_TO_REST and sampled_ns - phase_ns >= path.T * 1e9 + SETTLE_NS
-        after = advance(before, present, request.kind if request is not None else 0, at_rest)
+        after = advance(before, present, kind, at_rest)
 
         command = CENTRED
         law_v, s, ustar = NAN, NAN, NAN
-        if is_engaged(after.state) and controller is not None:
+        if is_engaged(after.state):
+            assert controller is not None  # else a fault has centred an engaged axis, or kept it from arming
             if not engaged:
-                phase, phase_ns, path = _join(sampled_ns, estimate, p)
-                reference = _reference(phase, 0.0, path, p.reference)
                 controller = join(controller, estimate, reference, p.controller)
             elif after.state == State.STOPPING and before.state != State.STOPPING:
-                phase, phase_ns, path = COMING_TO_REST, sampled_ns, to_rest(reference, p.transfer)
-                reference = at(0.0, path)
+                path = stop(reference, p.transfer, limits.travel_min_m, limits.travel_max_m)
+                phase, phase_ns, reference = COMING_TO_REST, sampled_ns, at(0.0, path)
             controller, answer = act(controller, estimate, reference, p.controller)
             law_v, s, ustar = answer.u_v, answer.s, answer.ustar
-            command = emit(law_v, state.last_v, (1 + m.skipped) * p.controller.h, p.output)
+            command = emit(law_v, state.last_v, (1 + m.skipped) * h, p.output)
             if command.faults:
                 after = trip(after, command.faults)
                 present |= command.faults
         if not is_engaged(after.state):
             phase = NONE
+        if present & 1 << F.NOT_FINITE:
+            controller = None  # it would remember
 
-        self.state = AxisState(after, controller, sampled_ns, phase, phase_ns, path, command.voltage_v)
+        self.state = AxisState(
+            after,
+            controller,
+            t_ns,
+            sampled_ns,
+            read_ns,
+            started_ns,
+            phase,
+            phase_ns,
+            path,
+            command.voltage_v,
+        )
         return Tick(
             t_ns,
             m,
@@ -204,82 +220,6 @@ class Axis:
             present,
             after.latched,
         )
-
-
-def _lacking(m: Measurement, limits: Limits) -> int:
-    """Faults of sources that have given no valid value for too long, named after what came instead."""
-    bits = 0
-    for age_ns, defects, first in (
-        (m.encoder_age_ns, m.encoder_defects, F.ENCODER_MISSING),
-        (m.pressure_age_ns, m.pressure_defects, F.PRESSURE_MISSING),
-        (m.valve_age_ns, m.valve_defects, F.VALVE_MISSING),
-    ):
-        if age_ns > limits.sensor_timeout_ns:
-            # missing, corrupt, frozen, late stand in this order in the table
-            if defects & Defect.CORRUPT:
-                bits |= 1 << (first + 1)
-            elif defects & Defect.FROZEN:
-                bits |= 1 << (first + 2)
-            elif defects & Defect.LATE:
-                bits |= 1 << (first + 3)
-            else:
-                bits |= 1 << first
-    return bits
-
-
-def _found(m: Measurement, limits: Limits) -> int:
-    """Faults that a single measurement shows. A value that was never seen is NaN and within no limits."""
-    bits = 0
-    if m.encoder_status & EncoderStatus.ERROR:
-        bits |= 1 << F.ENCODER_ERROR
-    if not m.encoder_status & EncoderStatus.REFERENCED:
-        bits |= 1 << F.ENCODER_UNREFERENCED
-    if not limits.travel_min_m <= m.position_m <= limits.travel_max_m:
-        bits |= 1 << F.TRAVEL
-    low, high = limits.chamber_min_pa, limits.chamber_max_pa
-    if not (low <= m.p1_pa <= high and low <= m.p2_pa <= high):
-        bits |= 1 << F.CHAMBER_PRESSURE
-    if not limits.supply_min_pa <= m.supply_pa <= limits.supply_max_pa:
-        bits |= 1 << F.SUPPLY_PRESSURE
-    if m.valve_state == ValveState.TIMED_OUT:
-        bits |= 1 << F.VALVE_TIMED_OUT
-    elif m.valve_state == ValveState.FAULT:
-        bits |= 1 << F.VALVE_FAULT
-    return bits
-
-
-def _host(host: int) -> int:
-    """Faults of the machine."""
-    bits = 0
-    if host:
-        for flag, fault in (
-            (Host.LINK_DOWN, F.LINK_DOWN),
-            (Host.NO_REALTIME, F.NO_REALTIME),
-            (Host.RECORDER_LOST, F.RECORDER_LOST),
-            (Host.CLOCK_STEP, F.CLOCK_STEP),
-            (Host.SEND_FAILED, F.SEND_FAILED),
-        ):
-            if host & flag:
-                bits |= 1 << fault
-    return bits
-
-
-def _believed(e: Estimate, limits: Limits) -> int:
-    """Faults that the estimate shows."""
-    if not math.isfinite(e.position_m + e.velocity_m_s + e.force_n + e.d_hat_n_s):
-        return 1 << F.NOT_FINITE
-    return 1 << F.OVERSPEED if abs(e.velocity_m_s) > limits.speed_m_s else 0
-
-
-def _engaged_only(m: Measurement, s: Supervisor, p: AxisParameters) -> int:
-    """Faults that mean something only while the valve is enabled."""
-    bits = 0
-    if m.skipped * p.controller.h * 1e9 >= p.limits.deadline_timeout_ns:
-        bits |= 1 << F.DEADLINE
-    since_ns = s.ticks * p.controller.h * 1e9
-    if since_ns > p.limits.valve_timeout_ns and m.valve_state in (ValveState.BOOT, ValveState.CENTRED):
-        bits |= 1 << F.VALVE_REBOOTED
-    return bits
 
 
 def _first_estimate(s: ControllerState) -> Estimate:
@@ -296,3 +236,9 @@ def _join(now_ns: int, e: Estimate, p: AxisParameters) -> tuple[int, int, Septic
 
 def _reference(phase: int, t: float, path: Septic, p: Sine) -> Reference:
     return sine(t, p) if phase == FOLLOWING else at(t, path)
+
+
+def _reachable(phase: int, path: Septic, first: Reference, e: Estimate, p: AxisParameters) -> bool:
+    if phase == FOLLOWING:
+        return abs(first.position_m - e.position_m) <= p.limits.tracking_error_m
+    return stays(path, p.limits.travel_min_m, p.limits.travel_max_m)

@@ -239,6 +239,7 @@ class LimitsConfig(Section):
     supply_min_pa: Pressure
     supply_max_pa: Pressure
     slew_v_s: Annotated[float, Field(gt=0, le=1e6)]
+    innovation_m: Positive = 2e-3  # encoder against prediction; further is a jump of the encoder
     transfer: TransferConfig = TransferConfig()
 
     @model_validator(mode="after")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pneud.axis import AxisParameters, Limits
+from pneud.axis import AxisParameters
 from pneud.config import BusConfig, Config, cylinder_of, gas_of, plant_of, valve_of
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.homogeneous import feedback
@@ -13,6 +13,7 @@ from pneud.control.reference import Bounds, Sine
 from pneud.control.sliding import Sliding
 from pneud.control.step import Controller
 from pneud.physics.valve import spool_transition
+from pneud.safety.checks import Limits
 from pneud.safety.output import OutputLimits
 
 __all__ = ["axis_of", "command_delay_s", "plant_of"]
@@ -92,6 +93,8 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
             round(c.bus.sensor_timeout_ms * 1e6),
             round(c.bus.valve_timeout_ms * 1e6),
             round(c.bus.deadline_timeout_ms * 1e6),
+            limits.innovation_m,
+            limits.chamber_max_pa * c.cylinder.piston_area_1_m2 / c.cylinder.moving_mass_kg,
         ),
         reference=Sine(
             c.reference.effective_centre_m - c.cylinder.dead_length_1_m,

@@ -13,7 +13,10 @@ from pneud.signals import Reference
 
 GROWTH = 1.1
 MAX_TRIES = 60
+MAX_DOUBLINGS = 10
 SAMPLES = 16
+WAY_SAMPLES = 64
+LEAST_S = 0.02
 
 
 class Sine(NamedTuple):
@@ -100,17 +103,23 @@ def at(t: float, p: Septic) -> Reference:
     return Reference(x, v / p.T, a / (p.T * p.T), j / (p.T * p.T * p.T))
 
 
-def within(p: Septic, bounds: Bounds) -> bool:
-    """Whether the polynomial stays within the bounds (looked at in SAMPLES + 1 points)."""
+def excess(p: Septic, bounds: Bounds) -> float:
+    """The greatest ratio of speed, acceleration and jerk to their bounds (in SAMPLES + 1 points)."""
+    worst = 0.0
     for i in range(SAMPLES + 1):
         r = at(p.T * i / SAMPLES, p)
-        if (
-            abs(r.velocity_m_s) > bounds.speed_m_s
-            or abs(r.acceleration_m_s2) > bounds.acceleration_m_s2
-            or abs(r.jerk_m_s3) > bounds.jerk_m_s3
-        ):
-            return False
-    return True
+        worst = max(
+            worst,
+            abs(r.velocity_m_s) / bounds.speed_m_s,
+            abs(r.acceleration_m_s2) / bounds.acceleration_m_s2,
+            abs(r.jerk_m_s3) / bounds.jerk_m_s3,
+        )
+    return worst
+
+
+def stays(p: Septic, low_m: float, high_m: float) -> bool:
+    """Whether the polynomial stays between two positions (looked at in WAY_SAMPLES + 1 points)."""
+    return all(low_m <= at(p.T * i / WAY_SAMPLES, p).position_m <= high_m for i in range(WAY_SAMPLES + 1))
 
 
 def _widened(bounds: Bounds, start: Reference, end: Reference) -> Bounds:
@@ -123,7 +132,10 @@ def _widened(bounds: Bounds, start: Reference, end: Reference) -> Bounds:
 
 
 def transfer(start: Reference, end: Reference, bounds: Bounds) -> Septic:
-    """The polynomial from start to end in about the shortest time within the bounds."""
+    """The polynomial from start to end in about the shortest time within the bounds.
+
+    Where no time keeps every bound, the one that exceeds them least.
+    """
     room = _widened(bounds, start, end)
     distance = abs(end.position_m - start.position_m)
     change = abs(end.velocity_m_s - start.velocity_m_s)
@@ -134,36 +146,58 @@ def transfer(start: Reference, end: Reference, bounds: Bounds) -> Septic:
         (52.5 * distance / room.jerk_m_s3) ** (1.0 / 3.0),
         1.5 * change / room.acceleration_m_s2,
         math.sqrt(5.0 * change / room.jerk_m_s3),
-        0.02,
+        LEAST_S,
     )
-    p = septic(T, start, end)
+    best = septic(T, start, end)
+    least = excess(best, room)
     for _ in range(MAX_TRIES):
-        if within(p, room):
+        if least <= 1.0:
             break
         T *= GROWTH
         p = septic(T, start, end)
-    return p
+        over = excess(p, room)
+        if over < least:
+            best, least = p, over
+    return best
 
 
 def to_rest(start: Reference, bounds: Bounds) -> Septic:
     """The polynomial that brings a motion to rest wherever that leads, about as fast as the bounds allow.
 
     The end position is the one that makes the highest coefficient vanish: the velocity is then the quintic
-    between its ends.
+    between its ends. Where no time keeps every bound, the one that exceeds them least.
     """
     room = _widened(bounds, start, rest(start.position_m))
     speed = abs(start.velocity_m_s)
-    T = max(1.5 * speed / room.acceleration_m_s2, math.sqrt(5.0 * speed / room.jerk_m_s3), 0.02)
-    p = _stop(T, start)
+    T = max(1.5 * speed / room.acceleration_m_s2, math.sqrt(5.0 * speed / room.jerk_m_s3), LEAST_S)
+    best = _halt(T, start)
+    least = excess(best, room)
     for _ in range(MAX_TRIES):
-        if within(p, room):
+        if least <= 1.0:
             break
         T *= GROWTH
-        p = _stop(T, start)
+        p = _halt(T, start)
+        over = excess(p, room)
+        if over < least:
+            best, least = p, over
+    return best
+
+
+def stop(start: Reference, bounds: Bounds, low_m: float, high_m: float) -> Septic:
+    """`to_rest` that stays between two positions: where it would leave them it stops harder than the bounds.
+
+    A start so fast and so close to the end that even the hardest stop leaves them is stopped as hard.
+    """
+    p = to_rest(start, bounds)
+    for _ in range(MAX_DOUBLINGS):
+        if stays(p, low_m, high_m):
+            break
+        bounds = Bounds(bounds.speed_m_s, 2.0 * bounds.acceleration_m_s2, 4.0 * bounds.jerk_m_s3)
+        p = to_rest(start, bounds)
     return p
 
 
-def _stop(T: float, start: Reference) -> Septic:
+def _halt(T: float, start: Reference) -> Septic:
     # the integral of the quintic that takes velocity, acceleration and jerk to zero
     travel = T * (
         0.5 * start.velocity_m_s + T * (0.1 * start.acceleration_m_s2 + T * start.jerk_m_s3 / 120.0)

@@ -54,6 +54,11 @@ class F(IntEnum):
     MOVING = 29
     CLOCK_STEP = 30
     SEND_FAILED = 31
+    ENCODER_JUMP = 32
+    ENCODER_LOST_REFERENCE = 33
+    UNSETTLED = 34
+    UNREACHABLE = 35
+    VALVE_ACTIVE = 36
 
 
 class Fault(NamedTuple):
@@ -121,7 +126,10 @@ TABLE: tuple[Fault, ...] = (
         "check the bus load and the machine's timing (pneud doctor)",
     ),
     Fault(
-        F.VALVE_FAULT, Reaction.CENTRE, "the valve node reports a fault", "check the valve and its amplifier"
+        F.VALVE_FAULT,
+        Reaction.CENTRE,
+        "the valve node reports a fault, or a state that is not known",
+        "check the valve and its amplifier",
     ),
     Fault(
         F.VALVE_REBOOTED,
@@ -192,6 +200,37 @@ TABLE: tuple[Fault, ...] = (
         "none needed; log times follow the old clock",
     ),
     Fault(F.SEND_FAILED, Reaction.WARN, "a frame could not be sent", "check txqueuelen and the bus load"),
+    Fault(
+        F.ENCODER_JUMP,
+        Reaction.CENTRE,
+        "the encoder is further than limits.innovation_m from where the load can have gone",
+        "check the scale, the head and its mounting; home the axis again",
+    ),
+    Fault(
+        F.ENCODER_LOST_REFERENCE,
+        Reaction.CENTRE,
+        "the encoder loses its reference while the axis is engaged (except while homing)",
+        "check the encoder's supply voltage, then home the axis",
+    ),
+    Fault(
+        F.UNSETTLED,
+        Reaction.NO_ARM,
+        "the estimates have not yet run for 50 ms and 10 ticks on end",
+        "wait; if it stays, the three nodes do not answer in the same tick",
+    ),
+    Fault(
+        F.UNREACHABLE,
+        Reaction.NO_ARM,
+        "asked to arm where the way to the reference leaves limits.travel, or with join at_once further from"
+        " it than limits.tracking_error_m",
+        "move the load closer to the middle of the reference, or allow limits.transfer more acceleration",
+    ),
+    Fault(
+        F.VALVE_ACTIVE,
+        Reaction.NO_ARM,
+        "the valve node is enabled, or off its centre, although the axis is not engaged",
+        "check that nothing else commands this valve; check the valve's amplifier",
+    ),
 )
 
 

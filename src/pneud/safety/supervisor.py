@@ -55,7 +55,7 @@ def advance(s: Supervisor, present: int, request: int, at_rest: bool) -> Supervi
             return Supervisor(DISARMED, 0, 0, closing)
         return Supervisor(FAULT, s.latched, s.ticks + 1, closing)
     if s.state == STARTING:
-        if s.ticks + 1 < START_TICKS:
+        if s.ticks < START_TICKS:
             return Supervisor(STARTING, 0, s.ticks + 1, closing)
         return Supervisor(WAITING, 0, 0, closing)
     if present & NO_SENSORS:
@@ -67,6 +67,12 @@ def advance(s: Supervisor, present: int, request: int, at_rest: bool) -> Supervi
     return Supervisor(DISARMED, 0, s.ticks + 1, closing)
 
 
-def trip(s: Supervisor, faults: int) -> Supervisor:
-    """The state after a fault found behind the supervisor (output chain, exception): latched."""
-    return Supervisor(FAULT, s.latched | faults, 0, s.closing)
+def trip(s: Supervisor, faults: int, request: int = 0) -> Supervisor:
+    """The state after a fault found behind the supervisor (output chain, exception): latched.
+
+    Args:
+        s: state of this tick, or of the last one where an exception kept this one from being reached.
+        faults: bits to latch.
+        request: what was asked in this tick, where `advance` has not seen it.
+    """
+    return Supervisor(FAULT, s.latched | faults, 0, s.closing or request == SHUTDOWN)

@@ -1,0 +1,166 @@
+"""The checks: which faults a tick shows. Numbers in, bits of the fault table out."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from pneud.safety.faults import F
+from pneud.signals import Defect, EncoderStatus, Estimate, Host, Measurement, Source, State, ValveState
+
+SETTLING_NS = 50_000_000  # the estimates are trusted after this time
+SETTLING_TICKS = 10  # and after so many ticks
+MOVING_M_S = 0.01  # faster than this cannot be armed
+LEAVING_TICKS = 5  # the valve node may show that it is enabled for so long after the axis has let go
+OFF_CENTRE_V = 0.05
+
+_OBEYING = (ValveState.BOOT, ValveState.CENTRED, ValveState.ENABLED)
+_DISABLED = (ValveState.BOOT, ValveState.CENTRED)
+_HOST = (
+    (int(Host.LINK_DOWN), 1 << F.LINK_DOWN),
+    (int(Host.NO_REALTIME), 1 << F.NO_REALTIME),
+    (int(Host.RECORDER_LOST), 1 << F.RECORDER_LOST),
+    (int(Host.CLOCK_STEP), 1 << F.CLOCK_STEP),
+    (int(Host.SEND_FAILED), 1 << F.SEND_FAILED),
+)
+
+
+class Limits(NamedTuple):
+    """What the axis may never exceed."""
+
+    travel_min_m: float
+    travel_max_m: float
+    speed_m_s: float
+    tracking_error_m: float
+    chamber_min_pa: float
+    chamber_max_pa: float
+    supply_min_pa: float
+    supply_max_pa: float
+    sensor_timeout_ns: int
+    valve_timeout_ns: int
+    deadline_timeout_ns: int
+    innovation_m: float
+    acceleration_m_s2: float  # the most that the pressures could give the load
+
+
+def lacking(m: Measurement, limits: Limits) -> int:
+    """Faults of sources that have given no valid value for too long, named after what came instead."""
+    bits = 0
+    for age_ns, defects, first in (
+        (m.encoder_age_ns, m.encoder_defects, F.ENCODER_MISSING),
+        (m.pressure_age_ns, m.pressure_defects, F.PRESSURE_MISSING),
+        (m.valve_age_ns, m.valve_defects, F.VALVE_MISSING),
+    ):
+        if age_ns > limits.sensor_timeout_ns:
+            # missing, corrupt, frozen, late stand in this order in the table
+            if defects & Defect.CORRUPT:
+                bits |= 1 << (first + 1)
+            elif defects & Defect.FROZEN:
+                bits |= 1 << (first + 2)
+            elif defects & Defect.LATE:
+                bits |= 1 << (first + 3)
+            else:
+                bits |= 1 << first
+    return bits
+
+
+def measured(m: Measurement, limits: Limits) -> int:
+    """Faults that a single measurement shows. A value that was never seen is NaN and within no limits."""
+    bits = 0
+    if m.encoder_status & EncoderStatus.ERROR:
+        bits |= 1 << F.ENCODER_ERROR
+    if not m.encoder_status & EncoderStatus.REFERENCED:
+        bits |= 1 << F.ENCODER_UNREFERENCED
+    if not limits.travel_min_m <= m.position_m <= limits.travel_max_m:
+        bits |= 1 << F.TRAVEL
+    low, high = limits.chamber_min_pa, limits.chamber_max_pa
+    if not (low <= m.p1_pa <= high and low <= m.p2_pa <= high):
+        bits |= 1 << F.CHAMBER_PRESSURE
+    if not limits.supply_min_pa <= m.supply_pa <= limits.supply_max_pa:
+        bits |= 1 << F.SUPPLY_PRESSURE
+    if m.valve_state == ValveState.TIMED_OUT:
+        bits |= 1 << F.VALVE_TIMED_OUT
+    elif m.valve_state not in _OBEYING:
+        bits |= 1 << F.VALVE_FAULT
+    return bits
+
+
+def of_host(host: int) -> int:
+    """Faults of the machine."""
+    bits = 0
+    if host:
+        for flag, fault in _HOST:
+            if host & flag:
+                bits |= fault
+    return bits
+
+
+def believed(e: Estimate, reading_interval_s: float, limits: Limits) -> int:
+    """Faults that the estimate shows.
+
+    Args:
+        e: the estimate.
+        reading_interval_s: time from the last encoder reading to this one; over a longer one the load may
+            have gone further from the prediction.
+        limits: what it is compared with.
+    """
+    if not math.isfinite(
+        e.position_m + e.velocity_m_s + e.force_n + e.x3_hat_n + e.d_hat_n_s + e.innovation_m + e.opening_v
+    ):
+        return 1 << F.NOT_FINITE
+    bits = 0
+    if abs(e.velocity_m_s) > limits.speed_m_s:
+        bits |= 1 << F.OVERSPEED
+    strayed_m = 0.5 * limits.acceleration_m_s2 * reading_interval_s * reading_interval_s
+    if abs(e.innovation_m) > limits.innovation_m + strayed_m:
+        bits |= 1 << F.ENCODER_JUMP
+    return bits
+
+
+def engaged(m: Measurement, state: int, ticks: int, h: float, limits: Limits) -> int:
+    """Faults that mean something only while the valve is enabled.
+
+    Args:
+        m: the measurement.
+        state: of the last tick, an engaged one.
+        ticks: in that state.
+        h: sample time [s].
+        limits: what it is compared with.
+    """
+    bits = 0
+    if m.skipped * h * 1e9 >= limits.deadline_timeout_ns:
+        bits |= 1 << F.DEADLINE
+    if ticks * h * 1e9 > limits.valve_timeout_ns and m.valve_state in _DISABLED:
+        bits |= 1 << F.VALVE_REBOOTED
+    if state != State.HOMING and not m.encoder_status & EncoderStatus.REFERENCED:
+        bits |= 1 << F.ENCODER_LOST_REFERENCE
+    return bits
+
+
+def disengaged(m: Measurement, ticks: int, arming: bool) -> int:
+    """Faults that mean something only while the valve has to be centred.
+
+    Args:
+        m: the measurement.
+        ticks: in the state of the last tick, not an engaged one.
+        arming: the axis is asked to arm.
+    """
+    active = m.valve_state == ValveState.ENABLED or abs(m.applied_v) > OFF_CENTRE_V
+    known = arming or (ticks >= LEAVING_TICKS and m.fresh & Source.VALVE)
+    return 1 << F.VALVE_ACTIVE if active and known else 0
+
+
+def unready(e: Estimate, settled_ns: int, h: float) -> int:
+    """Faults of an estimate to arm on.
+
+    Args:
+        e: the estimate.
+        settled_ns: for how long there have been estimates.
+        h: sample time [s].
+    """
+    bits = 0
+    if settled_ns < max(SETTLING_NS, SETTLING_TICKS * h * 1e9):
+        bits |= 1 << F.UNSETTLED
+    if abs(e.velocity_m_s) > MOVING_M_S:
+        bits |= 1 << F.MOVING
+    return bits
