@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pneud.control.reference import Bounds, Septic, Sine, at, rest, sine, stays, stop, transfer
+from pneud.control.reference import Bounds, Sine, Way, along, between_rests, sine, stays, stop, transfer, way
 from pneud.control.step import Controller, ControllerState, act, join, observe, start
 from pneud.safety import checks
 from pneud.safety.checks import Limits
@@ -32,7 +32,7 @@ NAN = float("nan")
 SETTLE_NS = 50_000_000  # the load is given this long after the reference has come to rest
 NO_ESTIMATE = Estimate(NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN)
 NO_REFERENCE = Reference(NAN, NAN, NAN, NAN)
-NO_PATH = Septic(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NO_PATH = way(between_rests(0.0, 0.0, Bounds(1.0, 1.0, 1.0)))
 
 # what the reference is doing
 NONE, JOINING, FOLLOWING, COMING_TO_REST = 0, 1, 2, 3
@@ -60,7 +60,7 @@ class AxisState(NamedTuple):
     started_ns: int  # since when there have been estimates
     phase: int
     phase_ns: int  # when the phase began
-    path: Septic
+    path: Way
     last_v: float  # last command that left
 
 
@@ -185,7 +185,7 @@ class Axis:
                 controller = join(controller, estimate, reference, p.controller)
             elif after.state == State.STOPPING and before.state != State.STOPPING:
                 path = stop(reference, p.transfer, limits.travel_min_m, limits.travel_max_m)
-                phase, phase_ns, reference = COMING_TO_REST, sampled_ns, at(0.0, path)
+                phase, phase_ns, reference = COMING_TO_REST, sampled_ns, along(0.0, path)
             controller, answer = act(controller, estimate, reference, p.controller)
             law_v, s, ustar = answer.u_v, answer.s, answer.ustar
             command = emit(law_v, state.last_v, (1 + m.skipped) * h, p.output)
@@ -227,18 +227,18 @@ def _first_estimate(s: ControllerState) -> Estimate:
     return Estimate(motion.x, motion.v, motion.F, motion.x3, observer.x_hat, observer.d_hat, 0.0, 0.0)
 
 
-def _join(now_ns: int, e: Estimate, p: AxisParameters) -> tuple[int, int, Septic]:
+def _join(now_ns: int, e: Estimate, p: AxisParameters) -> tuple[int, int, Way]:
     first = sine(0.0, p.reference)
     if p.join_at_once:
         return FOLLOWING, now_ns, NO_PATH
-    return JOINING, now_ns, transfer(rest(e.position_m), first, p.transfer)
+    return JOINING, now_ns, transfer(e.position_m, first, p.transfer)
 
 
-def _reference(phase: int, t: float, path: Septic, p: Sine) -> Reference:
-    return sine(t, p) if phase == FOLLOWING else at(t, path)
+def _reference(phase: int, t: float, path: Way, p: Sine) -> Reference:
+    return sine(t, p) if phase == FOLLOWING else along(t, path)
 
 
-def _reachable(phase: int, path: Septic, first: Reference, e: Estimate, p: AxisParameters) -> bool:
+def _reachable(phase: int, path: Way, first: Reference, e: Estimate, p: AxisParameters) -> bool:
     if phase == FOLLOWING:
         return abs(first.position_m - e.position_m) <= p.limits.tracking_error_m
     return stays(path, p.limits.travel_min_m, p.limits.travel_max_m)

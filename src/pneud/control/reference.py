@@ -1,7 +1,8 @@
-"""Where the load should be: the tracked motion, and polynomials of degree seven that lead to it and to rest.
+"""Where the load should be: the tracked motion, and the ways that lead to it and to rest.
 
-A polynomial meets position, velocity, acceleration and jerk at both ends, so that the jerk which (14) feeds
-forward never steps. Its duration is the shortest (to a few per cent) within given bounds.
+A way is a chain of polynomials of degree seven that meet in position, velocity, acceleration and jerk, so
+that the jerk which (14) feeds forward never steps. Durations follow from the bounds in closed form: there is
+no search that could fail.
 """
 
 from __future__ import annotations
@@ -11,12 +12,10 @@ from typing import NamedTuple
 
 from pneud.signals import Reference
 
-GROWTH = 1.1
-MAX_TRIES = 60
-MAX_DOUBLINGS = 10
-SAMPLES = 16
-WAY_SAMPLES = 64
-LEAST_S = 0.02
+LEAST_S = 0.02  # shortest piece of a way
+ROOM = 1.5  # what a motion already has of acceleration and jerk, times this, cannot be forbidden on its way
+MAX_HARDENINGS = 10
+SAMPLES = 32
 
 
 class Sine(NamedTuple):
@@ -28,7 +27,7 @@ class Sine(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """What a transfer may not exceed."""
+    """What a way may not exceed."""
 
     speed_m_s: float
     acceleration_m_s2: float
@@ -36,7 +35,7 @@ class Bounds(NamedTuple):
 
 
 class Septic(NamedTuple):
-    """Σ c_i (t/T)^i over 0 ≤ t ≤ T."""
+    """The polynomial Σ c_i (t/T)^i over 0 ≤ t ≤ T."""
 
     T: float  # [s]
     c0: float  # coefficients [m]
@@ -47,6 +46,13 @@ class Septic(NamedTuple):
     c5: float
     c6: float
     c7: float
+
+
+class Way(NamedTuple):
+    """Polynomials, one after the other."""
+
+    T: float  # of all together [s]
+    pieces: tuple[Septic, ...]
 
 
 def sine(t: float, p: Sine) -> Reference:
@@ -103,103 +109,92 @@ def at(t: float, p: Septic) -> Reference:
     return Reference(x, v / p.T, a / (p.T * p.T), j / (p.T * p.T * p.T))
 
 
-def excess(p: Septic, bounds: Bounds) -> float:
-    """The greatest ratio of speed, acceleration and jerk to their bounds (in SAMPLES + 1 points)."""
-    worst = 0.0
-    for i in range(SAMPLES + 1):
-        r = at(p.T * i / SAMPLES, p)
-        worst = max(
-            worst,
-            abs(r.velocity_m_s) / bounds.speed_m_s,
-            abs(r.acceleration_m_s2) / bounds.acceleration_m_s2,
-            abs(r.jerk_m_s3) / bounds.jerk_m_s3,
-        )
-    return worst
+def way(*pieces: Septic) -> Way:
+    """The way along pieces that meet."""
+    return Way(sum(p.T for p in pieces), pieces)
 
 
-def stays(p: Septic, low_m: float, high_m: float) -> bool:
-    """Whether the polynomial stays between two positions (looked at in WAY_SAMPLES + 1 points)."""
-    return all(low_m <= at(p.T * i / WAY_SAMPLES, p).position_m <= high_m for i in range(WAY_SAMPLES + 1))
+def along(t: float, w: Way) -> Reference:
+    """The way and its derivatives at t, clamped to 0 … T."""
+    for p in w.pieces[:-1]:
+        if t < p.T:
+            return at(t, p)
+        t -= p.T
+    return at(t, w.pieces[-1])
 
 
-def _widened(bounds: Bounds, start: Reference, end: Reference) -> Bounds:
-    # what the ends themselves have cannot be forbidden on the way
-    return Bounds(
-        max(bounds.speed_m_s, 1.5 * abs(start.velocity_m_s), 1.5 * abs(end.velocity_m_s)),
-        max(bounds.acceleration_m_s2, 1.5 * abs(start.acceleration_m_s2), 1.5 * abs(end.acceleration_m_s2)),
-        max(bounds.jerk_m_s3, 1.5 * abs(start.jerk_m_s3), 1.5 * abs(end.jerk_m_s3)),
+def stays(w: Way, low_m: float, high_m: float) -> bool:
+    """Whether a way stays between two positions (looked at in SAMPLES + 1 points of each piece)."""
+    return all(
+        low_m <= at(p.T * i / SAMPLES, p).position_m <= high_m for p in w.pieces for i in range(SAMPLES + 1)
     )
 
 
-def transfer(start: Reference, end: Reference, bounds: Bounds) -> Septic:
-    """The polynomial from start to end in about the shortest time within the bounds.
-
-    Where no time keeps every bound, the one that exceeds them least.
-    """
-    room = _widened(bounds, start, end)
-    distance = abs(end.position_m - start.position_m)
-    change = abs(end.velocity_m_s - start.velocity_m_s)
-    # exact for motions between two rests (first three) and for changes of speed alone (last two)
+def between_rests(start_m: float, end_m: float, bounds: Bounds) -> Septic:
+    """The shortest polynomial from rest to rest within the bounds."""
+    distance = abs(end_m - start_m)
     T = max(
-        2.1875 * distance / room.speed_m_s,
-        math.sqrt(7.513 * distance / room.acceleration_m_s2),
-        (52.5 * distance / room.jerk_m_s3) ** (1.0 / 3.0),
-        1.5 * change / room.acceleration_m_s2,
-        math.sqrt(5.0 * change / room.jerk_m_s3),
+        2.1875 * distance / bounds.speed_m_s,
+        math.sqrt(7.5132 * distance / bounds.acceleration_m_s2),
+        math.pow(52.5 * distance / bounds.jerk_m_s3, 1.0 / 3.0),
         LEAST_S,
     )
-    best = septic(T, start, end)
-    least = excess(best, room)
-    for _ in range(MAX_TRIES):
-        if least <= 1.0:
-            break
-        T *= GROWTH
-        p = septic(T, start, end)
-        over = excess(p, room)
-        if over < least:
-            best, least = p, over
-    return best
+    return septic(T, rest(start_m), rest(end_m))
 
 
-def to_rest(start: Reference, bounds: Bounds) -> Septic:
-    """The polynomial that brings a motion to rest wherever that leads, about as fast as the bounds allow.
+def to_rest(start: Reference, bounds: Bounds) -> Way:
+    """The way on which a motion comes to rest wherever that leads, about as fast as the bounds allow.
 
-    The end position is the one that makes the highest coefficient vanish: the velocity is then the quintic
-    between its ends. Where no time keeps every bound, the one that exceeds them least.
+    First acceleration and jerk go to zero, then the velocity. The bounds on acceleration and jerk are kept,
+    or `ROOM` times what the motion began with; its speed may still grow while the acceleration ends.
     """
-    room = _widened(bounds, start, rest(start.position_m))
-    speed = abs(start.velocity_m_s)
-    T = max(1.5 * speed / room.acceleration_m_s2, math.sqrt(5.0 * speed / room.jerk_m_s3), LEAST_S)
-    best = _halt(T, start)
-    least = excess(best, room)
-    for _ in range(MAX_TRIES):
-        if least <= 1.0:
-            break
-        T *= GROWTH
-        p = _halt(T, start)
-        over = excess(p, room)
-        if over < least:
-            best, least = p, over
-    return best
+    x, v, a, j = start
+    most_a = max(bounds.acceleration_m_s2, ROOM * abs(a))
+    most_j = max(bounds.jerk_m_s3, ROOM * abs(j))
+    # the acceleration is a cubic: its jerk stays below |j| + 1.5 |a|/T, itself below |a| + 4/27 |j| T
+    longest = 6.75 * (most_a - abs(a)) / abs(j) if j != 0.0 else LEAST_S
+    T = max(1.5 * abs(a) / (most_j - abs(j)), min(LEAST_S, longest))
+    eased = Reference(
+        x + T * (v + T * (0.35 * a + T * j / 20.0)),
+        v + T * (0.5 * a + T * j / 12.0),
+        0.0,
+        0.0,
+    )
+    speed = abs(eased.velocity_m_s)
+    # the velocity is a quintic: its greatest slope 15/8, its greatest curvature 10/√3
+    T_halt = max(1.875 * speed / most_a, math.sqrt(5.7736 * speed / most_j), LEAST_S)
+    end = rest(eased.position_m + 0.5 * T_halt * eased.velocity_m_s)
+    return way(septic(T, start, eased), septic(T_halt, eased, end))
 
 
-def stop(start: Reference, bounds: Bounds, low_m: float, high_m: float) -> Septic:
-    """`to_rest` that stays between two positions: where it would leave them it stops harder than the bounds.
+def stop(start: Reference, bounds: Bounds, low_m: float, high_m: float) -> Way:
+    """`to_rest` between two positions: where it would leave them, it stops harder than the bounds allow.
 
-    A start so fast and so close to the end that even the hardest stop leaves them is stopped as hard.
+    A start so fast and so close to the end that the hardest stop leaves them is stopped as hard.
     """
-    p = to_rest(start, bounds)
-    for _ in range(MAX_DOUBLINGS):
-        if stays(p, low_m, high_m):
+    w = to_rest(start, bounds)
+    for _ in range(MAX_HARDENINGS):
+        if stays(w, low_m, high_m):
             break
         bounds = Bounds(bounds.speed_m_s, 2.0 * bounds.acceleration_m_s2, 4.0 * bounds.jerk_m_s3)
-        p = to_rest(start, bounds)
-    return p
+        w = to_rest(start, bounds)
+    return w
 
 
-def _halt(T: float, start: Reference) -> Septic:
-    # the integral of the quintic that takes velocity, acceleration and jerk to zero
-    travel = T * (
-        0.5 * start.velocity_m_s + T * (0.1 * start.acceleration_m_s2 + T * start.jerk_m_s3 / 120.0)
+def transfer(start_m: float, end: Reference, bounds: Bounds) -> Way:
+    """The way from rest to a motion: from rest to rest, then a run-up, which is a stop run backwards.
+
+    Bounds as in `between_rests`, then as in `to_rest`.
+    """
+    ease, halt = to_rest(_reversed(end), bounds).pieces
+    middle = _reversed(at(halt.T, halt))
+    run = _reversed(at(0.0, halt))
+    return way(
+        between_rests(start_m, middle.position_m, bounds),
+        septic(halt.T, rest(middle.position_m), run),
+        septic(ease.T, run, end),
     )
-    return septic(T, start, rest(start.position_m + travel))
+
+
+def _reversed(r: Reference) -> Reference:
+    return Reference(r.position_m, -r.velocity_m_s, r.acceleration_m_s2, -r.jerk_m_s3)
