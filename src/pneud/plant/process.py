@@ -69,7 +69,9 @@ def serve(
                         truth.put(at.t_ns, at.position_m)
             if not frames or not link.wait(0.0):
                 break  # else a SYNC came while the plant integrated, and outdated answers must not leave
-        for frame in node.poll(now_ns, current_only=True):
+        # one frame at a time where they are late, so that a SYNC which came meanwhile makes the rest void
+        until_ns = now_ns if due_ns is None else min(now_ns, due_ns)
+        for frame in node.poll(until_ns, current_only=True):
             link.send(frame.can_id, frame.data)
         if not heard and due_ns is None and node.started:
             node.advance(

@@ -1,0 +1,133 @@
+"""A whole virtual run over real SocketCAN, and what the kernel's own tools see of it."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from pneud import resources
+
+pytestmark = pytest.mark.vm
+PNEUD = [sys.executable, "-m", "pneud.cli"]
+
+
+def pneud(*args: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*PNEUD, *map(str, args)], capture_output=True, text=True, timeout=300, check=False)
+
+
+@pytest.fixture
+def gentle(tmp_path: Path) -> Path:
+    """The virtual axis at a rate and with gains that a virtual machine with one slow CPU can carry."""
+    text = (resources.configs() / "virtual.toml").read_text()
+    for key, value in {
+        "rate_hz": 50.0,
+        "k1": 180.0,
+        "k2": 156.0,
+        "k3": 30.0,
+        "alpha": 0.835,
+        "frequency_hz": 0.1,
+        "tracking_error_m": 0.1,
+        "sensor_timeout_ms": 200.0,
+        "valve_timeout_ms": 200.0,
+        "deadline_timeout_ms": 200.0,
+    }.items():
+        text, count = re.subn(rf"^{key} = \S+", f"{key} = {value}", text, flags=re.MULTILINE)
+        assert count == 1, key
+    text, count = re.subn(r"(\[control\.motion\]\n)(?:[^\[\n].*\n|\n)*", r"\1bandwidth_rad_s = 40.0\n\n", text)
+    assert count == 1
+    file = tmp_path / "gentle.toml"
+    file.write_text(text)
+    return file
+
+
+def test_a_virtual_run_over_vcan0_tracks_and_candump_sees_the_frames(tmp_path: Path, gentle: Path) -> None:
+    log = tmp_path / "run.mcap"
+    with (tmp_path / "candump.log").open("w+") as seen:
+        candump = subprocess.Popen(["candump", "-L", "vcan0"], stdout=seen)
+        try:
+            done = pneud(
+                "--virtual", "--config", gentle, "--bus", "socketcan:vcan0", "--duration", 6, "--headless",
+                "--json", "--log", log,
+            )  # fmt: skip
+        finally:
+            candump.send_signal(signal.SIGINT)
+            candump.wait(10)
+        seen.seek(0)
+        ids = Counter(line.split()[2].split("#")[0] for line in seen)
+    print(done.stdout, done.stderr)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert summary["bus"] == "socketcan:vcan0"
+    assert summary["state"] == "tracking"
+    assert summary["faults"] == []
+    assert summary["frames"]["crc"] == summary["frames"]["stale"] == 0
+    assert set(ids) == {"080", "181", "182", "183", "203"}
+    assert ids["080"] == ids["203"] >= summary["ticks"]
+    assert min(ids["181"], ids["182"], ids["183"]) > 0.9 * ids["080"]
+
+    again = json.loads(pneud("replay", log, "--json").stdout)
+    assert again["identical"] is True
+    assert again["engaged_ticks"] > 0.9 * summary["ticks"]
+
+
+def test_auto_takes_vcan0_where_it_is_idle(gentle: Path) -> None:
+    done = pneud("--virtual", "--config", gentle, "--duration", 1, "--headless", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["bus"] == "socketcan:vcan0"
+    assert "socketcan:vcan0" in done.stderr
+
+
+def test_a_link_that_is_no_vcan_is_refused() -> None:
+    for verb in (["--virtual", "--headless"], ["plant"]):
+        done = pneud(*verb, "--bus", "socketcan:lo")
+        assert done.returncode in (2, 3)
+        assert done.stdout == ""
+        assert done.stderr.count("\n") == 1, done.stderr
+        assert "lo" in done.stderr
+
+
+def test_a_bus_that_is_driven_is_refused() -> None:
+    generator = subprocess.Popen(["cangen", "vcan0", "-g", "5", "-I", "080", "-L", "1"])
+    try:
+        done = pneud("--virtual", "--bus", "socketcan:vcan0", "--headless", "--json")
+    finally:
+        generator.kill()
+        generator.wait()
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert "another controller drives it" in done.stderr
+
+
+def test_the_interface_going_down_centres_with_a_named_fault(tmp_path: Path, gentle: Path) -> None:
+    log = tmp_path / "run.mcap"
+    command = [
+        *PNEUD,
+        "--virtual",
+        "--config",
+        str(gentle),
+        "--bus",
+        "socketcan:vcan1",
+        "--headless",
+        "--json",
+    ]
+    with subprocess.Popen(
+        [*command, "--log", str(log)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as daemon:
+        while not (log.exists() and log.stat().st_size > 30_000):
+            assert daemon.poll() is None, daemon.communicate()
+            time.sleep(0.1)
+        subprocess.run(["ip", "link", "set", "vcan1", "down"], check=True)
+        out, err = daemon.communicate(timeout=60)
+    subprocess.run(["ip", "link", "set", "vcan1", "up"], check=True)
+    assert daemon.returncode == 1, err
+    summary = json.loads(out)
+    assert summary["state"] == "fault"
+    assert "link_down" in summary["faults"]
