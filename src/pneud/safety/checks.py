@@ -82,6 +82,12 @@ def measured(m: Measurement, limits: Limits) -> int:
         bits |= 1 << F.VALVE_TIMED_OUT
     elif m.valve_state not in _OBEYING:
         bits |= 1 << F.VALVE_FAULT
+    if (
+        (m.fresh & Source.ENCODER and not math.isfinite(m.position_m))
+        or (m.fresh & Source.PRESSURE and not math.isfinite(m.p1_pa + m.p2_pa + m.supply_pa))
+        or (m.fresh & Source.VALVE and not math.isfinite(m.applied_v))
+    ):
+        bits |= 1 << F.NOT_FINITE
     return bits
 
 

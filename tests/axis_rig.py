@@ -1,0 +1,132 @@
+"""An axis with the software rig in simulated time, with whatever a test does to it between ticks."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from functools import cache
+
+from pneud import parameters
+from pneud.axis import Axis
+from pneud.bus.inbox import Inbox
+from pneud.loading import Loaded, load
+from pneud.plant.node import PlantNode
+from pneud.safety.supervisor import is_engaged
+from pneud.signals import Frame, Measurement, Request, RequestKind, State, Tick
+
+PERIOD_NS = 1_000_000
+ENCODER, PRESSURE, VALVE = 0x181, 0x182, 0x183
+ARM, DISARM, CLEAR, SHUTDOWN = (
+    RequestKind.ARM,
+    RequestKind.DISARM,
+    RequestKind.CLEAR,
+    RequestKind.SHUTDOWN,
+)
+
+
+@cache
+def loaded() -> Loaded:
+    return load("virtual.toml")
+
+
+def same(frame: Frame) -> Frame | None:
+    return frame
+
+
+class Rig:
+    """`frame` and `measurement` stand between the rig and the axis; `host` and `gap` go into every tick."""
+
+    def __init__(self) -> None:
+        config, codecs = loaded().config, loaded().codecs
+        self.axis = Axis(parameters.axis_of(config, codecs.command_lsb_v))
+        self.inbox = Inbox(codecs, config.bus)
+        self.node = PlantNode(parameters.plant_of(config)._replace(pressure_noise_pa=0.0), codecs, 0)
+        self.frame: Callable[[Frame], Frame | None] = same
+        self.measurement: Callable[[Measurement], Measurement] = lambda m: m
+        self.host = 0
+        self.t_ns = 1_000_000_000
+        self.count = 0
+
+    def tick(self, kind: int = 0, *, skipped: int = 0) -> Tick:
+        """One tick; what leaves for the valve is checked in each."""
+        codecs = loaded().codecs
+        self.t_ns += (1 + skipped) * PERIOD_NS
+        for frame in self.node.poll(self.t_ns):
+            self.inbox.feed(frame)
+        number = self.count % 240 + 1
+        self.node.on_frame(Frame(self.t_ns, codecs.sync.can_id, codecs.sync.encode(counter=number)))
+        self.inbox.begin(self.t_ns)
+        for answer in self.node.poll(self.t_ns + 800_000):
+            altered = self.frame(answer)
+            if altered is not None:
+                self.inbox.feed(altered)
+        m = self.measurement(self.inbox.measurement(skipped, self.host))
+        tick = self.axis.cycle(m, Request(kind) if kind else None, self.t_ns)
+        self._check(tick)
+        data = codecs.valve_command.encode(
+            tick.command.voltage_v, tick.command.enable, number, counter=self.count & 0xFF
+        )
+        self.node.on_frame(Frame(self.t_ns + 850_000, codecs.valve_command.can_id, data))
+        self.count += 1
+        return tick
+
+    def ticks(self, n: int) -> list[Tick]:
+        return [self.tick() for _ in range(n)]
+
+    def until(self, state: State, limit: int = 3000) -> Tick:
+        """Tick until the axis is in a state."""
+        for _ in range(limit):
+            tick = self.tick()
+            if tick.state == state:
+                return tick
+        raise AssertionError(f"not {state.label} after {limit} ticks")
+
+    @staticmethod
+    def _check(tick: Tick) -> None:
+        command = tick.command
+        if is_engaged(tick.state):
+            assert command.enable == 1
+            assert abs(command.voltage_v) <= 5.0
+        else:
+            assert (command.voltage_v, command.enable) == (0.0, 0)
+        assert bool(tick.latched) == (tick.state == State.FAULT)
+
+
+def ready() -> Rig:
+    """Disarmed, with nothing that keeps it from arming."""
+    return _copy(_ready())
+
+
+def tracking() -> Rig:
+    """Armed, and on its way to the reference."""
+    return _copy(_tracking())
+
+
+@cache
+def _ready() -> Rig:
+    rig = Rig()
+    rig.until(State.DISARMED)
+    while rig.tick().present:
+        assert rig.count < 200
+    return rig
+
+
+@cache
+def _tracking() -> Rig:
+    rig = ready()
+    assert rig.tick(ARM).state == State.TRACKING
+    assert all(tick.state == State.TRACKING and not tick.latched for tick in rig.ticks(60))
+    return rig
+
+
+def _copy(rig: Rig) -> Rig:
+    codecs = loaded().codecs
+    shared = (
+        codecs,
+        codecs.sync,
+        codecs.encoder,
+        codecs.pressure,
+        codecs.valve_status,
+        codecs.valve_command,
+    )
+    return copy.deepcopy(rig, {id(part): part for part in shared})

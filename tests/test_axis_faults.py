@@ -1,0 +1,305 @@
+"""Every row of the fault table, provoked on an axis that tracks, or that is asked to arm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import pytest
+
+import pneud.axis
+from axis_rig import ARM, CLEAR, ENCODER, PERIOD_NS, PRESSURE, VALVE, Rig, ready, tracking
+from pneud.control.sliding import SlidingOutput
+from pneud.safety.faults import TABLE, F, Reaction, names
+from pneud.safety.supervisor import is_engaged
+from pneud.signals import EncoderStatus, Frame, Host, Measurement, State, Tick, ValveState
+
+REFERENCED = int(EncoderStatus.REFERENCED)
+Provoke = Callable[[Rig, pytest.MonkeyPatch], None]
+
+
+class Case(NamedTuple):
+    fault: F
+    provoke: Provoke
+    ticks: int = 1  # until the axis has to react
+    company: tuple[F, ...] = ()  # faults that cannot but come along
+    lasting: bool = True  # the fault is seen also by an axis that is not engaged
+    skipped: int = 0
+
+
+def value(**changes: Any) -> Provoke:
+    def provoke(rig: Rig, _: pytest.MonkeyPatch) -> None:
+        rig.measurement = lambda m: m._replace(**changes)
+
+    return provoke
+
+
+def moved(**shifts: float) -> Provoke:
+    def provoke(rig: Rig, _: pytest.MonkeyPatch) -> None:
+        def shift(m: Measurement) -> Measurement:
+            return m._replace(**{name: getattr(m, name) + by for name, by in shifts.items()})
+
+        rig.measurement = shift
+
+    return provoke
+
+
+def limit(**changes: Any) -> Provoke:
+    def provoke(rig: Rig, patch: pytest.MonkeyPatch) -> None:
+        p = rig.axis.parameters
+        patch.setattr(rig.axis, "parameters", p._replace(limits=p.limits._replace(**changes)))
+
+    return provoke
+
+
+def host(flag: Host) -> Provoke:
+    def provoke(rig: Rig, _: pytest.MonkeyPatch) -> None:
+        rig.host = int(flag)
+
+    return provoke
+
+
+def frames(can_id: int, change: Callable[[Frame, Rig], Frame | None]) -> Provoke:
+    def provoke(rig: Rig, _: pytest.MonkeyPatch) -> None:
+        rig.frame = lambda frame: change(frame, rig) if frame.can_id == can_id else frame
+
+    return provoke
+
+
+def lost(_: Frame, __: Rig) -> None:
+    return None
+
+
+def corrupt(frame: Frame, _: Rig) -> Frame:
+    return frame._replace(data=bytes([frame.data[0] ^ 1]) + frame.data[1:])
+
+
+def late(frame: Frame, rig: Rig) -> Frame:
+    return frame._replace(stamp_ns=rig.t_ns - 1)
+
+
+def frozen(can_id: int) -> Provoke:
+    kept: list[bytes] = []
+
+    def repeat(frame: Frame, _: Rig) -> Frame:
+        kept.append(frame.data)
+        return frame._replace(data=kept[0])
+
+    def provoke(rig: Rig, patch: pytest.MonkeyPatch) -> None:
+        kept.clear()
+        frames(can_id, repeat)(rig, patch)
+
+    return provoke
+
+
+def broken(*_: object) -> None:
+    raise ZeroDivisionError
+
+
+def raises(rig: Rig, patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(pneud.axis, "observe", broken)
+    patch.setattr(pneud.axis, "start", broken)
+
+
+def too_much(rig: Rig, patch: pytest.MonkeyPatch) -> None:
+    p = rig.axis.parameters
+    patch.setattr(rig.axis, "parameters", p._replace(output=p.output._replace(u_max_v=6.0)))
+    patch.setattr(pneud.axis, "act", lambda state, *_: (state, SlidingOutput(6.0, 0.0, 0.0)))
+
+
+def law_without_number(rig: Rig, patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(pneud.axis, "act", lambda state, *_: (state, SlidingOutput(math.nan, 0.0, 0.0)))
+
+
+SENSORS = [
+    case
+    for first, can_id in (
+        (F.ENCODER_MISSING, ENCODER),
+        (F.PRESSURE_MISSING, PRESSURE),
+        (F.VALVE_MISSING, VALVE),
+    )
+    for case in (
+        # 50 ticks after the last good SYNC its answer, sampled a little later, is not yet 50 ms old
+        Case(first, frames(can_id, lost), 51),
+        Case(F(first + 1), frames(can_id, corrupt), 51),
+        Case(F(first + 2), frozen(can_id), 52),  # its first frame is a good one
+        Case(F(first + 3), frames(can_id, late), 51),
+    )
+]
+CENTRING = [
+    *SENSORS,
+    Case(F.ENCODER_ERROR, value(encoder_status=REFERENCED | EncoderStatus.ERROR)),
+    Case(F.CHAMBER_PRESSURE, value(p1_pa=1_000_020.0)),
+    Case(F.CHAMBER_PRESSURE, value(p2_pa=89_980.0)),
+    Case(F.CHAMBER_PRESSURE, value(p1_pa=0.0)),
+    Case(F.SUPPLY_PRESSURE, value(supply_pa=449_980.0)),
+    Case(F.SUPPLY_PRESSURE, value(supply_pa=800_020.0)),
+    Case(F.VALVE_TIMED_OUT, value(valve_state=ValveState.TIMED_OUT)),
+    Case(F.VALVE_FAULT, value(valve_state=ValveState.FAULT)),
+    Case(F.VALVE_FAULT, value(valve_state=77)),
+    Case(F.VALVE_REBOOTED, value(valve_state=ValveState.BOOT), lasting=False),
+    Case(F.VALVE_REBOOTED, value(valve_state=ValveState.CENTRED), lasting=False),
+    Case(F.TRAVEL, limit(travel_min_m=0.6)),
+    Case(F.TRAVEL, limit(travel_max_m=0.4)),
+    Case(F.OVERSPEED, limit(speed_m_s=1e-9)),
+    Case(F.TRACKING_ERROR, limit(tracking_error_m=1e-12), lasting=False),
+    Case(F.NOT_FINITE, value(applied_v=math.nan)),
+    Case(F.NOT_FINITE, value(supply_pa=math.inf), company=(F.SUPPLY_PRESSURE,)),
+    Case(F.NOT_FINITE, value(position_m=math.nan), company=(F.TRAVEL, F.TRACKING_ERROR)),
+    Case(F.NOT_FINITE, law_without_number, lasting=False),
+    Case(F.COMMAND_RANGE, too_much, lasting=False),
+    Case(F.DEADLINE, value(), company=(F.VALVE_TIMED_OUT,), lasting=False, skipped=50),
+    Case(F.LINK_DOWN, host(Host.LINK_DOWN)),
+    Case(F.INTERNAL, raises),
+    Case(F.ENCODER_JUMP, moved(position_m=0.0025)),
+    Case(F.ENCODER_JUMP, moved(position_m=-0.0025)),
+    Case(F.ENCODER_LOST_REFERENCE, value(encoder_status=0), lasting=False),
+]
+
+
+def bits(*faults: F) -> int:
+    return sum(1 << fault for fault in faults)
+
+
+def ids(case: Case) -> str:
+    return case.fault.name.lower()
+
+
+@pytest.mark.parametrize("case", CENTRING, ids=ids)
+def test_the_fault_centres_at_once_and_holds_until_it_is_cleared(case: Case) -> None:
+    rig = tracking()
+    with pytest.MonkeyPatch.context() as patch:
+        case.provoke(rig, patch)
+        for _ in range(case.ticks - 1):
+            assert rig.tick().state == State.TRACKING
+        tick = rig.tick(skipped=case.skipped)
+        # that FAULT goes with 0 V and Enable 0 is checked by the rig in every tick
+        assert tick.state == State.FAULT
+        assert names(tick.latched) == names(bits(case.fault, *case.company))
+        assert tick.present & tick.latched == tick.latched
+        if case.lasting and case.fault != F.ENCODER_JUMP:
+            assert rig.tick(CLEAR).state == State.FAULT
+            assert rig.tick().present & 1 << case.fault
+    rig.frame, rig.measurement, rig.host = (lambda frame: frame), (lambda m: m), 0
+
+    held = [rig.tick(ARM), *rig.ticks(30)]
+    assert {(t.state, t.latched) for t in held} == {(State.FAULT, tick.latched)}
+    cleared = rig.tick(CLEAR)
+    assert (cleared.state, cleared.latched) == (State.DISARMED, 0)
+    assert {t.state for t in rig.ticks(20)} == {State.DISARMED}
+
+
+def test_every_row_that_centres_has_a_case() -> None:
+    assert {case.fault for case in CENTRING} == {f.bit for f in TABLE if f.reaction == Reaction.CENTRE}
+
+
+def test_every_other_row_is_provoked_too() -> None:
+    provoked = {case.fault for case in WARNING} | {case.fault for case in BLOCKING}
+    assert provoked == {f.bit for f in TABLE if f.reaction in (Reaction.WARN, Reaction.NO_ARM)}
+    assert not [f for f in TABLE if f.reaction == Reaction.STOP], "give rows with a controlled stop a test"
+
+
+def test_a_jump_that_lasts_is_seen_once_and_the_axis_stays_centred() -> None:
+    rig = tracking()
+    moved(position_m=0.0025)(rig, pytest.MonkeyPatch())
+    assert names(rig.tick().latched) == ["encoder_jump"]
+    assert {t.state for t in rig.ticks(40)} == {State.FAULT}
+
+
+WARNING = [
+    Case(F.RECORDER_LOST, host(Host.RECORDER_LOST)),
+    Case(F.CLOCK_STEP, host(Host.CLOCK_STEP)),
+    Case(F.SEND_FAILED, host(Host.SEND_FAILED)),
+]
+
+
+@pytest.mark.parametrize("case", WARNING, ids=ids)
+def test_a_warning_is_shown_and_nothing_else(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig, quiet = tracking(), tracking()
+    case.provoke(rig, monkeypatch)
+    for _ in range(20):
+        tick, without = rig.tick(), quiet.tick()
+        assert tick.present == 1 << case.fault
+        assert tick.command == without.command
+        assert (tick.state, tick.latched) == (State.TRACKING, 0)
+
+
+def unreachable(rig: Rig, patch: pytest.MonkeyPatch) -> None:
+    # the run-up to the sine begins below its centre; with so little room it cannot
+    p = rig.axis.parameters
+    low = rig.axis.state.controller.motion.x - 1e-4 if rig.axis.state.controller else 0.0
+    reference = p.reference._replace(centre_m=low + 1e-3, amplitude_m=5e-4, omega_rad_s=300.0)
+    limits = p.limits._replace(travel_min_m=low)
+    patch.setattr(rig.axis, "parameters", p._replace(reference=reference, limits=limits))
+
+
+def too_far_to_join(rig: Rig, patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(rig.axis, "parameters", rig.axis.parameters._replace(join_at_once=True))
+
+
+def moving(rig: Rig, _: pytest.MonkeyPatch) -> None:
+    began_ns = rig.t_ns
+    rig.measurement = lambda m: m._replace(position_m=m.position_m + 0.011e-9 * (m.t_ns - began_ns))
+    rig.ticks(60)
+
+
+def just_started(rig: Rig, _: pytest.MonkeyPatch) -> None:
+    rig.frame = lambda _: None
+    rig.until(State.WAITING)
+    rig.frame = lambda frame: frame
+    rig.until(State.DISARMED)
+
+
+def never_together(rig: Rig, _: pytest.MonkeyPatch) -> None:
+    just_started(rig, _)
+    ids = (ENCODER, PRESSURE, VALVE)
+    rig.frame = lambda frame: frame if ids[rig.count % 3] == frame.can_id else None
+    rig.axis.thaw(rig.axis.state._replace(controller=None))
+    rig.ticks(100)
+
+
+BLOCKING = [
+    Case(F.ENCODER_UNREFERENCED, value(encoder_status=0)),
+    Case(F.NO_REALTIME, host(Host.NO_REALTIME)),
+    Case(F.MOVING, moving),
+    Case(F.UNSETTLED, just_started),
+    Case(F.UNSETTLED, never_together),
+    Case(F.UNREACHABLE, unreachable),
+    Case(F.UNREACHABLE, too_far_to_join),
+    Case(F.VALVE_ACTIVE, value(valve_state=ValveState.ENABLED)),
+    Case(F.VALVE_ACTIVE, value(applied_v=-0.06)),
+]
+
+
+@pytest.mark.parametrize("case", BLOCKING, ids=ids)
+def test_the_fault_keeps_the_axis_from_arming_and_says_so(
+    case: Case, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = ready()
+    case.provoke(rig, monkeypatch)
+    tick = rig.tick(ARM)
+    assert (tick.state, names(tick.present), tick.latched) == (State.DISARMED, [case.fault.name.lower()], 0)
+    assert {t.state for t in rig.ticks(5)} == {State.DISARMED}
+
+
+@pytest.mark.parametrize("case", [c for c in CENTRING if c.lasting], ids=ids)
+def test_what_would_centre_keeps_from_arming_as_well(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = ready()
+    if case.fault in (F.OVERSPEED, F.ENCODER_JUMP):
+        rig.measurement = lambda m: m._replace(position_m=m.position_m + 1e-5 * (m.t_ns // PERIOD_NS % 2))
+        rig.ticks(5)
+    case.provoke(rig, monkeypatch)
+    for _ in range(case.ticks - 1):
+        rig.tick()
+    tick = rig.tick(ARM)
+    assert not is_engaged(tick.state)
+    assert tick.present & 1 << case.fault
+
+
+def test_the_valve_node_is_given_time_to_disable_before_that_is_wrong() -> None:
+    rig = tracking()
+    shown: list[Tick] = [rig.tick(kind) for kind in (0, 0)]
+    rig.host = int(Host.LINK_DOWN)
+    shown += rig.ticks(20)
+    assert not any(tick.present & 1 << F.VALVE_ACTIVE for tick in shown)
