@@ -13,8 +13,9 @@ from typing import Any, get_type_hints
 from hypothesis import strategies as st
 
 from pneud.log.files import create_log
+from pneud.log.header import LogHeader
 from pneud.log.schema import Detail
-from pneud.log.writer import LogHeader, LogWriter
+from pneud.log.writer import LogWriter
 from pneud.signals import (
     Command,
     Estimate,

@@ -15,7 +15,7 @@ from pneud.log.files import LogError
 from pneud.log.reader import LogReader, read_log
 from pneud.log.records import crc_of
 from pneud.log.recover import recover
-from pneud.log.schema import Detail
+from pneud.log.header import Detail
 from pneud.signals import Host, Record, Request, RequestKind, State, Timing
 
 COUNT = 120

@@ -19,7 +19,7 @@ import pytest
 from commands import background, children, eventually, kill, object_of, pneud
 from pneud.bus.link import open_link
 from pneud.log.reader import read_log
-from pneud.signals import State, ValveState
+from pneud.signals import Frame, State, ValveState
 
 pytestmark = pytest.mark.slow
 COMMAND, SYNC, ENCODER, PRESSURE, STATUS = 0x203, 0x080, 0x181, 0x182, 0x183
@@ -174,7 +174,7 @@ def test_the_daemon_killed_means_that_the_valve_node_centres_and_the_log_is_fini
         assert plant.stderr is not None
         lines = iter(plant.stderr.readline, "")
         assert any("timed_out" in line for line in lines)
-        heard: list = []
+        heard: list[Frame] = []
         ear.drain(heard)
         last = [f for f in heard if f.can_id == COMMAND][-1]
         eventually(lambda: read_log(log).truncated is False and sum(1 for _ in read_log(log)) > 0)

@@ -9,17 +9,19 @@ import sys
 import time
 import traceback
 from collections.abc import Callable
+from pathlib import Path
 from typing import NoReturn
 
 from pneud.bus.codec import Codecs
 from pneud.bus.link import Link, LinkError, open_link
+from pneud.config import Config
 from pneud.log.ring import Ring
 from pneud.plant.node import PlantNode
 from pneud.plant.parameters import PlantParameters
 from pneud.plant.process import serve
 from pneud.plant.truth import TruthWriter
 from pneud.rt import setup
-from pneud.view import LEAVE_SCREEN, ScreenInfo, run_child
+from pneud.safety.faults import FAULT_NAMES
 
 
 def fork(main: Callable[[], None]) -> int:
@@ -91,12 +93,28 @@ def fork_plant(
     return fork(main)
 
 
-def fork_screen(ring: Ring, inherited: Link, info: ScreenInfo) -> int:
+def fork_screen(ring: Ring, inherited: Link, config: Config, log_file: Path) -> int:
     """The live screen on this terminal."""
     parent = os.getpid()
+    bus, note = inherited.name, inherited.note
 
     def main() -> None:
         inherited.close()
+        # rich is loaded here, beside the loop's own start
+        from pneud.view import ScreenInfo, run_child  # noqa: PLC0415
+
+        info = ScreenInfo(
+            name=config.name,
+            bus=bus,
+            rate_hz=config.loop.rate_hz,
+            travel_min_m=config.limits.travel_min_m,
+            travel_max_m=config.limits.travel_max_m,
+            u_max_v=config.valve.u_max_v,
+            note=note,
+            fault_names=FAULT_NAMES,
+            log_path=str(log_file),
+            sync=config.bus.sync,
+        )
         reader = ring.reader()
 
         def log_counts() -> tuple[int, int]:
@@ -111,6 +129,8 @@ def fork_screen(ring: Ring, inherited: Link, info: ScreenInfo) -> int:
 def end_screen(pid: int) -> None:
     """Tell the screen to leave, and leave the terminal clean whatever it does."""
     if not end(pid, 3.0):
+        from pneud.view import LEAVE_SCREEN  # noqa: PLC0415
+
         sys.stdout.write(LEAVE_SCREEN)
         sys.stdout.flush()
 

@@ -9,11 +9,15 @@ import sys
 import time
 import traceback
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pneud.log.files import create_log
+from pneud.log.header import LogHeader
 from pneud.log.ring import RECORDER_FAILED, RecorderStatus, Ring, RingReader
-from pneud.log.writer import LogHeader, LogWriter
 from pneud.signals import Record
+
+if TYPE_CHECKING:
+    from pneud.log.writer import LogWriter
 
 _POLL_S = 0.02
 _NICE = 5
@@ -79,6 +83,9 @@ def recorder_main(ring: Ring, descriptor: int, header: LogHeader, parent: int) -
         signal.signal(number, signal.SIG_IGN)
     try:
         os.nice(_NICE)
+        # protobuf and MCAP are loaded here, beside the loop's own start, while the ring keeps what comes
+        from pneud.log.writer import LogWriter  # noqa: PLC0415
+
         return _Recorder(ring, LogWriter(descriptor, header), parent).run()
     except Exception:
         traceback.print_exc(file=sys.stderr)

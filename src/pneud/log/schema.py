@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from enum import IntEnum
-from typing import Any, Literal, NamedTuple, get_type_hints
+from typing import Any, NamedTuple, get_type_hints
 
 from google.protobuf import descriptor_pool, message_factory, timestamp_pb2
 from google.protobuf.descriptor_pb2 import (
@@ -18,6 +18,7 @@ from google.protobuf.descriptor_pb2 import (
     FileDescriptorSet,
 )
 
+from pneud.log.header import Detail
 from pneud.signals import (
     Command,
     Estimate,
@@ -29,7 +30,6 @@ from pneud.signals import (
 )
 
 SCHEMA = 1
-Detail = Literal["compact", "full"]
 
 METADATA = "pneud"  # name of the metadata on the run
 SETUP = "setup"  # name of the metadata on the real-time set-up

@@ -11,14 +11,14 @@ import os
 import struct
 import threading
 import time
-from typing import NamedTuple
 
 from mcap.writer import CompressionType, IndexType, Writer
 
 from pneud.log.events import EventSource
 from pneud.log.fingerprint import numeric_fingerprint, versions
+from pneud.log.header import LogHeader
 from pneud.log.records import LoggedEvent, Packer, pack_event
-from pneud.log.schema import EVENTS, FRAMES, METADATA, SCHEMA, SETUP, TICK, TIMING, Detail, Level, topics
+from pneud.log.schema import EVENTS, FRAMES, METADATA, SCHEMA, SETUP, TICK, TIMING, Level, topics
 from pneud.signals import Record
 
 CHUNK_BYTES = 64 * 1024
@@ -28,22 +28,6 @@ _RETRY_NS = 1_000_000_000
 _OVERHEAD_BYTES = 3 * 31  # MCAP's own head of a message
 
 FAILED = -1
-
-
-class LogHeader(NamedTuple):
-    """What a log says about its run before the first record."""
-
-    name: str  # of the axis
-    bus: str
-    rate_hz: float
-    detail: Detail
-    config_name: str
-    config_text: str
-    dbc_name: str
-    dbc: bytes
-    fault_names: tuple[str, ...]  # by bit number
-    realtime_offset_ns: int  # Unix time minus monotonic time, constant within a log; 0 for simulated time
-    extra: dict[str, str]  # further metadata: the seed, the scenario, …
 
 
 def realtime_offset_ns() -> int:

@@ -16,16 +16,15 @@ from pneud.config import Config, ConfigError
 from pneud.daemon import Loop, options_of
 from pneud.loading import Loaded, bus_name, load
 from pneud.log.files import log_path
+from pneud.log.header import LogHeader
 from pneud.log.recorder import start_recorder
 from pneud.log.ring import Ring
-from pneud.log.writer import LogHeader
 from pneud.plant.truth import TruthReader, truth_memory
 from pneud.processes import end, end_screen, fork_plant, fork_screen, wait
 from pneud.rt import setup
 from pneud.safety.faults import FAULT_NAMES, names
 from pneud.signals import State
 from pneud.summary import in_words, summarise
-from pneud.view import ScreenInfo
 
 RECORDER_PATIENCE_S = 15.0
 
@@ -108,7 +107,7 @@ def _run(o: RunOptions, loaded: Loaded, link: Link, log_file: Path) -> int:
                 max(0, config.realtime.priority - 10),
             )
         if not o.headless and sys.stdout.isatty() and not o.json:
-            screen = fork_screen(ring, link, screen_info(config, link, log_file))
+            screen = fork_screen(ring, link, config, log_file)
         reports = setup.apply(config.realtime.priority, config.realtime.cpu, config.realtime.lock_memory)
         ring.set_notes(setup.as_text(reports))
         fifo = next(r for r in reports if r.name == "fifo")
@@ -185,19 +184,3 @@ def _report(
             print(f"pneud: stopped by {', '.join(names(loop.ever_latched))}", file=sys.stderr)
         return 1
     return 1 if wanted and loop.state != State.TRACKING else 0
-
-
-def screen_info(config: Config, link: Link, log_file: Path) -> ScreenInfo:
-    """What the screen shows of this run."""
-    return ScreenInfo(
-        name=config.name,
-        bus=link.name,
-        rate_hz=config.loop.rate_hz,
-        travel_min_m=config.limits.travel_min_m,
-        travel_max_m=config.limits.travel_max_m,
-        u_max_v=config.valve.u_max_v,
-        note=link.note,
-        fault_names=FAULT_NAMES,
-        log_path=str(log_file),
-        sync=config.bus.sync,
-    )

@@ -11,7 +11,8 @@ from pneud.axis import FOLLOWING
 from pneud.config import ConfigError
 from pneud.loading import load
 from pneud.log.files import create_log, log_path
-from pneud.log.writer import LogHeader, LogWriter
+from pneud.log.header import LogHeader
+from pneud.log.writer import LogWriter
 from pneud.safety.faults import FAULT_NAMES
 from pneud.signals import State
 from pneud.sim.lockstep import Simulation
