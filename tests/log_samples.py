@@ -13,8 +13,7 @@ from typing import Any, get_type_hints
 from hypothesis import strategies as st
 
 from pneud.log.files import create_log
-from pneud.log.header import LogHeader
-from pneud.log.schema import Detail
+from pneud.log.header import Detail, LogHeader
 from pneud.log.writer import LogWriter
 from pneud.signals import (
     Command,

@@ -70,7 +70,7 @@ def rewritten(source: Path, target: Path, tick: int) -> Path:
         with source.open("rb") as again:
             for metadata in NonSeekingReader(again).iter_metadata():
                 writer.add_metadata(metadata.name, dict(metadata.metadata))
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return target
 
 

@@ -144,7 +144,7 @@ def _difference(number: int, logged: LoggedTick, tick: Tick) -> Difference:
     for name, was, now in _pairs(logged, tick):
         if repr(was) != repr(now):  # which makes NaN equal to itself
             # a compact log holds floats of 32 bits
-            if isinstance(was, float) and abs(was - now) <= 6e-8 * abs(now):
+            if isinstance(was, float) and isinstance(now, float) and abs(was - now) <= 6e-8 * abs(now):
                 continue
             return Difference(number, name, f"{was!r}", f"{now!r}")
     return Difference(number, "the checksum of the states", f"{logged.check:08x}", f"{crc_of(tick):08x}")

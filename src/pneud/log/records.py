@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto as F
 
-from pneud.log.schema import Detail, Field, Level, message_class, tick_fields
+from pneud.log.header import Detail
+from pneud.log.schema import Field, Level, message_class, tick_fields
 from pneud.signals import Command, Estimate, Frame, Measurement, Record, Reference, Request, Tick, Timing
 
 _CHECKED = struct.Struct("<8d4d4d")
