@@ -7,11 +7,12 @@ takes no time. The same seed gives the same records on every run.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 from pneud import parameters
 from pneud.axis import Axis
 from pneud.bus.inbox import Inbox
-from pneud.loading import Loaded
+from pneud.loading import Loaded, load
 from pneud.plant.node import PlantNode
 from pneud.safety.faults import BLOCKS_ARM
 from pneud.safety.supervisor import is_engaged
@@ -98,3 +99,18 @@ class Simulation:
             count += 1
             over = self.shut or tick.state == State.FAULT
             idle = idle + 1 if over and not is_engaged(tick.state) else 0
+
+
+def simulate(config_file: str | Path, duration_s: float = 10.0, seed: int = 0) -> Iterator[Record]:
+    """The ticks of a run in simulated time, with what comes to rest after it.
+
+    Args:
+        config_file: path, or bare name of a configuration that comes with pneud.
+        duration_s: simulated time until the axis is told to shut down.
+        seed: of the sensors' noise.
+
+    Raises:
+        ConfigError: the configuration cannot be used.
+        DatabaseError: its DBC cannot be used.
+    """
+    return Simulation(load(config_file), duration_s, seed).records()
