@@ -1,0 +1,153 @@
+"""The document of the safety layer, `docs/safety.md`, made from the fault table."""
+
+from __future__ import annotations
+
+from pneud.safety.checks import LEAVING_TICKS, MOVING_M_S, OFF_CENTRE_V, SETTLING_NS, SETTLING_TICKS
+from pneud.safety.faults import TABLE, Fault, Reaction
+from pneud.safety.output import CEILING_V
+from pneud.safety.supervisor import START_TICKS
+from pneud.signals import ENGAGED, State
+
+_STATES = {
+    State.STARTING: f"the valve node is told to centre for {START_TICKS} ticks, whatever else is known",
+    State.WAITING: "a sensor or the valve node does not answer",
+    State.DISARMED: "everything answers; the valve is centred",
+    State.TRACKING: "the load is led to the reference, then follows it",
+    State.MOVING: "the load moves to a position that was asked for (not in this version)",
+    State.HOLDING: "the load is held where it is (not in this version)",
+    State.HOMING: "the axis looks for its reference (not in this version)",
+    State.STOPPING: "the load is brought to rest under control; then the valve is centred",
+    State.FAULT: "the valve is centred, and stays so until the fault is cleared",
+}
+_REACTIONS = {
+    Reaction.CENTRE: "the valve is centred in the same tick, past the slew limit, and disabled. Cannot arm",
+    Reaction.STOP: "the load is brought to rest under control, then the valve is centred. Cannot arm",
+    Reaction.NO_ARM: "the axis cannot arm; one that is engaged goes on",
+    Reaction.WARN: "shown and logged, nothing else",
+}
+_TIMEOUTS = (
+    (
+        "`bus.sensor_timeout_ms`",
+        "the axis: age of the last valid encoder, pressure and valve frame",
+        "centre at once",
+    ),
+    ("`bus.deadline_timeout_ms`", "the axis: time without a tick while engaged", "centre at once"),
+    (
+        "`bus.valve_timeout_ms`",
+        "the valve node: time without a valid command",
+        "it centres by itself; `valve_timed_out`",
+    ),
+    (
+        "`bus.valve_timeout_ms`",
+        "the axis: engaged for longer, and the valve node is not enabled",
+        "centre at once; `valve_rebooted`",
+    ),
+)
+
+_TEXT = """\
+# Safety
+
+<!-- Made by pneud.safety.document; do not edit. To make it anew:
+     python -c "from pneud.safety.document import text; print(text(), end='')" > docs/safety.md -->
+
+## What pneud is not
+
+pneud is a controller. It is **no safety function** in the sense of ISO 13849 or IEC 62061: it runs on an
+ordinary computer, has one channel, and nobody has certified it. Do not put a hand where only pneud keeps
+the load away.
+
+**Centred is not a safe stop.** At 0 V (centre of a proportional 5/3 valve) both chambers are shut, or
+leak a little. The air in them stays trapped and keeps its energy: the load may go on moving until the
+pressures balance, may creep, and may jump when something that held it lets go. A person near the load
+needs, outside of pneud and independent of it:
+
+* a hardware valve that dumps the air of both chambers or blocks the rod, switched by the emergency stop;
+* an emergency stop that does not pass through this computer or the CAN bus;
+* a valve node that centres by itself when commands stop. pneud relies on that for its own death: it
+  cannot centre a valve when its computer has stopped.
+
+What pneud does see is in the table below. What it cannot see: a position that stands still while the load
+moves (the encoder's counter goes on, its value does not) shows only as `tracking_error`, after the load
+has been driven away from where it should be; a valve that does not do what its node reports shows only in
+what the load then does; a slip of the encoder of less than `limits.innovation_m` at a time shows not at
+all.
+
+## States
+
+{states}
+
+*Engaged* are {engaged}: only in these can a voltage leave. In every other state each tick sends 0 V and
+Enable 0.
+
+* Only the request *arm* engages, only from `disarmed`, and only while no fault is present that keeps from
+  arming.
+* Only the request *clear* leaves `fault`, and only when what led there is gone. It leads to `disarmed`:
+  after a fault it takes *clear* and then *arm*. Nothing arms again by itself.
+* *disarm*, and the end of the program, stop the load under control before the valve is centred. After the
+  end of the program was asked for, the axis does not arm again.
+
+Arming does not step: a way with bounded acceleration and jerk (`limits.transfer`) leads from the measured
+position to the reference. A way that would leave `limits.travel` is not begun (`unreachable`). A stop
+that would leave it is made harder than `limits.transfer` instead.
+
+## Reactions
+
+{reactions}
+
+## Faults
+
+A fault that centres or stops is *latched*: it is shown, and holds the axis in `fault`, until it is
+cleared. The number is the bit in `present` and `latched` of the log; it never changes its meaning.
+
+{table}
+
+Constants: the load moves above {moving:g} m/s; estimates are settled after {settling_ms:g} ms and
+{settling_ticks} ticks; a valve off its centre by more than {off:g} V, or still enabled {leaving} ticks
+after the axis has let go, is active. `encoder_jump` allows, over a gap between two readings, for what
+`limits.chamber_max_pa` on the larger piston area could do to the load in that time. Any exception in a
+tick is `internal`.
+
+## The way of a command
+
+law → finite? → slew limit (`limits.slew_v_s`) → ±`valve.u_max_v`, never above {ceiling:g} V → step of the
+DBC → in range? → Enable 1.
+
+A value that is not finite, or out of range in the end, becomes 0 V with Enable 0 and a latched fault.
+Centring goes past all of this. Saturation is shown, and is no fault.
+
+## Time-outs
+
+{timeouts}
+
+Between two valid frames the axis goes on with the last pressures and a predicted position, at most for
+the time-out.
+"""
+
+
+def text() -> str:
+    """The document."""
+    return _TEXT.format(
+        states=_table(("state", "meaning"), [(f"`{s.label}`", _STATES[s]) for s in State]),
+        engaged=", ".join(f"`{state.label}`" for state in ENGAGED),
+        reactions=_table(("reaction", "what happens"), [(r.value, _REACTIONS[r]) for r in Reaction]),
+        table=_table(
+            ("bit", "fault", "when", "reaction", "latched", "what to do"), [_row(fault) for fault in TABLE]
+        ),
+        timeouts=_table(("time-out", "who watches", "what follows"), list(_TIMEOUTS)),
+        moving=MOVING_M_S,
+        settling_ms=SETTLING_NS * 1e-6,
+        settling_ticks=SETTLING_TICKS,
+        off=OFF_CENTRE_V,
+        leaving=LEAVING_TICKS,
+        ceiling=CEILING_V,
+    )
+
+
+def _row(fault: Fault) -> tuple[str, ...]:
+    latched = "yes" if fault.reaction in (Reaction.CENTRE, Reaction.STOP) else "no"
+    return str(int(fault.bit)), f"`{fault.name}`", fault.when, fault.reaction.value, latched, fault.cure
+
+
+def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    lines = [head, tuple("---" for _ in head), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

@@ -1,0 +1,232 @@
+"""The tracked sine, and the ways to it and to rest."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pneud.control.reference import (
+    LEAST_S,
+    ROOM,
+    Bounds,
+    Sine,
+    Way,
+    along,
+    at,
+    between_rests,
+    rest,
+    septic,
+    sine,
+    stays,
+    stop,
+    to_rest,
+    transfer,
+    way,
+)
+from pneud.signals import Reference
+
+STANDARD = Bounds(0.3, 2.0, 40.0)
+SINE = Sine(0.4868, 0.05, math.pi)  # of configs/virtual.toml
+DENSE = 300
+
+position = st.floats(0.02, 0.98)
+bounds = st.builds(Bounds, st.floats(0.02, 2.0), st.floats(0.1, 20.0), st.floats(1.0, 1000.0))
+motions = st.builds(Reference, position, st.floats(-1.0, 1.0), st.floats(-5.0, 5.0), st.floats(-100.0, 100.0))
+sines = st.builds(Sine, position, st.floats(0.0, 0.2), st.floats(0.0, 20.0))
+times = st.floats(0.0, 1e3)
+
+
+def look(w: Way) -> list[Reference]:
+    return [along(w.T * i / DENSE, w) for i in range(DENSE + 1)]
+
+
+def close(a: Reference, b: Reference, scale: float = 1.0) -> bool:
+    """Equal to the rounding of polynomials whose terms have this size (in position)."""
+    return all(abs(x - y) <= 1e-9 * scale * (1.0 + abs(y)) for x, y in zip(a, b, strict=True))
+
+
+def most(r: Reference, b: Bounds) -> tuple[float, float]:
+    return (
+        max(b.acceleration_m_s2, ROOM * abs(r.acceleration_m_s2)),
+        max(b.jerk_m_s3, ROOM * abs(r.jerk_m_s3)),
+    )
+
+
+def assert_within(w: Way, of: Reference, b: Bounds) -> None:
+    acceleration, jerk = most(of, b)
+    for r in look(w):
+        assert abs(r.acceleration_m_s2) <= 1.001 * acceleration
+        assert abs(r.jerk_m_s3) <= 1.001 * jerk
+
+
+def assert_smooth(w: Way, of: Reference, b: Bounds) -> None:
+    acceleration, jerk = most(of, b)
+    for p, q in zip(w.pieces, w.pieces[1:], strict=False):
+        end, begin = at(p.T, p), at(0.0, q)
+        assert end.position_m == pytest.approx(begin.position_m, rel=1e-12, abs=1e-12)
+        assert end.velocity_m_s == pytest.approx(begin.velocity_m_s, rel=1e-10, abs=1e-10)
+        assert end.acceleration_m_s2 == pytest.approx(begin.acceleration_m_s2, abs=1e-6 * acceleration)
+        assert end.jerk_m_s3 == pytest.approx(begin.jerk_m_s3, abs=1e-5 * jerk)
+
+
+@given(T=st.floats(0.02, 10.0), start=motions, end=motions)
+def test_a_septic_meets_its_ends(T: float, start: Reference, end: Reference) -> None:
+    p = septic(T, start, end)
+    size = max(1.0, *(abs(c) for c in p[1:]))
+    assert close(at(0.0, p), start)
+    assert close(at(T, p), end, size * max(1.0, T**-3))
+
+
+@given(T=st.floats(0.02, 10.0), start=motions, end=motions, share=st.floats(0.01, 0.99))
+def test_the_derivatives_are_those_of_the_position(
+    T: float, start: Reference, end: Reference, share: float
+) -> None:
+    p = septic(T, start, end)
+    step = 1e-4 * T
+    t = share * T
+    before, now, after = at(t - step, p), at(t, p), at(t + step, p)
+    size = sum(abs(c) for c in p[1:])
+    for i, order in ((0, 1), (1, 2), (2, 3)):
+        slope = (after[i] - before[i]) / (2.0 * step)
+        assert slope == pytest.approx(now[i + 1], rel=1e-3, abs=1e-3 * size / T**order)
+
+
+def test_before_and_after_a_way_it_stands_at_its_ends() -> None:
+    w = way(between_rests(0.1, 0.4, STANDARD), between_rests(0.4, 0.2, STANDARD))
+    assert along(-1.0, w) == rest(0.1)
+    assert along(w.T + 1.0, w).position_m == pytest.approx(0.2, abs=1e-12)
+    assert along(w.pieces[0].T, w) == rest(0.4)
+
+
+@given(t=times, p=sines)
+def test_the_sine_has_its_own_derivatives(t: float, p: Sine) -> None:
+    r = sine(t, p)
+    w = p.omega_rad_s
+    assert abs(r.position_m - p.centre_m) <= p.amplitude_m
+    assert r.acceleration_m_s2 == pytest.approx(-w * w * (r.position_m - p.centre_m), abs=1e-9)
+    assert r.jerk_m_s3 == pytest.approx(-w * w * r.velocity_m_s, abs=1e-9)
+    energy = (r.position_m - p.centre_m) ** 2 * w * w + r.velocity_m_s**2
+    assert energy == pytest.approx((p.amplitude_m * w) ** 2, abs=1e-9)
+
+
+def test_a_sine_without_amplitude_or_frequency_stands_still() -> None:
+    assert sine(7.0, Sine(0.5, 0.0, 3.0)) == rest(0.5)
+    assert sine(7.0, Sine(0.5, 0.1, 0.0)) == rest(0.5)
+
+
+@given(start=position, end=position, b=bounds)
+def test_from_rest_to_rest_keeps_every_bound_and_reaches_one(start: float, end: float, b: Bounds) -> None:
+    p = between_rests(start, end, b)
+    seen = look(way(p))
+    use = max(
+        max(abs(r.velocity_m_s) for r in seen) / b.speed_m_s,
+        max(abs(r.acceleration_m_s2) for r in seen) / b.acceleration_m_s2,
+        max(abs(r.jerk_m_s3) for r in seen) / b.jerk_m_s3,
+    )
+    assert use <= 1.001
+    assert use >= 0.99 or p.T == LEAST_S
+    low, high = min(start, end), max(start, end)
+    assert all(low - 1e-12 <= r.position_m <= high + 1e-12 for r in seen)
+
+
+@pytest.mark.parametrize("b", [STANDARD, Bounds(0.02, 0.1, 1.0), Bounds(2.0, 20.0, 1000.0)])
+def test_no_distance_takes_the_shortest_time(b: Bounds) -> None:
+    p = between_rests(0.3, 0.3, b)
+    assert p.T == LEAST_S
+    assert set(look(way(p))) == {rest(0.3)}
+
+
+@given(start=motions, b=bounds)
+def test_to_rest_ends_at_rest_within_the_bounds(start: Reference, b: Bounds) -> None:
+    w = to_rest(start, b)
+    acceleration, jerk = most(start, b)
+    assert close(along(0.0, w), start)
+    end = along(w.T, w)
+    assert abs(end.velocity_m_s) <= 1e-9
+    assert abs(end.acceleration_m_s2) <= 1e-6 * acceleration
+    assert abs(end.jerk_m_s3) <= 1e-4 * jerk
+    assert_smooth(w, start, b)
+    assert_within(w, start, b)
+
+
+@given(start=motions, b=bounds)
+def test_to_rest_runs_no_further_than_physics_needs(start: Reference, b: Bounds) -> None:
+    w = to_rest(start, b)
+    acceleration, jerk = most(start, b)
+    # no motion with these bounds ends its acceleration, then its velocity, over much less
+    ease = 4.5 * abs(start.acceleration_m_s2) / jerk + LEAST_S
+    speed = (
+        abs(start.velocity_m_s)
+        + 0.5 * ease * abs(start.acceleration_m_s2)
+        + ease * ease * abs(start.jerk_m_s3) / 12
+    )
+    least = 0.5 * speed * (speed / acceleration + acceleration / jerk)
+    needed = speed * (ease + LEAST_S) + 2.5 * least
+    assert max(abs(r.position_m - start.position_m) for r in look(w)) <= needed
+
+
+@pytest.mark.parametrize("t", [i * 0.05 for i in range(40)])
+def test_the_standard_sine_stops_soon_from_wherever_it_is(t: float) -> None:
+    w = to_rest(sine(t, SINE), STANDARD)
+    assert w.T <= 0.3
+    assert all(abs(r.position_m - sine(t, SINE).position_m) <= 0.016 for r in look(w))
+    assert_within(w, sine(t, SINE), STANDARD)
+
+
+@given(start=position, p=sines, b=bounds)
+def test_a_transfer_leads_from_rest_onto_the_sine(start: float, p: Sine, b: Bounds) -> None:
+    first = sine(0.0, p)
+    w = transfer(start, first, b)
+    acceleration, jerk = most(first, b)
+    assert along(0.0, w) == rest(start)
+    end = along(w.T, w)
+    assert end.position_m == pytest.approx(first.position_m, abs=1e-12)
+    assert end.velocity_m_s == pytest.approx(first.velocity_m_s, abs=1e-9)
+    assert end.acceleration_m_s2 == pytest.approx(first.acceleration_m_s2, abs=1e-6 * acceleration)
+    assert end.jerk_m_s3 == pytest.approx(first.jerk_m_s3, abs=1e-4 * jerk)
+    assert_smooth(w, first, b)
+    assert_within(w, first, b)
+    fastest = max(b.speed_m_s, abs(first.velocity_m_s) + LEAST_S**2 * abs(first.jerk_m_s3))
+    assert all(abs(r.velocity_m_s) <= 1.001 * fastest for r in look(w))
+
+
+@pytest.mark.parametrize("start", [0.02, 0.08, 0.436, 0.4868, 0.54, 0.98])
+def test_a_transfer_across_the_stroke_stays_within_it(start: float) -> None:
+    w = transfer(start, sine(0.0, SINE), STANDARD)
+    assert stays(w, 0.02 - 1e-12, 0.98 + 1e-12)
+    assert all(abs(r.velocity_m_s) <= 0.3003 for r in look(w))
+    assert 2.1875 * abs(start - 0.4868) / 0.3 + 1.5 >= w.T
+
+
+def test_whether_a_way_stays_is_seen_between_its_ends() -> None:
+    there_and_back = way(between_rests(0.3, 0.6, STANDARD), between_rests(0.6, 0.3, STANDARD))
+    assert stays(there_and_back, 0.3 - 1e-12, 0.6 + 1e-12)
+    assert not stays(there_and_back, 0.3, 0.599)
+    assert not stays(there_and_back, 0.301, 0.6)
+    assert not stays(there_and_back, math.nan, 0.6)
+
+
+def test_a_stop_that_fits_is_the_stop_that_was_asked_for() -> None:
+    start = Reference(0.5, 0.2, 0.0, 0.0)
+    assert stop(start, STANDARD, 0.02, 0.98) == to_rest(start, STANDARD)
+
+
+@given(t=times, b=bounds)
+def test_a_sine_never_stops_outside_the_travel_it_moves_in(t: float, b: Bounds) -> None:
+    low, high = SINE.centre_m - SINE.amplitude_m, SINE.centre_m + SINE.amplitude_m
+    margin = 1e-4  # a stop takes LEAST_S twice, however hard
+    w = stop(sine(t, SINE), b, low - margin, high + margin)
+    assert stays(w, low - margin, high + margin)
+    assert close(along(0.0, w), sine(t, SINE))
+    assert abs(along(w.T, w).velocity_m_s) <= 1e-9
+
+
+def test_a_stop_that_cannot_be_is_made_as_hard_as_possible() -> None:
+    start = Reference(0.979, 1.0, 0.0, 0.0)
+    w = stop(start, STANDARD, 0.02, 0.98)
+    assert not stays(w, 0.02, 0.98)
+    assert pytest.approx(2.0 * LEAST_S) == w.T
+    assert abs(along(w.T, w).velocity_m_s) <= 1e-9

@@ -1,0 +1,203 @@
+"""The state machine, explored to the end: every state, request, fault and pair of faults."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations
+
+import pytest
+
+from pneud.safety import supervisor
+from pneud.safety.faults import BLOCKS_ARM, CENTRES, NO_SENSORS, TABLE, F, Reaction, mask
+from pneud.safety.supervisor import INITIAL, START_TICKS, Supervisor, advance, is_engaged, trip
+from pneud.signals import ENGAGED, RequestKind, State
+
+REQUESTS = (0, *RequestKind)
+SINGLES = [1 << fault for fault in F]
+PAIRS = [a | b for a, b in combinations(SINGLES, 2)]
+STOPPING = 1 << F.TRACKING_ERROR | 1 << F.OVERSPEED  # as if the table had rows with a controlled stop
+ARM, DISARM, CLEAR, SHUTDOWN = (
+    RequestKind.ARM,
+    RequestKind.DISARM,
+    RequestKind.CLEAR,
+    RequestKind.SHUTDOWN,
+)
+Step = tuple[Supervisor, int, int, bool, Supervisor]
+
+
+def essence(s: Supervisor) -> Supervisor:
+    """What of a state decides on its successors: not which faults are latched, nor time after the start."""
+    ticks = s.ticks if s.state == State.STARTING else 0
+    return s._replace(latched=int(bool(s.latched)), ticks=ticks)
+
+
+def explore(pairs: list[int]) -> list[Step]:
+    """Every step from every state that can be reached, and from all that are engaged."""
+    todo = [INITIAL, *(Supervisor(int(state), 0, 0, False) for state in ENGAGED)]
+    seen = {essence(s) for s in todo}
+    steps = []
+    while todo:
+        s = todo.pop()
+        # nothing is looked at while starting
+        for present in [0, *SINGLES, *(pairs if s.state != State.STARTING else ())]:
+            for request in REQUESTS:
+                for at_rest in (False, True):
+                    after = advance(s, present, request, at_rest)
+                    steps.append((s, present, request, at_rest, after))
+                    if essence(after) not in seen:
+                        seen.add(essence(after))
+                        todo.append(after)
+    return steps
+
+
+@pytest.fixture(scope="module", params=["table", "with stops"])
+def steps(request: pytest.FixtureRequest) -> Iterator[list[Step]]:
+    """The table as it is, and with two rows that ask for a controlled stop."""
+    if request.param == "table":
+        yield explore(PAIRS)
+        return
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(supervisor, "STOPS", STOPPING)
+        patch.setattr(supervisor, "CENTRES", CENTRES & ~STOPPING)
+        yield explore([pair for pair in PAIRS if pair & STOPPING])
+
+
+def centres() -> int:
+    return int(vars(supervisor)["CENTRES"])
+
+
+def stops() -> int:
+    return int(vars(supervisor)["STOPS"])
+
+
+def holds() -> int:
+    return centres() | stops()
+
+
+def test_all_states_of_the_supervisor_are_reached(steps: list[Step]) -> None:
+    assert {after.state for *_, after in steps} == set(State)
+    assert len(steps) > 20_000
+
+
+def test_only_arm_engages_and_only_from_disarmed_without_faults(steps: list[Step]) -> None:
+    engaging = [step for step in steps if is_engaged(step[4].state) and not is_engaged(step[0].state)]
+    assert engaging
+    for s, present, request, _, after in engaging:
+        assert (s.state, request, after.state) == (State.DISARMED, ARM, State.TRACKING)
+        assert not present & BLOCKS_ARM
+        assert not s.closing
+
+
+def test_fault_is_left_by_clear_alone_and_for_disarmed(steps: list[Step]) -> None:
+    left = [step for step in steps if step[0].state == State.FAULT != step[4].state]
+    assert left
+    for _, present, request, _, after in left:
+        assert request == CLEAR
+        assert not present & holds()
+        assert after._replace(closing=False) == Supervisor(State.DISARMED, 0, 0, False)
+
+
+def test_clear_leaves_fault_as_soon_as_the_cause_is_gone(steps: list[Step]) -> None:
+    for s, present, request, _, after in steps:
+        if s.state == State.FAULT and request == CLEAR and not present & holds():
+            assert after.state == State.DISARMED
+
+
+def test_a_centring_fault_takes_one_cycle_from_every_engaged_state(steps: list[Step]) -> None:
+    met = set()
+    for s, present, _, _, after in steps:
+        if is_engaged(s.state) and present & centres():
+            met.add(s.state)
+            assert after.state == State.FAULT
+            assert after.latched == s.latched | present & holds()
+    assert met == set(ENGAGED)
+
+
+def test_latched_faults_stay_until_fault_is_left(steps: list[Step]) -> None:
+    for s, *_, after in steps:
+        if not (s.state == State.FAULT != after.state):
+            assert after.latched & s.latched == s.latched
+
+
+def test_nothing_is_latched_but_in_fault_and_on_the_way_to_it(steps: list[Step]) -> None:
+    for *_, after in steps:
+        assert after.latched == 0 or after.state in (State.FAULT, State.STOPPING)
+        assert after.state != State.FAULT or after.latched
+
+
+def test_a_fault_found_before_a_stop_ends_in_fault(steps: list[Step]) -> None:
+    for s, present, _, at_rest, after in steps:
+        if s.state == State.STOPPING and not present & centres():
+            latched = s.latched | present & stops()
+            ended = State.FAULT if latched else State.DISARMED
+            assert (after.state, after.latched) == (ended if at_rest else State.STOPPING, latched)
+
+
+def test_a_stop_fault_and_the_requests_to_end_stop_under_control(steps: list[Step]) -> None:
+    for s, present, request, _, after in steps:
+        if is_engaged(s.state) and s.state != State.STOPPING and not present & centres():
+            asked = bool(present & stops()) or request in (DISARM, SHUTDOWN)
+            assert after.state == (State.STOPPING if asked else s.state)
+
+
+def test_shutdown_is_for_good(steps: list[Step]) -> None:
+    for s, _, request, _, after in steps:
+        assert after.closing == (s.closing or request == SHUTDOWN)
+        assert not (after.closing and after.state == State.TRACKING and not is_engaged(s.state))
+
+
+def test_lost_sensors_lead_back_to_waiting_only_where_nothing_is_latched(steps: list[Step]) -> None:
+    for s, present, _, _, after in steps:
+        if s.state in (State.WAITING, State.DISARMED):
+            assert (after.state == State.WAITING) == bool(present & NO_SENSORS)
+
+
+def test_warnings_change_nothing(steps: list[Step]) -> None:
+    warnings = mask(Reaction.WARN)
+    for s, present, request, at_rest, after in steps[::7]:
+        assert advance(s, present | warnings, request, at_rest) == after
+
+
+def test_what_only_keeps_from_arming_changes_nothing_else(steps: list[Step]) -> None:
+    hindrances = mask(Reaction.NO_ARM)
+    for s, present, request, at_rest, after in steps[::7]:
+        if request != ARM:
+            assert advance(s, present | hindrances, request, at_rest) == after
+
+
+def test_requests_that_are_not_known_change_nothing(steps: list[Step]) -> None:
+    for s, present, request, at_rest, after in steps[::7]:
+        if request == 0:
+            assert advance(s, present, 99, at_rest) == after
+
+
+def test_ticks_count_from_the_entry_into_a_state(steps: list[Step]) -> None:
+    for s, *_, after in steps:
+        assert after.ticks == (s.ticks + 1 if after.state == s.state else 0)
+
+
+@pytest.mark.parametrize("present", [0, *SINGLES])
+def test_starting_lasts_its_ticks_whatever_is_asked(present: int) -> None:
+    s, states = INITIAL, []
+    for i in range(START_TICKS + 1):
+        s = advance(s, present, REQUESTS[i % len(REQUESTS)], True)
+        states.append(s.state)
+    assert states == [State.STARTING] * START_TICKS + [State.WAITING]
+
+
+@pytest.mark.parametrize("state", list(State))
+def test_a_fault_found_behind_the_supervisor_is_latched_in_every_state(state: State) -> None:
+    s = trip(Supervisor(state, 1 << F.TRAVEL, 5, False), 1 << F.INTERNAL)
+    assert s == Supervisor(State.FAULT, 1 << F.TRAVEL | 1 << F.INTERNAL, 0, False)
+    assert trip(s, 1, SHUTDOWN).closing
+    assert not trip(s, 1, ARM).closing
+    assert trip(s._replace(closing=True), 1).closing
+
+
+def test_the_engaged_states_are_those_of_the_signals() -> None:
+    assert tuple(state for state in State if is_engaged(state)) == ENGAGED
+
+
+def test_every_row_that_holds_the_axis_also_keeps_it_from_arming() -> None:
+    for fault in TABLE:
+        assert bool(BLOCKS_ARM >> fault.bit & 1) == (fault.reaction != Reaction.WARN)
