@@ -47,6 +47,8 @@ def test_whatever_the_law_says_what_leaves_is_a_command(
         assert abs(out.voltage_v - law) <= 1.0000001 * p.lsb_v
 
 
+@example(law=0.0, last=0.0, h=0.0, p=OutputLimits(-9e304, 0.0, LSB))
+@example(law=5.5, last=5.4, h=1.0, p=OutputLimits(math.nan, 1e6, LSB))
 @given(
     law=any_float, last=any_float, h=any_float, p=st.builds(OutputLimits, any_float, any_float, st.just(LSB))
 )

@@ -52,9 +52,10 @@ def emit(law_v: float, last_v: float, h: float, p: OutputLimits) -> Output:
     room = p.slew_v_s * h
     slewed = max(last_v - room, min(last_v + room, law_v))
     limited = max(-p.u_max_v, min(p.u_max_v, slewed))
-    if not math.isfinite(limited):
+    exact = limited / p.lsb_v
+    if not math.isfinite(exact):
         return Output(0.0, 0, 0, 1 << F.COMMAND_RANGE)
-    steps = round(limited / p.lsb_v)
+    steps = round(exact)
     if abs(steps * p.lsb_v) > p.u_max_v:
         steps -= 1 if steps > 0 else -1
     voltage = steps * p.lsb_v
