@@ -12,10 +12,10 @@ from mcap.writer import Writer
 
 from log_samples import OFFSET_NS, bits, header, noisy, tick_at, write_log
 from pneud.log.files import LogError
+from pneud.log.header import Detail
 from pneud.log.reader import LogReader, read_log
 from pneud.log.records import crc_of
 from pneud.log.recover import recover
-from pneud.log.header import Detail
 from pneud.signals import Host, Record, Request, RequestKind, State, Timing
 
 COUNT = 120

@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from log_samples import any_record, bits, noisy, tick_at, write_log
-from pneud.log.records import LoggedEvent, Packer, crc_of, pack_event, unpack, unpack_event, varint, zigzag
 from pneud.log.header import Detail
+from pneud.log.records import LoggedEvent, Packer, crc_of, pack_event, unpack, unpack_event, varint, zigzag
 from pneud.log.schema import SCHEMA, Level, message_class, topics
 from pneud.signals import Command, Estimate, Frame, Measurement, Record, Reference, Timing
 

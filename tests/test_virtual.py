@@ -94,7 +94,7 @@ def test_daemon_and_plant_in_two_terminals_with_an_unmodified_logger(tmp_path: P
     with background("plant", "--bus", bus) as plant:
         channel = bus.partition(":")[2]
         logger = subprocess.Popen(
-            [sys.executable, "-m", "can.logger", "-i", "unixcan", "-c", channel, "-f", str(candump)],
+            [sys.executable, "-u", "-m", "can.logger", "-i", "unixcan", "-c", channel, "-f", str(candump)],
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
         )

@@ -1,7 +1,8 @@
 """Where the files that come with pneud are: configurations, the DBC, scenarios.
 
 In a checkout (or an editable installation) they are the checkout's own; in an installed wheel they lie
-inside the package. A name that exists relative to the working directory always wins.
+inside the package. A file beside the one that names it, or in the
+working directory, wins over them.
 """
 
 from __future__ import annotations

@@ -101,8 +101,8 @@ class Measurement(NamedTuple):
     """The newest valid values, and how good they are.
 
     `fresh` has a bit of `Source` for each source whose valid frame belongs to this tick; `age_ns` counts from
-    the instant a source's last valid value was sampled to this tick's SYNC (0 when fresh); `defects` tells why newer
-    frames of a source were not used.
+    the instant a source's last valid value was sampled to this tick's SYNC (0 when fresh); `defects` tells
+    why newer frames of a source were not used.
     """
 
     t_ns: int  # this tick's SYNC
@@ -194,7 +194,8 @@ class Timing(NamedTuple):
 class Record(NamedTuple):
     """One tick as it goes to the recorder.
 
-    `frames[:before]` were drained before SYNC left, the rest after it: replay feeds them in that order. `sent` holds SYNC
+    `frames[:before]` were drained before SYNC left, the rest after it: replay feeds them in that order.
+    `sent` holds SYNC
     and VALVE_COMMAND. `truth_m` is the true position at SYNC where a software plant tells it, else NaN.
     """
 

@@ -41,7 +41,8 @@ def gentle(tmp_path: Path) -> Path:
     }.items():
         text, count = re.subn(rf"^{key} = \S+", f"{key} = {value}", text, flags=re.MULTILINE)
         assert count == 1, key
-    text, count = re.subn(r"(\[control\.motion\]\n)(?:[^\[\n].*\n|\n)*", r"\1bandwidth_rad_s = 40.0\n\n", text)
+    section = r"(\[control\.motion\]\n)(?:[^\[\n].*\n|\n)*"
+    text, count = re.subn(section, r"\1bandwidth_rad_s = 40.0\n\n", text)
     assert count == 1
     file = tmp_path / "gentle.toml"
     file.write_text(text)

@@ -55,6 +55,10 @@ def F0(x1: float, p1_pa: float, p2_pa: float, c: Cylinder, g: Gas) -> float:
 
     Args:
         x1: effective displacement [m], stroke coordinate plus `x_e1`.
+        p1_pa: pressure of chamber 1, absolute.
+        p2_pa: pressure of chamber 2, absolute.
+        c: the cylinder.
+        g: the gas.
     """
     return -g.k * (p1_pa * c.A1 / x1 + p2_pa * c.A2 / (c.L - x1))
 
