@@ -80,9 +80,8 @@ def daemon(
     ]
     if ctx.invoked_subcommand is not None:
         if given:
-            _fail(
-                f"{given[0]} belongs to the daemon, not to '{ctx.invoked_subcommand}'; put options behind the verb"
-            )
+            verb = ctx.invoked_subcommand
+            _fail(f"{given[0]} belongs to the daemon; options of '{verb}' stand behind it")
         return
     if not virtual and config is None:
         typer.echo(ctx.get_help())
