@@ -172,6 +172,19 @@ def check(
     _exit(verb, file, json)
 
 
+@app.command()
+def doctor(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="Configuration.")] = "virtual.toml",
+    json: JsonOption = False,
+) -> None:
+    """Say what this machine can and cannot do in real time, worst first, and what helps."""
+    if sys.platform != "linux":
+        _fail("the loop needs Linux, and so does its doctor", MACHINE)
+    from pneud.verbs.doctor import doctor as verb
+
+    _exit(verb, file, json)
+
+
 def _fail(text: str, status: int = USAGE) -> NoReturn:
     typer.echo(f"pneud: {text}", err=True)
     raise typer.Exit(status)

@@ -33,7 +33,7 @@ def log_path(option: str | None, name: str, now: float | None = None) -> Path:
         if not path.parent.is_dir():
             raise LogError(f"{path}: there is no folder {path.parent}; create it or name another file")
         return path
-    folder = _folder(option)
+    folder = log_folder(option)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
@@ -50,7 +50,15 @@ def log_path(option: str | None, name: str, now: float | None = None) -> Path:
     return path
 
 
-def _folder(option: str | None) -> Path:
+def log_folder(option: str | None) -> Path:
+    """The folder that logs go to, which need not exist.
+
+    Args:
+        option: as asked for; None or empty for the default.
+
+    Raises:
+        LogError: there is no default.
+    """
     if option:
         return Path(option).expanduser()
     # systemd gives several folders with colons between them where a unit names several.
