@@ -139,6 +139,19 @@ def sim(
 
 
 @app.command()
+def reproduce(
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write page and figures here.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """The paper's two cases, composite law against ISMC: tables, verdicts and Figures 3 to 8."""
+    from pneud.verbs.reproduce import reproduce_paper as verb
+
+    _exit(verb, output, json)
+
+
+@app.command()
 def replay(
     log: Annotated[str, typer.Argument(metavar="LOG", help="Log to feed through the axis again.")],
     config: ConfigOption = None,
