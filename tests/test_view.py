@@ -103,7 +103,7 @@ def test_everything_an_operator_needs_stands_on_80_by_24() -> None:
     page = "\n".join(drawn(history))
     wanted = """virtual|unixcan:x1|1000 Hz|tracking|no vcan0 here|none|20 ├|┤ 980 mm|436.801 mm|436.790 mm
         |-11.0 µm|+157.1 mm/s|-5.0 µm|3.121 bar|2.983 bar|6.004 bar|-43.7 N|+1546 N/s|enabled|-0.312 V
-        |27.5 µs|84.0 µs|run 101|skipped 2|saturated 0|rx 303|lost 0|crc 0|frozen 0|late 0
+        |27.5 µs|84.0 µs|run 101|skipped 2|saturated 0|rx 303|missing 0|crc 0|frozen 0|late 0
         |written 12,345|dropped 7|Ctrl-C stops|virtual-1.mcap"""
     for text in re.split(r"\s*\|", wanted):
         assert text in page

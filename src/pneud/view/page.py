@@ -269,7 +269,7 @@ def _loop(rows: Rows, history: History) -> None:
         rows,
         "frames",
         ("rx", h.received, False),
-        ("lost", h.lost, True),
+        ("missing", h.lost, True),
         ("crc", h.corrupt, True),
         ("frozen", h.frozen, True),
         ("late", h.late, True),
