@@ -14,6 +14,7 @@ from pneud import parameters
 from pneud.axis import COMING_TO_REST, FOLLOWING, JOINING, SETTLE_NS, Axis
 from pneud.bus.inbox import Inbox
 from pneud.control.reference import along, sine, stays, to_rest
+from pneud.control.sliding import SlidingOutput
 from pneud.safety.checks import SETTLING_NS
 from pneud.safety.faults import F, names
 from pneud.safety.supervisor import START_TICKS, is_engaged
@@ -183,7 +184,10 @@ def test_shutdown_asked_in_the_tick_of_an_exception_holds(monkeypatch: pytest.Mo
     assert isinstance(rig.axis.failure, ZeroDivisionError)
     rig.ticks(2)
     assert rig.tick(CLEAR).state == State.DISARMED
-    rig.ticks(60)
+    still_m = rig.tick().measurement.position_m
+    rig.measurement = lambda m: m._replace(position_m=still_m)  # nothing but the shutdown is in the way
+    while rig.tick().present:
+        assert rig.count < 500
     assert rig.tick(ARM).state == State.DISARMED
 
 
@@ -345,3 +349,40 @@ def test_faults_of_both_kinds_of_watch_are_latched_together() -> None:
     rig = tracking()
     rig.measurement = lambda m: m._replace(supply_pa=1e5, p1_pa=1e4)
     assert rig.tick().latched == 1 << F.SUPPLY_PRESSURE | 1 << F.CHAMBER_PRESSURE
+
+
+@pytest.mark.parametrize(("gap", "fault"), [(0, ["encoder_jump"]), (30, [])])
+def test_after_a_gap_the_encoder_may_have_gone_further(gap: int, fault: list[str]) -> None:
+    rig = ready()
+    rig.frame = lambda frame: None if frame.can_id == ENCODER else frame
+    rig.ticks(gap)
+    rig.frame = lambda frame: frame
+    rig.measurement = lambda m: m._replace(position_m=m.position_m + 0.005)
+    found = names(rig.tick().present)
+    assert [name for name in found if name == "encoder_jump"] == fault
+
+
+@pytest.mark.parametrize("skipped", [0, 1, 20])
+def test_the_slew_limit_counts_the_time_since_the_last_command(
+    skipped: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = tracking()
+    p = rig.axis.parameters
+    rig.axis.parameters = p._replace(output=p.output._replace(slew_v_s=10.0))
+    monkeypatch.setattr(pneud.axis, "act", lambda state, *_: (state, SlidingOutput(5.0, 0.0, 0.0)))
+    last_v = rig.axis.state.last_v
+    command = rig.tick(skipped=skipped).command
+    assert command.voltage_v == pytest.approx(last_v + 0.01 * (1 + skipped), abs=3e-4)
+    assert command.saturated == 1
+
+
+@pytest.mark.parametrize("fresh", [True, False])
+def test_the_observer_is_told_what_was_applied_else_what_was_sent(fresh: bool) -> None:
+    rig, usual = tracking(), tracking()
+    valve = 0 if fresh else int(Source.VALVE)
+    sent_v = rig.axis.state.last_v
+    usual.measurement = lambda m: m._replace(fresh=m.fresh & ~valve, applied_v=1.5 if fresh else sent_v)
+    rig.measurement = lambda m: m._replace(fresh=m.fresh & ~valve, applied_v=1.5)
+    assert rig.tick().estimate == usual.tick().estimate
+    assert rig.axis.state.controller is not None
+    assert rig.axis.state.controller.applied_v == (1.5 if fresh else sent_v)
