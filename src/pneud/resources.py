@@ -28,6 +28,11 @@ def scenarios() -> Path:
     return _folder("scenarios", "hil/scenarios")
 
 
+def bench() -> Path:
+    """The folder with the C program that `pneud bench` compares the loop with."""
+    return _folder("bench", "hil/bench")
+
+
 def find(name: str | Path, beside: Path | None = None) -> Path:
     """The file `name`: as given, beside another file, or among those that come with pneud.
 
