@@ -29,6 +29,7 @@ from pneud.signals import (
 )
 
 NAN = float("nan")
+ENCODER, VALVE = int(Source.ENCODER), int(Source.VALVE)  # operations on the enum's flags are slow
 SETTLE_NS = 50_000_000  # the load is given this long after the reference has come to rest
 NO_ESTIMATE = Estimate(NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN)
 NO_REFERENCE = Reference(NAN, NAN, NAN, NAN)
@@ -122,7 +123,7 @@ class Axis:
         arming = kind == RequestKind.ARM and before.state == State.DISARMED
 
         present = checks.lacking(m, limits)
-        measured = bool(m.fresh & Source.ENCODER)
+        measured = bool(m.fresh & ENCODER)
         controller, estimate = state.controller, NO_ESTIMATE
         # without a reading the offset belongs to an old one
         sampled_ns = t_ns + m.encoder_offset_ns if measured else state.sampled_ns + t_ns - state.t_ns
@@ -138,7 +139,7 @@ class Axis:
                 m.p1_pa,
                 m.p2_pa,
                 m.supply_pa,
-                m.applied_v if m.fresh & Source.VALVE else state.last_v,
+                m.applied_v if m.fresh & VALVE else state.last_v,
                 elapsed_ns * 1e-9 if elapsed_ns > 0 else h,
                 p.controller,
             )

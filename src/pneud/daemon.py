@@ -87,6 +87,8 @@ class Loop:
         self.state = int(State.STARTING)
         self.latched = 0
         self.ever_latched = 0
+        self.present = 0
+        self.refused = 0  # faults that showed only when the axis was asked to arm
         self.recorder_lost = False
         self.realtime_offset_ns = link.realtime_offset_ns
         self._codecs = codecs
@@ -214,12 +216,15 @@ class Loop:
 
             count += 1
             self._count = count
+            if request is not None and request.kind == RequestKind.ARM and not is_engaged(tick.state):
+                self.refused = tick.present & BLOCKS_ARM
             self.latched = tick.latched
             self.ever_latched |= tick.latched
             if not self._shut:
                 self.ticks += 1
                 self.skipped += skipped
                 self.state = tick.state
+                self.present = tick.present
                 self.lateness.add(lateness_ns)
                 if latency_ns >= 0:
                     self.latency.add(latency_ns)

@@ -22,7 +22,7 @@ from pneud.log.ring import Ring
 from pneud.plant.truth import TruthReader, truth_memory
 from pneud.processes import end, end_screen, fork_plant, fork_screen, wait
 from pneud.rt import setup
-from pneud.safety.faults import FAULT_NAMES, names
+from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES, names
 from pneud.signals import State
 from pneud.summary import in_words, summarise
 
@@ -183,4 +183,8 @@ def _report(
         if not o.json:
             print(f"pneud: stopped by {', '.join(names(loop.ever_latched))}", file=sys.stderr)
         return 1
-    return 1 if wanted and loop.state != State.TRACKING else 0
+    if not wanted or loop.state == State.TRACKING:
+        return 0
+    reasons = names(loop.refused | (loop.present & BLOCKS_ARM))
+    print(f"pneud: never armed: {', '.join(reasons) or 'the run was too short'}", file=sys.stderr)
+    return 1
