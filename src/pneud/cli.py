@@ -198,6 +198,29 @@ def doctor(
     _exit(verb, file, json)
 
 
+@app.command()
+def bench(
+    config: ConfigOption = None,
+    bus: BusOption = None,
+    pairs: Annotated[int, typer.Option("--pairs", metavar="N", help="Turns of a second for each.")] = 20,
+    rate_seconds: Annotated[
+        float,
+        typer.Option("--rate-seconds", metavar="S", help="How long a rate must be held; 0 leaves that out."),
+    ] = 3.0,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write the report as HTML, too.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
+    """Measure how punctual the loop is here, taking turns with cyclictest and other references."""
+    if sys.platform != "linux":
+        _fail("the loop needs Linux, and so does its benchmark", MACHINE)
+    from pneud.verbs.bench import BenchOptions
+    from pneud.verbs.bench import bench as verb
+
+    _exit(verb, BenchOptions(config or "virtual.toml", bus, pairs, rate_seconds, output, json))
+
+
 def _fail(text: str, status: int = USAGE) -> NoReturn:
     typer.echo(f"pneud: {text}", err=True)
     raise typer.Exit(status)

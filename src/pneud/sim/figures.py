@@ -13,7 +13,7 @@ from pneud.control.reference import sine
 from pneud.sim.convergence import Convergence, Settling, chain
 from pneud.sim.ideal import E3, ED, W1, W2, X1, U, V
 from pneud.sim.paper import PICTURED, Reproduction
-from pneud.sim.reproduction import CASES, COMPOSITE, ISMC, Setting, Trace, paper_loop
+from pneud.sim.reproduction import CASES, COMPOSITE, ISMC, NAMES, Setting, Trace, paper_loop
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -134,7 +134,8 @@ def _picture(
 
 def _shown(trace: Trace, h_s: float) -> tuple[Trace, Trace]:
     part = trace[: round(SHOWN_S / h_s)]
-    return np.arange(len(part)) * h_s, part
+    t: Trace = h_s * np.arange(len(part), dtype=np.float64)
+    return t, part
 
 
 def _label(axes: Axes, y: str, x: str = "t [s]") -> None:
@@ -157,11 +158,12 @@ def _tracking(figure: Figure, traces: dict[str, Trace], h_s: float) -> None:
     for axes, (y, column, wanted) in zip(grid, panels, strict=True):
         for law, trace in traces.items():
             t, part = _shown(trace, h_s)
-            axes.plot(t, part[:, column], color=COLOURS[law], linewidth=WIDTH, label=law)
+            axes.plot(t, part[:, column], color=COLOURS[law], linewidth=WIDTH, label=NAMES[law])
         if wanted is not None:
             axes.plot(t, wanted, "--", color=GREY, linewidth=WIDTH, label="reference")
         _label(axes, y)
-        axes.legend(fontsize=7, loc="best")
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=3)
 
 
 def _observer(figure: Figure, traces: dict[str, Trace], h_s: float) -> None:
@@ -176,9 +178,9 @@ def _command(figure: Figure, traces: dict[str, Trace], h_s: float) -> None:
     axes = figure.subplots()
     for law, trace in traces.items():
         t, part = _shown(trace, h_s)
-        axes.step(t, part[:, U], where="post", color=COLOURS[law], linewidth=WIDTH, label=law)
+        axes.step(t, part[:, U], where="post", color=COLOURS[law], linewidth=WIDTH, label=NAMES[law])
     _label(axes, "u [V]")
-    axes.legend(fontsize=7, loc="upper right")
+    figure.legend(fontsize=7, loc="outside lower center", ncols=2)
 
 
 def _errors(figure: Figure, traces: dict[Setting, Trace]) -> None:
@@ -195,7 +197,7 @@ def _errors(figure: Figure, traces: dict[Setting, Trace]) -> None:
                     style,
                     color=COLOURS[s.law],
                     linewidth=WIDTH,
-                    label=f"{s.law}, {s.h_s * 1e3:g} ms",
+                    label=f"{NAMES[s.law]}, {s.h_s * 1e3:g} ms",
                 )
         axes.set_title(f"Case {case}", fontsize=9)
         axes.set_ylim(1e-10, 1.0)
@@ -224,8 +226,9 @@ def _settling(figure: Figure, c: Convergence) -> None:
         starts = np.array(s.starts_m)
         fit = np.exp(np.mean(np.log(s.times_s)) + s.predicted * (np.log(starts) - np.mean(np.log(starts))))
         right.loglog(starts, fit, color=colour, linewidth=0.8)
-    right.set_yticks([2, 3, 5, 10], labels=["2", "3", "5", "10"])
+    right.set_yticks([1, 2, 3, 5, 10], labels=["1", "2", "3", "5", "10"])
     right.minorticks_off()
+    right.set_ylim(1.0, 14.0)
     _label(right, "settling time [s] (lines: predicted slope)", "initial error [m]")
     right.legend(fontsize=7, loc="lower right")
 
@@ -256,4 +259,5 @@ def _limit_cycle(figure: Figure) -> None:
     left.axhline(-amplitude, linestyle="--", color=GREY, linewidth=0.8)
     _label(left, "w3 [m/s²]")
     _label(right, "|w3| [m/s²]")
-    right.legend(fontsize=7, loc="center right")
+    right.legend(fontsize=7, loc="upper right")
+    right.set_ylim(1e-18, 1e8)

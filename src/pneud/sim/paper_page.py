@@ -11,7 +11,7 @@ from typing import NamedTuple
 from pneud.sim.claims import DOES_NOT, HOLDS, Claim
 from pneud.sim.figures import Picture
 from pneud.sim.paper import Reproduction
-from pneud.sim.reproduction import COMPOSITE, NAMES, DURATION_S, PLANT_STEP_S, STEADY_FROM_S, Row
+from pneud.sim.reproduction import COMPOSITE, DURATION_S, NAMES, PLANT_STEP_S, STEADY_FROM_S, Row
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1080px; margin: 2em auto; padding: 0 1em }
@@ -58,8 +58,8 @@ def tables(found: Reproduction) -> list[Table]:
         ),
         Table(
             "Settling time against initial error",
-            "From w = (w1, 0, 0) until |w1| stays below 1/1000 of its start; times grow as w1^p. To zero:"
-            " until the homogeneous norm is 1/100 of its start; what then remains takes about 1/100 of that time.",
+            "From w = (w1, 0, 0) until |w1| stays below 1/1000 of its start; times grow as w1^p."
+            " To zero: until the homogeneous norm is 1/100 of its start; the rest takes 1/100 of that time.",
             ("of", "α", "w1(0) [mm]", "settled [s]", "to zero [s]", "p fitted", "p predicted"),
             tuple(
                 (
@@ -102,8 +102,8 @@ def tables(found: Reproduction) -> list[Table]:
         ),
         Table(
             "A force that (7) leaves out",
-            "Error at rest under a constant force on the load; standing reference, no d(t), implicit. The last"
-            " force is the atmosphere's on the rod side, Patm (A1 − A2).",
+            "Error at rest under a constant force on the load; standing reference, no d(t), implicit. The"
+            " last force is the atmosphere's on the rod side, Patm (A1 − A2).",
             ("force [N]", "h [ms]", "error [mm]", "predicted [mm]", ""),
             tuple(
                 (
@@ -142,7 +142,8 @@ def page(found: Reproduction, pictures: Sequence[Picture]) -> str:
         f"<style>{_STYLE}</style></head><body>",
         "<h1>Finite-Time Composite Position Control for a Disturbed Pneumatic Servo System, reproduced</h1>",
         "<p>The paper's two cases on its own ideal plant: Table 1, its gains, exact states, a zero-order"
-        f" hold; equations with their misprints corrected. Every run begins at {html.escape(found.start)}.</p>",
+        " hold; the equations with their misprints corrected."
+        f" Every run begins at {html.escape(found.start)}.</p>",
         "<h2>The claims</h2>",
         _html_claims(found.claims),
     ]
