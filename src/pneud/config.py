@@ -173,12 +173,32 @@ class MotionConfig(Section):
     bandwidth_rad_s: Annotated[float, Field(gt=0, le=5_000)] | None = None
     encoder_noise_m: Positive | None = None
     force_walk_n_rs: Positive | None = None  # what the unmatched force gains in a second [N/√s]
+    encoder_resolution_m: NonNegative = 0.0  # readings within half a step of the prediction change nothing
 
     @model_validator(mode="after")
     def _one_way(self) -> MotionConfig:
         noise = (self.encoder_noise_m, self.force_walk_n_rs)
         if (self.bandwidth_rad_s is None) == (None in noise) or (noise.count(None) == 1):
             raise ValueError("give either bandwidth_rad_s, or encoder_noise_m and force_walk_n_rs")
+        return self
+
+
+class FrictionConfig(Section):
+    """LuGre friction; all zero for none."""
+
+    coulomb_n: NonNegative = 0.0
+    static_n: NonNegative = 0.0
+    stribeck_speed_m_s: Positive = 0.02
+    viscous_n_s_m: NonNegative = 0.0
+    bristle_stiffness_n_m: NonNegative = 0.0
+    bristle_damping_n_s_m: NonNegative = 0.0
+
+    @model_validator(mode="after")
+    def _complete(self) -> FrictionConfig:
+        if self.static_n < self.coulomb_n:
+            raise ValueError("static_n must not lie below coulomb_n")
+        if self.coulomb_n > 0 and self.bristle_stiffness_n_m == 0:
+            raise ValueError("bristle_stiffness_n_m must be positive where there is dry friction")
         return self
 
 
@@ -193,12 +213,23 @@ class ControlConfig(Section):
     alpha: Annotated[float, Field(gt=0.5, le=1)]
     eta_m_s3: NonNegative
     rod_force: bool = True  # the law knows of the atmosphere on the rod's side
+    smooth_x3: bool = False  # the observer's x̂3 in place of the measured x3
     estimate_force: bool = True
-    feed_force_rate: bool = False
+    force_rate_bandwidth_rad_s: Annotated[float, Field(ge=0, le=5_000)] = 0.0  # fed forward; 0: not
+    predict: bool = True  # over transport delay and valve lag
     compensate_dead_zone: bool = False
-    dead_zone_band_v: Annotated[float, Field(ge=0, le=1)] = 0.02
+    dead_zone_hold_v: Annotated[float, Field(ge=0, le=1)] = 0.02  # opening not worth crossing it
     observer: ObserverConfig
     motion: MotionConfig
+    friction: FrictionConfig = FrictionConfig()  # as identified; fed forward along the reference
+
+    @model_validator(mode="after")
+    def _force_is_used(self) -> ControlConfig:
+        if not self.estimate_force and (
+            self.force_rate_bandwidth_rad_s > 0 or self.friction != FrictionConfig()
+        ):
+            raise ValueError("force_rate_bandwidth_rad_s and friction need estimate_force = true")
+        return self
 
     @model_validator(mode="after")
     def _hurwitz(self) -> ControlConfig:
@@ -271,25 +302,6 @@ class PlantValveConfig(Section):
     dac_bits: Annotated[int, Field(ge=0, le=24)] = 0
 
 
-class PlantFrictionConfig(Section):
-    """The true friction (LuGre); all zero for the ideal plant."""
-
-    coulomb_n: NonNegative = 0.0
-    static_n: NonNegative = 0.0
-    stribeck_speed_m_s: Positive = 0.02
-    viscous_n_s_m: NonNegative = 0.0
-    bristle_stiffness_n_m: NonNegative = 0.0
-    bristle_damping_n_s_m: NonNegative = 0.0
-
-    @model_validator(mode="after")
-    def _complete(self) -> PlantFrictionConfig:
-        if self.static_n < self.coulomb_n:
-            raise ValueError("static_n must not lie below coulomb_n")
-        if self.coulomb_n > 0 and self.bristle_stiffness_n_m == 0:
-            raise ValueError("bristle_stiffness_n_m must be positive where there is dry friction")
-        return self
-
-
 class PlantSensorsConfig(Section):
     """The true sensors; zero for exact ones."""
 
@@ -311,7 +323,7 @@ class PlantConfig(Section):
     bitrate_bit_s: MaybeInfinite = 1.0e6
     node_delay_us: Annotated[float, Field(ge=0, le=500)] = 20.0
     valve: PlantValveConfig = PlantValveConfig()
-    friction: PlantFrictionConfig = PlantFrictionConfig()
+    friction: FrictionConfig = FrictionConfig()
     sensors: PlantSensorsConfig = PlantSensorsConfig()
 
 
@@ -399,27 +411,31 @@ def valve_of(c: Config) -> Valve:
     return Valve(v.u_max_v, 2.0 * math.pi * v.bandwidth_hz, v.damping, v.dead_zone_v)
 
 
+def friction_of(f: FrictionConfig) -> Friction:
+    """A friction as plain numbers."""
+    return Friction(
+        f.coulomb_n,
+        f.static_n,
+        f.stribeck_speed_m_s,
+        f.viscous_n_s_m,
+        f.bristle_stiffness_n_m,
+        f.bristle_damping_n_s_m,
+    )
+
+
 def plant_of(c: Config) -> PlantParameters:
     """The true plant as plain numbers."""
     p = c.plant
     cylinder = cylinder_of(c)
     if not p.rod_force:
         cylinder = cylinder._replace(rod_force_n=0.0)
-    f = p.friction
     return PlantParameters(
         gas=gas_of(c),
         cylinder=cylinder,
         valve=Valve(
             c.valve.u_max_v, 2.0 * math.pi * p.valve.bandwidth_hz, p.valve.damping, p.valve.dead_zone_v
         ),
-        friction=Friction(
-            f.coulomb_n,
-            f.static_n,
-            f.stribeck_speed_m_s,
-            f.viscous_n_s_m,
-            f.bristle_stiffness_n_m,
-            f.bristle_damping_n_s_m,
-        ),
+        friction=friction_of(p.friction),
         polytropic_exponent=p.polytropic_exponent or c.gas.heat_capacity_ratio,
         reverse_flow=p.reverse_flow,
         step_s=p.step_us * 1e-6,

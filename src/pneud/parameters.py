@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 
 from pneud.axis import AxisParameters
-from pneud.config import BusConfig, Config, cylinder_of, gas_of, plant_of, valve_of
+from pneud.config import BusConfig, Config, cylinder_of, friction_of, gas_of, plant_of, valve_of
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.homogeneous import feedback
 from pneud.control.motion import MotionFilter, kalman, triple_pole
 from pneud.control.reference import Bounds, Sine
 from pneud.control.sliding import Sliding
 from pneud.control.step import Controller
-from pneud.physics.valve import spool_transition
+from pneud.physics.valve import Valve, spool_transition
 from pneud.safety.checks import Limits
 from pneud.safety.output import OutputLimits
 
@@ -33,13 +33,23 @@ def command_delay_s(bus: BusConfig) -> float:
     return 4 * (FRAME_BITS + 64) * STUFFING / bus.bitrate_bit_s + COMPUTING_S
 
 
+def lead_s(delay_s: float, valve: Valve) -> float:
+    """Time from the sampling instant until the command of that sample has its effect [s].
+
+    A spool of second order delays by 2ζ/ω what passes slowly.
+    """
+    lag_s = 2.0 * valve.zeta / valve.omega_rad_s if valve.omega_rad_s > 0.0 else 0.0
+    return delay_s + lag_s
+
+
 def motion_of(c: Config) -> MotionFilter:
     """The motion filter's gains."""
     m, h = c.control.motion, 1.0 / c.loop.rate_hz
+    blind_m = 0.5 * m.encoder_resolution_m
     if m.bandwidth_rad_s is not None:
-        return triple_pole(m.bandwidth_rad_s, h)
+        return triple_pole(m.bandwidth_rad_s, h, blind_m)
     assert m.encoder_noise_m is not None and m.force_walk_n_rs is not None
-    return kalman(m.encoder_noise_m, m.force_walk_n_rs, c.cylinder.moving_mass_kg, h)
+    return kalman(m.encoder_noise_m, m.force_walk_n_rs, c.cylinder.moving_mass_kg, h, blind_m)
 
 
 def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
@@ -51,14 +61,19 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
     """
     h = 1.0 / c.loop.rate_hz
     law, limits = c.control, c.limits
+    valve = valve_of(c)
     delay_s = min(command_delay_s(c.bus), h)
+    ahead_s = lead_s(delay_s, valve) if law.predict else 0.0
     controller = Controller(
         h=h,
         delay_s=delay_s,
-        spool_before=spool_transition(delay_s, valve_of(c)),
+        spool_before=spool_transition(delay_s, valve),
+        lead_s=ahead_s,
+        spool_ahead=spool_transition(0.5 * ahead_s, valve),
         gas=gas_of(c),
         cylinder=cylinder_of(c) if law.rod_force else cylinder_of(c)._replace(rod_force_n=0.0),
-        valve=valve_of(c),
+        valve=valve,
+        friction=friction_of(law.friction),
         motion=motion_of(c),
         observer=Observer(
             law.observer.lambda0,
@@ -70,13 +85,15 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
             gains=feedback(law.k1, law.k2, law.k3, law.alpha),
             eta=law.eta_m_s3,
             implicit=law.discretisation == "implicit",
+            horizon_s=ahead_s,  # feedback any faster would fight its own dead time
             compensate_d=law.law == "composite",
             M=c.cylinder.moving_mass_kg,
             invert_dead_zone=law.compensate_dead_zone,
-            dead_zone_band_v=law.dead_zone_band_v,
+            hold_v=law.dead_zone_hold_v,
         ),
+        use_x3_hat=law.smooth_x3,
         use_force=law.estimate_force,
-        use_force_rate=law.feed_force_rate,
+        force_rate_gain=1.0 - math.exp(-law.force_rate_bandwidth_rad_s * h),
     )
     return AxisParameters(
         controller=controller,

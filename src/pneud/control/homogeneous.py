@@ -40,68 +40,46 @@ def explicit_ustar(w1: float, w2: float, w3: float, g: Feedback) -> float:
 
 
 def implicit_w3(w1: float, w2: float, w3: float, h: float, g: Feedback) -> float:
-    """The value y of w3 one sample ahead under u* = (y − w3)/h.
+    """The value y of w3 a time h ahead under u* = (y − w3)/h.
 
     Solves `y + h [k3 sig^α3(y) + k2 sig^α2(w2 + h y) + k1 sig^α1(w1 + h w2 + h² y)] = w3`. The left side
-    grows
-    strictly with y, so that there is one root; with S the bracket, it lies between w3 and w3 − h S(w3). The
-    three points where
-    a power's slope is infinite are tried first, so that Newton's method works on a smooth piece; a step
-    that leaves the bracket is replaced by its middle.
+    grows strictly with y, so that there is one root; with S the bracket, it lies between w3 and w3 − h S(w3).
+    The three points where a power's slope is infinite are tried first, so that Newton's method works on a
+    smooth piece; a step that leaves the bracket is replaced by its middle.
 
     Args:
         w1: position error [m].
         w2: velocity error [m/s].
         w3: acceleration error [m/s²].
-        h: sample time [s].
+        h: time ahead [s].
         g: gains and exponents.
     """
-    c1, c2, c3 = h * g.k1, h * g.k2, h * g.k3
-    b1, b2 = w1 + h * w2, w2
+    b1 = w1 + h * w2
     h2 = h * h
-    at_w3 = c3 * sig(w3, g.a3) + c2 * sig(b2 + h * w3, g.a2) + c1 * sig(b1 + h2 * w3, g.a1)
-    if at_w3 == 0.0:
+    f, slope, _ = _residual(w3, b1, w2, w3, h, g)
+    if f == 0.0:
         return w3
-    if at_w3 > 0.0:
-        low, high = w3 - at_w3, w3
-    else:
-        low, high = w3, w3 - at_w3
-    for kink in (0.0, -b2 / h, -b1 / h2):
+    y = w3 - f / slope
+    low, high = (w3 - f, w3) if f > 0.0 else (w3, w3 - f)
+    for kink in (0.0, -w2 / h, -b1 / h2):
         if low < kink < high:
-            f = (
-                kink
-                + c3 * sig(kink, g.a3)
-                + c2 * sig(b2 + h * kink, g.a2)
-                + c1 * sig(b1 + h2 * kink, g.a1)
-                - w3
-            )
+            f, _, _ = _residual(kink, b1, w2, w3, h, g)
             if f == 0.0:
                 return kink
             if f > 0.0:
                 high = kink
             else:
                 low = kink
-    y = 0.5 * (low + high)
+    if not low < y < high:
+        y = 0.5 * (low + high)
     for _ in range(MAX_ITERATIONS):
-        e2 = b2 + h * y
-        e1 = b1 + h2 * y
-        s3 = c3 * sig(y, g.a3)
-        s2 = c2 * sig(e2, g.a2)
-        s1 = c1 * sig(e1, g.a1)
-        f = y + s3 + s2 + s1 - w3
-        if abs(f) <= ROUNDING * (abs(y) + abs(s3) + abs(s2) + abs(s1) + abs(w3)):
+        f, slope, size = _residual(y, b1, w2, w3, h, g)
+        if abs(f) <= ROUNDING * size:
             return y
         if f > 0.0:
             high = y
         else:
             low = y
-        slope = 1.0
-        if y != 0.0:
-            slope += g.a3 * s3 / y
-        if e2 != 0.0:
-            slope += h * g.a2 * s2 / e2
-        if e1 != 0.0:
-            slope += h2 * g.a1 * s1 / e1
         step = y - f / slope
         if not low < step < high:
             step = 0.5 * (low + high)
@@ -109,6 +87,30 @@ def implicit_w3(w1: float, w2: float, w3: float, h: float, g: Feedback) -> float
             return step
         y = step
     return y
+
+
+def _residual(y: float, b1: float, b2: float, w3: float, h: float, g: Feedback) -> tuple[float, float, float]:
+    # left side minus w3, its slope (without what is infinite), and the sum of its terms' sizes
+    e2 = b2 + h * y
+    e1 = b1 + h * h * y
+    m3, m2, m1 = abs(y), abs(e2), abs(e1)
+    f, slope, size = y - w3, 1.0, m3 + abs(w3)
+    if m3 > 0.0:
+        t = h * g.k3 * m3**g.a3
+        size += t
+        slope += g.a3 * t / m3
+        f += t if y > 0.0 else -t
+    if m2 > 0.0:
+        t = h * g.k2 * m2**g.a2
+        size += t
+        slope += h * g.a2 * t / m2
+        f += t if e2 > 0.0 else -t
+    if m1 > 0.0:
+        t = h * g.k1 * m1**g.a1
+        size += t
+        slope += h * h * g.a1 * t / m1
+        f += t if e1 > 0.0 else -t
+    return f, slope, size
 
 
 def implicit_ustar(w1: float, w2: float, w3: float, h: float, g: Feedback) -> float:

@@ -1,8 +1,7 @@
 """The [x, v, F] filter: position, velocity and unmatched force from the encoder and the pressures.
 
-A load pushed by the measured force x3 minus an unknown force F that walks at random, seen by an encoder.
-The gains
-are the steady state of the Kalman filter of that model, without dimension (those of v and F are divided
+A load pushed by the measured force x3 minus an unknown force F that walks at random, seen by an encoder. The
+gains are the steady state of the Kalman filter of that model, without dimension (those of v and F are divided
 by the true interval and its square), which keeps the filter stable when an interval is longer than planned.
 """
 
@@ -11,6 +10,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+MAX_ITERATIONS = 1_000_000  # for the Kalman gains
+
 
 class MotionFilter(NamedTuple):
     """Gains for position, velocity (times h) and acceleration (times h²)."""
@@ -18,6 +19,7 @@ class MotionFilter(NamedTuple):
     alpha: float
     beta: float
     gamma: float
+    blind_m: float  # half of the encoder's resolution, within which a reading says nothing new
 
 
 class MotionState(NamedTuple):
@@ -30,14 +32,16 @@ class MotionState(NamedTuple):
     innovation: float  # [m]
 
 
-def triple_pole(omega_rad_s: float, h: float) -> MotionFilter:
+def triple_pole(omega_rad_s: float, h: float, blind_m: float = 0.0) -> MotionFilter:
     """Gains that put all three poles at exp(−ω h) (an extended-state observer of bandwidth ω)."""
     q = math.exp(-omega_rad_s * h)
     p = 1.0 - q
-    return MotionFilter(1.0 - q * q * q, 1.5 * (1.0 + q) * p * p, p * p * p)
+    return MotionFilter(1.0 - q * q * q, 1.5 * (1.0 + q) * p * p, p * p * p, blind_m)
 
 
-def kalman(encoder_noise_m: float, force_walk_n_rs: float, M: float, h: float) -> MotionFilter:
+def kalman(
+    encoder_noise_m: float, force_walk_n_rs: float, M: float, h: float, blind_m: float = 0.0
+) -> MotionFilter:
     """Steady-state Kalman gains.
 
     A force that walks at random and white encoder noise leave one number: how far the walk moves the load in
@@ -48,6 +52,7 @@ def kalman(encoder_noise_m: float, force_walk_n_rs: float, M: float, h: float) -
         force_walk_n_rs: standard deviation that the force gains in one second [N/√s].
         M: moving mass [kg].
         h: sample time [s].
+        blind_m: half of the encoder's resolution, 0 to take every reading at its face value [m].
     """
     # in units of the encoder noise and of h: x += v + a/2, v += a, with a = −F h²/(M noise)
     q = (force_walk_n_rs * math.sqrt(h) * h * h / (M * encoder_noise_m)) ** 2
@@ -55,7 +60,7 @@ def kalman(encoder_noise_m: float, force_walk_n_rs: float, M: float, h: float) -
     q11, q12, q13, q22, q23, q33 = q / 20.0, q / 8.0, q / 6.0, q / 3.0, q / 2.0, q
     p11, p12, p13, p22, p23, p33 = 1.0, 0.0, 0.0, 1.0, 0.0, 1.0
     alpha = beta = gamma = 0.0
-    for _ in range(1_000_000):
+    for _ in range(MAX_ITERATIONS):
         # predict with A = [[1, 1, ½], [0, 1, 1], [0, 0, 1]]
         a11, a12, a13 = p11 + p12 + 0.5 * p13, p12 + p22 + 0.5 * p23, p13 + p23 + 0.5 * p33
         b22, b23 = p22 + p23, p23 + p33
@@ -73,7 +78,7 @@ def kalman(encoder_noise_m: float, force_walk_n_rs: float, M: float, h: float) -
         alpha, beta, gamma = g1, g2, g3
         if done:
             break
-    return MotionFilter(alpha, beta, gamma)
+    return MotionFilter(alpha, beta, gamma, blind_m)
 
 
 def at_rest(x: float, x3: float, rod_force_n: float) -> MotionState:
@@ -81,17 +86,38 @@ def at_rest(x: float, x3: float, rod_force_n: float) -> MotionState:
     return MotionState(x, 0.0, x3 - rod_force_n, x3, 0.0)
 
 
-def predict(state: MotionState, x3: float, rod_force_n: float, M: float, h: float) -> MotionState:
-    """The state h later, x3 having gone in a straight line from its last value to this one."""
-    drag = rod_force_n + state.F
-    x = state.x + h * (state.v + h * (state.x3 / 3.0 + x3 / 6.0 - 0.5 * drag) / M)
-    v = state.v + h * (0.5 * (state.x3 + x3) - drag) / M
-    return MotionState(x, v, state.F, x3, 0.0)
+def predict(
+    state: MotionState, x3: float, force_step_n: float, rod_force_n: float, M: float, h: float
+) -> MotionState:
+    """The state h later, x3 having gone in a straight line from its last value to this one.
+
+    Args:
+        state: at the last sample.
+        x3: now [N].
+        force_step_n: what the unmatched force is known to have gained meanwhile [N].
+        rod_force_n: of the atmosphere on the rod's side.
+        M: moving mass [kg].
+        h: time since the last sample [s].
+    """
+    before = state.x3 - rod_force_n - state.F
+    after = x3 - rod_force_n - state.F - force_step_n
+    x = state.x + h * (state.v + h * (before / 3.0 + after / 6.0) / M)
+    v = state.v + 0.5 * h * (before + after) / M
+    return MotionState(x, v, state.F + force_step_n, x3, 0.0)
 
 
 def correct(state: MotionState, position_m: float, M: float, h: float, p: MotionFilter) -> MotionState:
-    """The predicted state after an encoder reading; h is the interval that was predicted over."""
-    r = position_m - state.x
+    """The predicted state after an encoder reading; h is the interval that was predicted over.
+
+    A reading stands for a whole step of the encoder: a prediction within it is left alone, and one outside
+    is drawn to its edge. Otherwise each new step would be a blow of half its height to the estimates.
+    """
+    innovation = position_m - state.x
+    r = innovation - max(-p.blind_m, min(p.blind_m, innovation))
     return MotionState(
-        state.x + p.alpha * r, state.v + p.beta * r / h, state.F - M * p.gamma * r / (h * h), state.x3, r
+        state.x + p.alpha * r,
+        state.v + p.beta * r / h,
+        state.F - M * p.gamma * r / (h * h),
+        state.x3,
+        innovation,
     )

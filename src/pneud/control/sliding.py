@@ -18,10 +18,11 @@ class Sliding(NamedTuple):
     gains: Feedback
     eta: float  # reaching rate η [m/s³]
     implicit: bool
+    horizon_s: float  # how far the implicit forms look ahead where that is further than one sample
     compensate_d: bool  # True: composite (14); False: ISMC (29)
     M: float  # moving mass [kg]
     invert_dead_zone: bool
-    dead_zone_band_v: float  # width over which the inverse crosses the dead zone
+    hold_v: float  # opening not worth a way across the dead zone
 
 
 class SlidingState(NamedTuple):
@@ -43,10 +44,10 @@ def engage(w3: float) -> SlidingState:
     return SlidingState(w3)
 
 
-def reaching(s: float, h: float, eta: float, implicit: bool) -> float:
-    """η sgn(s) [m/s³]; implicit: η clip(s/(h η), −1, 1), which reaches zero instead of stepping over it."""
+def reaching(s: float, ahead_s: float, eta: float, implicit: bool) -> float:
+    """η sgn(s) [m/s³]; implicit: η clip(s/(T η), −1, 1), which reaches zero instead of stepping over it."""
     if implicit:
-        return max(-eta, min(eta, s / h))
+        return max(-eta, min(eta, s / ahead_s))
     return math.copysign(eta, s) if s != 0.0 else 0.0
 
 
@@ -64,6 +65,7 @@ def law(
     h: float,
     p: Sliding,
     valve: Valve,
+    last_v: float = 0.0,
 ) -> tuple[SlidingState, SlidingOutput]:
     """One tick of the law.
 
@@ -81,22 +83,31 @@ def law(
         h: time to the next tick [s].
         p: parameters.
         valve: for the dead zone and the greatest opening.
+        last_v: the command before this one [V].
 
     Returns:
-        The state after this tick and the answer. Where the opening saturates, the integral takes what the
-        valve can really give, so that s does not wind up.
+        The state after this tick and the answer. Where the opening wanted is not the one that comes, because
+        the valve saturates or is left in its dead zone, the integral takes what will come, so that s does not
+        wind up.
     """
-    ustar = implicit_ustar(w1, w2, w3, h, p.gains) if p.implicit else explicit_ustar(w1, w2, w3, p.gains)
+    ahead_s = max(h, p.horizon_s)
+    if p.implicit:
+        ustar = implicit_ustar(w1, w2, w3, ahead_s, p.gains)
+    else:
+        ustar = explicit_ustar(w1, w2, w3, p.gains)
     s = w3 - state.integral
     d = d_hat if p.compensate_d else 0.0
     known = p.M * jerk_d - drift - d + force_rate
-    Z = known - p.M * ustar + p.M * reaching(s, h, p.eta, p.implicit)
+    Z = known - p.M * ustar + p.M * reaching(s, ahead_s, p.eta, p.implicit)
     f1 = f1_fill if Z >= 0.0 else f1_exhaust
-    opening = Z / f1
-    if abs(opening) > valve.u_max_v:
-        limited = math.copysign(valve.u_max_v, opening)
-        integral = state.integral + h * (known - f1 * limited) / p.M
-    else:
-        integral = state.integral + h * ustar
-    u = dead_zone_inverse(opening, valve, p.dead_zone_band_v) if p.invert_dead_zone else opening
-    return SlidingState(integral), SlidingOutput(u, s, ustar)
+    wanted = Z / f1
+    coming = max(-valve.u_max_v, min(valve.u_max_v, wanted))
+    u = wanted
+    if p.invert_dead_zone:
+        if abs(wanted) <= p.hold_v:
+            coming = 0.0
+            u = max(-valve.dead_zone_v, min(valve.dead_zone_v, last_v))
+        else:
+            u = dead_zone_inverse(wanted, valve, 0.0)
+    rate = ustar if coming == wanted else (known - f1 * coming) / p.M
+    return SlidingState(state.integral + h * rate), SlidingOutput(u, s, ustar)

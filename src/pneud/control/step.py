@@ -10,9 +10,12 @@ from typing import NamedTuple
 
 from pneud.control.disturbance import Observer, ObserverState
 from pneud.control.disturbance import observe as observe_disturbance
+from pneud.control.feedforward import FrictionAhead, bristles_under, friction_ahead
 from pneud.control.motion import MotionFilter, MotionState, at_rest, correct, predict
+from pneud.control.prediction import Motion, Rates, Spool, ahead, follow, later
 from pneud.control.sliding import Sliding, SlidingOutput, SlidingState, engage, law
 from pneud.physics.cylinder import F0, Cylinder, F1_exhaust, F1_fill, x3_of
+from pneud.physics.friction import Friction
 from pneud.physics.gas import Gas
 from pneud.physics.valve import SpoolTransition, Valve, opening, spool_transition
 from pneud.signals import Estimate, Reference
@@ -26,14 +29,18 @@ class Controller(NamedTuple):
     h: float  # nominal sample time [s]
     delay_s: float  # from the sampling instant until the command of that sample acts
     spool_before: SpoolTransition  # of the valve's spool over delay_s
+    lead_s: float  # from the sampling instant until the command has its effect; 0 to predict nothing
+    spool_ahead: SpoolTransition  # over half of lead_s
     gas: Gas
     cylinder: Cylinder
     valve: Valve
+    friction: Friction  # fed forward along the reference; all zero for none
     motion: MotionFilter
     observer: Observer
     sliding: Sliding
+    use_x3_hat: bool  # x̂3 of the observer in place of x3: less noise
     use_force: bool  # F̂ in w3
-    use_force_rate: bool  # its rate in Z
+    force_rate_gain: float  # of the low-pass for the rate of F̂ in Z; 0 leaves it out
 
 
 class ControllerState(NamedTuple):
@@ -42,13 +49,14 @@ class ControllerState(NamedTuple):
     motion: MotionState
     observer: ObserverState
     sliding: SlidingState
-    spool_v: float
-    spool_rate_v_s: float
+    spool: Spool
     applied_v: float  # command that acted when the last sample was taken
-    drift: float  # F0 x2 at the last sample [N/s]
+    f0: float  # F0 at the last sample [N/m]
     f1_fill: float  # F1 at the last sample [N/(s V)]
     f1_exhaust: float
-    force_rate: float  # rate of F̂ [N/s]
+    force_rate: float  # rate of F̂ beyond the friction fed forward [N/s]
+    bristles_m: float  # of the friction fed forward
+    force_step_n: float  # that friction's gain until the next sample
 
 
 def start(position_m: float, p1_pa: float, p2_pa: float, supply_pa: float, p: Controller) -> ControllerState:
@@ -59,13 +67,14 @@ def start(position_m: float, p1_pa: float, p2_pa: float, supply_pa: float, p: Co
         motion=at_rest(position_m, x3, p.cylinder.rod_force_n),
         observer=ObserverState(x3, 0.0, 0.0),
         sliding=SlidingState(0.0),
-        spool_v=0.0,
-        spool_rate_v_s=0.0,
+        spool=Spool(0.0, 0.0),
         applied_v=0.0,
-        drift=0.0,
+        f0=F0(x1, p1_pa, p2_pa, p.cylinder, p.gas),
         f1_fill=F1_fill(x1, p1_pa, p2_pa, supply_pa, p.cylinder, p.gas),
         f1_exhaust=F1_exhaust(x1, p1_pa, p2_pa, supply_pa, p.cylinder, p.gas),
         force_rate=0.0,
+        bristles_m=0.0,
+        force_step_n=0.0,
     )
 
 
@@ -103,92 +112,121 @@ def observe(
     """
     c = p.cylinder
     x3 = x3_of(p1_pa, p2_pa, c)
-    motion = predict(state.motion, x3, c.rod_force_n, c.M, dt)
+    motion = predict(state.motion, x3, state.force_step_n, c.rod_force_n, c.M, dt)
     if measured:
         motion = correct(motion, position_m, c.M, dt, p.motion)
     x1 = chamber_length(motion.x, c)
-    drift = F0(x1, p1_pa, p2_pa, c, p.gas) * motion.v
+    f0 = F0(x1, p1_pa, p2_pa, c, p.gas)
     f1_fill = F1_fill(x1, p1_pa, p2_pa, supply_pa, c, p.gas)
     f1_exhaust = F1_exhaust(x1, p1_pa, p2_pa, supply_pa, c, p.gas)
 
     # the command before the last one acts for delay_s, then the last one
     before = min(p.delay_s, dt)
     after = dt - before
-    y0 = state.spool_v
-    y1, rate = _spool(y0, state.spool_rate_v_s, state.applied_v, p.spool_before)
-    y2, rate = _spool(y1, rate, applied_v, spool_transition(after, p.valve))
-    u1, u2 = opening(y1, p.valve), opening(y2, p.valve)
+    middle = follow(state.spool, state.applied_v, p.spool_before)
+    spool = follow(middle, applied_v, spool_transition(after, p.valve))
+    u1, u2 = opening(middle.position_v, p.valve), opening(spool.position_v, p.valve)
     if p.valve.omega_rad_s == 0.0:
         u_mean = (before * u1 + after * u2) / dt  # without lag it jumps at the start of each part
     else:
-        u_mean = 0.5 * (before * (opening(y0, p.valve) + u1) + after * (u1 + u2)) / dt
+        u_mean = 0.5 * (before * (opening(state.spool.position_v, p.valve) + u1) + after * (u1 + u2)) / dt
 
     f1_sum = state.f1_fill + f1_fill if u_mean >= 0.0 else state.f1_exhaust + f1_exhaust
-    f_mean = 0.5 * (state.drift + drift + f1_sum * u_mean)
+    f_mean = 0.5 * (state.f0 * state.motion.v + f0 * motion.v + f1_sum * u_mean)
     observer = observe_disturbance(state.observer, x3, f_mean, dt, p.observer)
-    force_rate = (motion.F - state.motion.F) / dt
+    found = (motion.F - state.motion.F - state.force_step_n) / dt
+    force_rate = state.force_rate + p.force_rate_gain * (found - state.force_rate)
     return (
         ControllerState(
-            motion, observer, state.sliding, y2, rate, applied_v, drift, f1_fill, f1_exhaust, force_rate
+            motion,
+            observer,
+            state.sliding,
+            spool,
+            applied_v,
+            f0,
+            f1_fill,
+            f1_exhaust,
+            force_rate,
+            state.bristles_m,
+            0.0,  # until `act` knows better
         ),
         Estimate(motion.x, motion.v, motion.F, x3, observer.x_hat, observer.d_hat, motion.innovation, u_mean),
     )
 
 
-def errors(e: Estimate, r: Reference, p: Controller) -> tuple[float, float, float]:
-    """w1, w2, w3 of (9), w3 with the rod-side and the unmatched force [m, m/s, m/s²]."""
-    force = e.x3_n - p.cylinder.rod_force_n - (e.force_n if p.use_force else 0.0)
-    return (
-        r.position_m - e.position_m,
-        r.velocity_m_s - e.velocity_m_s,
-        r.acceleration_m_s2 - force / p.cylinder.M,
-    )
+def at_effect(state: ControllerState, e: Estimate, gained_n: float, p: Controller) -> Motion:
+    """The motion when this tick's command has its effect, the unmatched force having gained `gained_n`."""
+    c = p.cylinder
+    x3 = e.x3_hat_n if p.use_x3_hat else e.x3_n
+    force = x3 - c.rod_force_n - (e.force_n if p.use_force else 0.0)
+    now = Motion(e.position_m, e.velocity_m_s, force)
+    if p.lead_s <= 0.0:
+        return now
+    rest = (e.d_hat_n_s if p.sliding.compensate_d else 0.0) - gained_n / p.lead_s
+    rates = Rates(state.f0, state.f1_fill, state.f1_exhaust, rest)
+    return ahead(now, state.spool, state.applied_v, 0.5 * p.lead_s, p.spool_ahead, c.M, rates, p.valve)
+
+
+def outlook(
+    state: ControllerState, e: Estimate, r: Reference, p: Controller
+) -> tuple[FrictionAhead, Motion, Reference]:
+    """Friction, motion and reference at the instant at which this tick's command has its effect."""
+    goal = later(r, p.lead_s)
+    friction = friction_ahead(state.bristles_m, r, later(r, p.h), goal, p.h, p.lead_s, p.friction)
+    return friction, at_effect(state, e, friction.ahead_n + p.lead_s * state.force_rate, p), goal
+
+
+def errors(m: Motion, r: Reference, M: float) -> tuple[float, float, float]:
+    """w1, w2, w3 of (9), w3 with all forces that are known [m, m/s, m/s²]."""
+    return r.position_m - m.x, r.velocity_m_s - m.v, r.acceleration_m_s2 - m.force_n / M
 
 
 def join(state: ControllerState, e: Estimate, r: Reference, p: Controller) -> ControllerState:
-    """The state with s(0) = 0 for a law that takes over now."""
-    return _with_sliding(state, engage(errors(e, r, p)[2]))
+    """The state with s(0) = 0 for a law that takes over now; the bristles take what force they can."""
+    state = _with(state, state.sliding, bristles_under(e.force_n, p.friction), 0.0)
+    _, motion, goal = outlook(state, e, r, p)
+    return _with(state, engage(errors(motion, goal, p.cylinder.M)[2]), state.bristles_m, 0.0)
 
 
 def act(
     state: ControllerState, e: Estimate, r: Reference, p: Controller
 ) -> tuple[ControllerState, SlidingOutput]:
     """The law's command for an estimate and a reference of the same instant."""
-    w1, w2, w3 = errors(e, r, p)
+    friction, motion, goal = outlook(state, e, r, p)
+    w1, w2, w3 = errors(motion, goal, p.cylinder.M)
     sliding, out = law(
         state.sliding,
         w1,
         w2,
         w3,
-        r.jerk_m_s3,
-        state.drift,
+        goal.jerk_m_s3,
+        state.f0 * motion.v,
         e.d_hat_n_s,
-        state.force_rate if p.use_force_rate else 0.0,
+        friction.rate_n_s + state.force_rate,
         state.f1_fill,
         state.f1_exhaust,
         p.h,
         p.sliding,
         p.valve,
+        state.applied_v,
     )
-    return _with_sliding(state, sliding), out
+    return _with(state, sliding, friction.bristles_m, friction.step_n), out
 
 
-def _spool(y: float, rate: float, u: float, t: SpoolTransition) -> tuple[float, float]:
-    e = y - u
-    return u + t.ee * e + t.er * rate, t.re * e + t.rr * rate
-
-
-def _with_sliding(s: ControllerState, sliding: SlidingState) -> ControllerState:
+def _with(
+    s: ControllerState, sliding: SlidingState, bristles_m: float, force_step_n: float
+) -> ControllerState:
     # written out, since numba knows no _replace
     return ControllerState(
         s.motion,
         s.observer,
         sliding,
-        s.spool_v,
-        s.spool_rate_v_s,
+        s.spool,
         s.applied_v,
-        s.drift,
+        s.f0,
         s.f1_fill,
         s.f1_exhaust,
         s.force_rate,
+        bristles_m,
+        force_step_n,
     )
