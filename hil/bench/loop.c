@@ -2,11 +2,11 @@
  * same plant, the same law and output chain, absolute deadlines, kernel receive stamps, one record a tick copied
  * into a ring. It has no supervisor, no fault table and no console.
  *
- *   loop BUS RATE_HZ SECONDS PRIORITY CPU SET_DEADLINE CONSTANTS   run; one JSON object on standard output
- *   loop law CONSTANTS                                             a command for each line of measurements
+ *   loop BUS RATE_HZ SECONDS PRIORITY CPU SET_DEADLINE   run; one JSON object on standard output
+ *   loop law                                             a command for each line of measurements
  *
  * BUS is unix:FOLDER (a unixcan channel with one other party) or can:INTERFACE; PRIORITY 0 and CPU -1 leave the
- * scheduling alone; CONSTANTS is a file of lines "name value".
+ * scheduling alone. law.h is made from the Python functions of the law: python -m pneud.benchmark.law CONFIG
  */
 #define _GNU_SOURCE
 #include <dirent.h>
@@ -20,6 +20,7 @@
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 #include <sys/ioctl.h>
 #include <sys/mman.h>
 #include <sys/prctl.h>
@@ -198,38 +199,24 @@ static void print_list(const char *name, const int64_t *values, long count) {
   printf("], ");
 }
 
-static void read_constants(const char *path) {
-  FILE *file = fopen(path, "r");
-  char name[64];
-  double value;
-  if (!file) fail(path);
-  while (fscanf(file, "%63s %lf", name, &value) == 2)
-    if (!set_constant(name, value)) {
-      fprintf(stderr, "loop: %s: no constant %s\n", path, name);
-      exit(2);
-    }
-  fclose(file);
-}
-
 static int only_law(void) {
-  Law law = {0};
+  LawState law;
   double x, p1, p2, supply, applied, t;
-  while (scanf("%lf %lf %lf %lf %lf %lf", &x, &p1, &p2, &supply, &applied, &t) == 6)
-    printf("%.17g\n", command_v(&law, x, p1, p2, supply, applied, t));
+  for (int begun = 0; scanf("%lf %lf %lf %lf %lf %lf", &x, &p1, &p2, &supply, &applied, &t) == 6; begun = 1) {
+    if (!begun) law = begin(x, p1, p2, supply, LAW);
+    law = tick(law, x, p1, p2, supply, applied, t, LAW);
+    printf("%.17g\n", law.command_v);
+  }
   return 0;
 }
 
 int main(int argc, char **argv) {
   make_crc_table();
-  if (argc == 3 && strcmp(argv[1], "law") == 0) {
-    read_constants(argv[2]);
-    return only_law();
-  }
-  if (argc != 8) {
-    fprintf(stderr, "usage: loop unix:FOLDER|can:IF RATE_HZ SECONDS PRIORITY CPU SET_DEADLINE CONSTANTS\n");
+  if (argc == 2 && strcmp(argv[1], "law") == 0) return only_law();
+  if (argc != 7) {
+    fprintf(stderr, "usage: loop unix:FOLDER|can:IF RATE_HZ SECONDS PRIORITY CPU SET_DEADLINE\n");
     return 2;
   }
-  read_constants(argv[7]);
   double rate_hz = atof(argv[2]);
   long settle = (long)(rate_hz * SETTLE_S + 0.5), total = settle + (long)(rate_hz * atof(argv[3]) + 0.5);
   long skipped = 0, incomplete = 0;
@@ -245,9 +232,10 @@ int main(int argc, char **argv) {
   memset(ring, 0, (size_t)RECORD_BYTES * RECORDS);
   real_time(atoi(argv[4]), atoi(argv[5]));
 
-  Law law = {0};
+  LawState law = {0};
+  int begun = 0;
   Inputs in = {.counters = {-1, -1, -1}};
-  int64_t offset_ns = now_of(CLOCK_REALTIME) - now(), begin = now(), deadline = begin, counted = begin;
+  int64_t offset_ns = now_of(CLOCK_REALTIME) - now(), begin_ns = now(), deadline = begin_ns, counted = begin_ns;
   struct rusage before = {0}, after;
   for (long n = 0; n < total; n++) {
     if (n == settle) {
@@ -278,15 +266,18 @@ int main(int argc, char **argv) {
           newest_ns = stamp_ns;
         }
     }
-    double volts = law.last_v;
-    if (in.fresh == COMPLETE)
-      volts = command_v(&law, in.position, in.p1, in.p2, in.supply, in.applied, (double)(sync_ns - begin) * 1e-9);
-    else
+    if (in.fresh == COMPLETE) {
+      if (!begun) law = begin(in.position, in.p1, in.p2, in.supply, LAW);
+      begun = 1;
+      double t_s = (double)(sync_ns - begin_ns) * 1e-9;
+      law = tick(law, in.position, in.p1, in.p2, in.supply, in.applied, t_s, LAW);
+    } else {
       incomplete++;
-    int16_t raw = (int16_t)rint(volts / P.command_lsb_v);
+    }
+    int16_t raw = (int16_t)rint(law.command_v / LAW.output.lsb_v);
     struct can_frame command = {.can_id = COMMAND, .can_dlc = 8};
     memcpy(command.data, &raw, 2);
-    command.data[2] = law.started != 0;
+    command.data[2] = (uint8_t)begun;
     command.data[3] = sync.data[0];
     command.data[6] = (uint8_t)n;
     command.data[7] = crc(COMMAND, command.data);

@@ -14,8 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-from pneud import parameters, resources
-from pneud.benchmark.law import constants
+from pneud import resources
+from pneud.benchmark.law import header
 from pneud.benchmark.sample import ProcessState, Sample, from_object, process_state
 from pneud.bus import folder
 from pneud.loading import Loaded
@@ -94,43 +94,39 @@ def notifier(track: Track, rate_hz: float, seconds: float) -> Sample:
 
 def c_program(track: Track, rate_hz: float, seconds: float) -> Sample:
     """The same frames and the same law in C."""
-    program = track.scratch / "loop"
-    if not program.exists():
-        build(program)
     if track.axis.dbc.read_bytes() != (resources.configs() / "pneud.dbc").read_bytes():
         raise AbsentError(f"the C program speaks pneud.dbc only, not {track.axis.dbc.name}")
-    file = track.scratch / f"constants-{rate_hz:g}"
-    write_constants(file, track.axis)
+    place = track.scratch / f"c-{track.config_file.stem}"
+    program = place / "loop"
+    if not program.exists():
+        place.mkdir(exist_ok=True)
+        build(program, track.axis)
     with _plant(track) as bus:
         kind, _, name = bus.partition(":")
         where = f"can:{name}" if kind == "socketcan" else f"unix:{folder.runtime_folder() / 'can' / name}"
         words = (where, str(rate_hz), str(seconds), *_scheduling(track))
-        deadline = track.axis.config.loop.set_deadline
-        return from_object(json.loads(_run([str(program), *words, str(deadline), str(file)], seconds)))
+        deadline = str(track.axis.config.loop.set_deadline)
+        return from_object(json.loads(_run([str(program), *words, deadline], seconds)))
 
 
-def build(program: Path) -> None:
-    """Build the C program with the system's compiler.
+def build(program: Path, axis: Loaded) -> None:
+    """Build the C program for an axis with the system's compiler; its folder takes the law's C.
 
     Raises:
-        AbsentError: there is none, or it fails.
+        AbsentError: there is no compiler, or it fails.
     """
     compiler = next((found for name in ("cc", "gcc", "clang") if (found := shutil.which(name))), None)
     if compiler is None:
         raise AbsentError("there is no C compiler: apt install gcc libc6-dev")
     source = resources.bench() / "loop.c"
+    (program.parent / "law.h").write_text(header(axis))
+    # without contraction it computes what Python does, to the last bit
+    options = ("-O2", "-ffp-contract=off", "-I", program.parent)
     done = subprocess.run(
-        [compiler, "-O2", "-o", program, source, "-lm"], capture_output=True, text=True, check=False
+        [compiler, *options, "-o", program, source, "-lm"], capture_output=True, text=True, check=False
     )
     if done.returncode:
         raise AbsentError(f"{source} cannot be compiled: {(done.stderr.splitlines() or ['no reason'])[0]}")
-
-
-def write_constants(file: Path, axis: Loaded) -> None:
-    """Write what the C program needs to know of an axis."""
-    p = parameters.axis_of(axis.config, axis.codecs.command_lsb_v)
-    lines = (f"{name} {float(value)!r}\n" for name, value in constants(p, axis.codecs).items())
-    file.write_text("".join(lines))
 
 
 def pneud(track: Track, rate_hz: float, seconds: float) -> Sample:

@@ -15,14 +15,14 @@ from typing import Any
 
 import can
 
-from pneud import parameters
-from pneud.benchmark.law import Law
+from pneud.benchmark.law import LawState, begin, law_of, tick
 from pneud.benchmark.sample import Usage
 from pneud.bus import wire
 from pneud.bus.codec import Codec
 from pneud.loading import Loaded, load
 from pneud.rt import setup
 
+ANSWERED = 0.65  # part of the period after which the answers are looked at
 SETTLE_S = 0.3  # before anything counts: the plant, too, has to get going
 SYNC_COUNTERS = 240
 _COMPLETE = 7
@@ -58,9 +58,10 @@ def run(
     """The object of one turn."""
     period_ns, settle = round(1e9 / rate_hz), round(rate_hz * SETTLE_S)
     total = settle + max(1, round(rate_hz * seconds))
-    answered_ns = round(period_ns * axis.config.loop.set_deadline)
+    answered_ns = round(period_ns * ANSWERED)
     c = axis.codecs
-    law = Law(parameters.axis_of(axis.config, c.command_lsb_v))
+    p = law_of(axis)
+    law: LawState | None = None
     latest = _Latest(
         {codec.can_id: (1 << i, codec) for i, codec in enumerate((c.encoder, c.pressure, c.valve_status))}
     )
@@ -70,12 +71,12 @@ def run(
         with contextlib.suppress(OSError):  # the notifier's thread, too: it inherits
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     interface, _, channel = bus.partition(":")
-    skipped, incomplete, volts, enable = 0, 0, 0.0, 0
+    skipped, incomplete = 0, 0
     clock = time.monotonic_ns
     with can.Bus(interface=interface, channel=channel) as link:
         notifier = can.Notifier(link, [latest])
         usage = Usage()
-        begin = deadline = clock()
+        begin_ns = deadline = clock()
         for n in range(total):
             if n == settle:
                 skipped = incomplete = 0
@@ -95,15 +96,14 @@ def run(
             complete = latest.fresh == _COMPLETE
             if complete:
                 p1_pa, p2_pa, supply_pa = latest.values[2]
-                position_m, applied_v, t_s = (
-                    latest.values[1][0],
-                    latest.values[4][0],
-                    (sync_ns - begin) * 1e-9,
-                )
-                volts = law.command_v(position_m, p1_pa, p2_pa, supply_pa, applied_v, t_s)
-                enable = 1
+                position_m, applied_v = latest.values[1][0], latest.values[4][0]
+                if law is None:
+                    law = begin(position_m, p1_pa, p2_pa, supply_pa, p)
+                t_s = (sync_ns - begin_ns) * 1e-9
+                law = tick(law, position_m, p1_pa, p2_pa, supply_pa, applied_v, t_s, p)
             else:
                 incomplete += 1
+            volts, enable = (law.command_v, 1) if law is not None else (0.0, 0)
             data = c.valve_command.encode(volts, enable, index, counter=n & c.valve_command.counter_mask)
             _send(link, c.valve_command, data)
             sent_ns = clock()

@@ -1,0 +1,391 @@
+"""Pure functions of this package as C, so that a C program computes what the loop computes, not a copy of it.
+
+It takes what the law is written in: functions on floats, ints, bools and NamedTuples of them, with `math`,
+`if`, `for`, `while` and tuples. Signatures have types; those of local names follow from what is assigned first.
+"""
+
+from __future__ import annotations
+
+import ast
+import builtins
+import inspect
+import math
+import textwrap
+import types
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, get_args, get_origin, get_type_hints
+
+HEAD = """\
+#include <math.h>
+
+static inline double min_(double a, double b) { return b < a ? b : a; }
+static inline double max_(double a, double b) { return b > a ? b : a; }
+"""
+_RESERVED = {
+    "auto",
+    "case",
+    "char",
+    "const",
+    "default",
+    "int",
+    "long",
+    "register",
+    "short",
+    "signed",
+    "static",
+}
+_BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.LShift: "<<", ast.BitOr: "|", ast.BitAnd: "&"}
+_COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
+_MATH = {
+    "atan",
+    "atan2",
+    "copysign",
+    "cos",
+    "exp",
+    "expm1",
+    "hypot",
+    "log",
+    "log1p",
+    "pow",
+    "sin",
+    "sqrt",
+    "tanh",
+}
+
+Type = Any
+"""float, int (bool is one), a NamedTuple class, or a tuple of types."""
+
+
+class TranslationError(Exception):
+    """Something has no counterpart here; the text is one line for a person."""
+
+
+class Typed(NamedTuple):
+    """An expression in C."""
+
+    code: str
+    type: Type
+
+
+class Translator:
+    """Collects structures and functions; `text` is all of them in order."""
+
+    def __init__(self) -> None:
+        self._structs: dict[Any, str] = {}
+        self._functions: dict[Any, str] = {}
+        self._parts: list[str] = []
+
+    def text(self) -> str:
+        """The C source."""
+        return "\n".join([HEAD, *self._parts])
+
+    def function(self, f: Callable[..., Any], name: str = "") -> str:
+        """Translate a function and all that it calls.
+
+        Args:
+            f: the function.
+            name: what to call it in C; else its own name with its module's before it.
+
+        Raises:
+            TranslationError: it does something that is not provided for.
+        """
+        if f not in self._functions:
+            if not isinstance(f, types.FunctionType):
+                raise TranslationError(f"{f!r} is no plain function")
+            self._functions[f] = name or f"{f.__module__.rpartition('.')[2]}_{f.__name__}"
+            self._parts.append(_Function(self, f).text(self._functions[f]))
+        return self._functions[f]
+
+    def constant(self, name: str, value: Any) -> None:
+        """Define a constant NamedTuple."""
+        self._parts.append(f"static const {self.type(type(value))} {name} = {self.literal(value)};\n")
+
+    def type(self, t: Type) -> str:
+        """The C type for a type; defines structures at their first use."""
+        if t in (float, int):
+            return "double" if t is float else "long"
+        if t not in self._structs:
+            members = [(self.type(inner), field) for field, inner in fields_of(t)]
+            plain = t.__name__ if isinstance(t, type) else "Tuple_" + "_".join(m for m, _ in members)
+            name = plain if plain not in self._structs.values() else f"{plain}_{len(self._structs)}"
+            self._structs[t] = name
+            inside = " ".join(f"{member} {field};" for member, field in members)
+            self._parts.append(f"typedef struct {{ {inside} }} {name};\n")
+        return self._structs[t]
+
+    def literal(self, value: Any) -> str:
+        """A value in C, exact to the last bit."""
+        if isinstance(value, tuple):
+            members = zip(fields_of(type(value)), value, strict=True)
+            # a float's place may hold an integer
+            return "{" + ", ".join(self.literal(t(v) if t is float else v) for (_, t), v in members) + "}"
+        if isinstance(value, int):
+            return f"{int(value)}L"
+        if not isinstance(value, float):
+            raise TranslationError(f"{value!r} has no counterpart in C")
+        if math.isnan(value):
+            return "NAN"
+        return value.hex() if math.isfinite(value) else ("INFINITY" if value > 0 else "-INFINITY")
+
+
+def fields_of(t: Type) -> list[tuple[str, Type]]:
+    """Names and types of what a NamedTuple class or a tuple of types holds."""
+    if isinstance(t, tuple):
+        return [(f"f{i}", inner) for i, inner in enumerate(t)]
+    hints = get_type_hints(t)
+    return [(name, plain(hints[name])) for name in t._fields]
+
+
+def plain(hint: Any) -> Type:
+    """The type that an annotation stands for.
+
+    Raises:
+        TranslationError: none that is provided for.
+    """
+    if hint is float:
+        return float
+    if get_origin(hint) is tuple:
+        return tuple(plain(inner) for inner in get_args(hint))
+    if isinstance(hint, type) and issubclass(hint, int):
+        return int
+    if isinstance(hint, type) and hasattr(hint, "_fields"):
+        return hint
+    raise TranslationError(f"{hint!r} has no counterpart in C")
+
+
+class _Function:
+    """One function on its way into C."""
+
+    def __init__(self, translator: Translator, f: types.FunctionType) -> None:
+        self._t = translator
+        self._f = f
+        self._globals = f.__globals__
+        hints = get_type_hints(f)
+        self._result = plain(hints.pop("return"))
+        self._parameters = {name: plain(hint) for name, hint in hints.items()}
+        self._locals: dict[str, Type] = dict(self._parameters)
+        self._count = 0
+
+    def text(self, name: str) -> str:
+        tree = ast.parse(textwrap.dedent(inspect.getsource(self._f))).body[0]
+        assert isinstance(tree, ast.FunctionDef)
+        body = self._block(tree.body, 1)
+        c = self._t.type
+        parameters = ", ".join(f"{c(t)} {_safe(n)}" for n, t in self._parameters.items())
+        declared = "".join(
+            f"  {c(t)} {_safe(n)};\n" for n, t in self._locals.items() if n not in self._parameters
+        )
+        return f"static {c(self._result)} {name}({parameters}) {{\n{declared}{body}}}\n"
+
+    def _fail(self, node: ast.AST) -> TranslationError:
+        where = f"{self._f.__module__}.{self._f.__name__}"
+        return TranslationError(f"{where}: no counterpart in C for {ast.unparse(node)!r}")
+
+    def _block(self, statements: Sequence[ast.stmt], depth: int) -> str:
+        return "".join(self._statement(s, depth) for s in statements)
+
+    def _statement(self, s: ast.stmt, depth: int) -> str:
+        pad = "  " * depth
+        match s:
+            case ast.Expr(value=ast.Constant()) | ast.Pass() | ast.Assert():
+                return ""
+            case ast.Return(value=ast.expr() as value):
+                return f"{pad}return {self._as(value, self._result)};\n"
+            case ast.Assign(targets=targets, value=value):
+                return "".join(self._assign(target, value, pad) for target in targets)
+            case ast.AnnAssign(target=target, value=ast.expr() as value):
+                return self._assign(target, value, pad)
+            case ast.AugAssign(target=ast.Name(id=name) as target, op=op, value=value):
+                combined = ast.BinOp(ast.Name(name, ast.Load()), op, value)
+                return self._assign(target, combined, pad)
+            case ast.If(test=test, body=body, orelse=orelse):
+                text = f"{pad}if ({self._expr(test).code}) {{\n{self._block(body, depth + 1)}{pad}}}"
+                return text + (f" else {{\n{self._block(orelse, depth + 1)}{pad}}}\n" if orelse else "\n")
+            case ast.While(test=test, body=body, orelse=[]):
+                return f"{pad}while ({self._expr(test).code}) {{\n{self._block(body, depth + 1)}{pad}}}\n"
+            case ast.For(orelse=[]):
+                return self._for(s, depth)
+            case ast.Break() | ast.Continue():
+                return f"{pad}{ast.unparse(s)};\n"
+        raise self._fail(s)
+
+    def _for(self, s: ast.For, depth: int) -> str:
+        pad, i = "  " * depth, self._new("i")
+        if not isinstance(s.target, ast.Name):
+            raise self._fail(s.target)
+        match s.iter:
+            case ast.Call(func=ast.Name(id="range"), args=[end]):
+                head = f"{pad}for (long {i} = 0; {i} < {self._as(end, int)}; {i}++) {{\n"
+                first = self._set(s.target.id, Typed(i, int), pad + "  ")
+            case ast.Tuple(elts=elements):
+                values = self._new("values")
+                listed = ", ".join(self._as(e, float) for e in elements)
+                head = f"{pad}const double {values}[] = {{{listed}}};\n"
+                head += f"{pad}for (long {i} = 0; {i} < {len(elements)}; {i}++) {{\n"
+                first = self._set(s.target.id, Typed(f"{values}[{i}]", float), pad + "  ")
+            case _:
+                raise self._fail(s.iter)
+        return f"{head}{first}{self._block(s.body, depth + 1)}{pad}}}\n"
+
+    def _assign(self, target: ast.expr, value: ast.expr, pad: str) -> str:
+        found = self._expr(value)
+        if isinstance(target, ast.Name):
+            return self._set(target.id, found, pad)
+        if not isinstance(target, ast.Tuple):
+            raise self._fail(target)
+        whole = self._new("whole")  # everything is evaluated before anything is assigned
+        text = f"{pad}const {self._t.type(found.type)} {whole} = {found.code};\n"
+        for element, (field, inner) in zip(target.elts, fields_of(found.type), strict=True):
+            if not isinstance(element, ast.Name):
+                raise self._fail(target)
+            text += self._set(element.id, Typed(f"{whole}.{field}", inner), pad)
+        return text
+
+    def _set(self, name: str, value: Typed, pad: str) -> str:
+        if name == "_":
+            return ""
+        known = self._locals.setdefault(name, value.type)
+        if known is int and value.type is float and name not in self._parameters:
+            self._locals[name] = float
+        elif known != value.type and {known, value.type} != {int, float}:
+            raise TranslationError(f"{self._f.__name__}: {name} changes its type")
+        return f"{pad}{_safe(name)} = {value.code};\n"
+
+    def _new(self, stem: str) -> str:
+        self._count += 1
+        return f"{stem}_{self._count}"
+
+    def _as(self, node: ast.expr, t: Type) -> str:
+        """An expression where a type is expected: tuples take theirs from it."""
+        if isinstance(node, ast.Tuple) and isinstance(t, tuple):
+            return self._struct(
+                t, [self._as(e, inner) for e, (_, inner) in zip(node.elts, fields_of(t), strict=True)]
+            )
+        return self._expr(node).code
+
+    def _struct(self, t: Type, members: Sequence[str]) -> str:
+        return f"(({self._t.type(t)}){{{', '.join(members)}}})"
+
+    def _expr(self, node: ast.expr) -> Typed:
+        constant = self._constant(node)
+        if constant is not None:
+            return Typed(self._t.literal(constant), float if isinstance(constant, float) else int)
+        match node:
+            case ast.Name(id=name) if name in self._locals:
+                return Typed(_safe(name), self._locals[name])
+            case ast.Attribute(value=value, attr=attr):
+                whole = self._expr(value)
+                return Typed(f"{whole.code}.{attr}", dict(fields_of(whole.type))[attr])
+            case ast.Subscript(value=value, slice=ast.Constant(value=int(index))):
+                whole = self._expr(value)
+                field, inner_type = fields_of(whole.type)[index]
+                return Typed(f"{whole.code}.{field}", inner_type)
+            case ast.UnaryOp(op=ast.USub() | ast.UAdd() as op, operand=operand):
+                inner = self._expr(operand)
+                return Typed(f"({'-' if isinstance(op, ast.USub) else '+'}{inner.code})", inner.type)
+            case ast.UnaryOp(op=ast.Not(), operand=operand):
+                return Typed(f"(!{self._expr(operand).code})", int)
+            case ast.BinOp(left=left, op=op, right=right):
+                return self._binary(self._expr(left), op, self._expr(right), node)
+            case ast.BoolOp(op=op, values=values):
+                sign = " && " if isinstance(op, ast.And) else " || "
+                return Typed("(" + sign.join(self._expr(v).code for v in values) + ")", int)
+            case ast.Compare(left=left, ops=ops, comparators=comparators):
+                return self._compare([left, *comparators], ops, node)
+            case ast.IfExp(test=test, body=body, orelse=orelse):
+                a, b = self._expr(body), self._expr(orelse)
+                t = a.type if a.type == b.type else float
+                return Typed(f"({self._expr(test).code} ? {a.code} : {b.code})", t)
+            case ast.Tuple(elts=elements):
+                found = [self._expr(e) for e in elements]
+                t = tuple(e.type for e in found)
+                return Typed(self._struct(t, [e.code for e in found]), t)
+            case ast.Call(func=func, args=args, keywords=keywords):
+                return self._call(func, args, keywords, node)
+        raise self._fail(node)
+
+    def _constant(self, node: ast.expr) -> int | float | None:
+        """The number that an expression without local names stands for."""
+        inside = list(ast.walk(node))
+        if any(isinstance(n, ast.Call) or (isinstance(n, ast.Name) and n.id in self._locals) for n in inside):
+            return None
+        if not any(isinstance(n, (ast.Name, ast.Constant)) for n in inside) or isinstance(node, ast.Tuple):
+            return None
+        try:
+            value = eval(compile(ast.Expression(node), "<constant>", "eval"), self._globals)
+        except (NameError, AttributeError):
+            raise self._fail(node) from None
+        return value if isinstance(value, (int, float)) else None
+
+    def _binary(self, a: Typed, op: ast.operator, b: Typed, node: ast.expr) -> Typed:
+        if isinstance(op, ast.Div):
+            return Typed(f"((double){a.code} / {b.code})", float)
+        if isinstance(op, ast.Pow):
+            return Typed(f"pow({a.code}, {b.code})", float)
+        sign = _BINARY.get(type(op))
+        if sign is None or {a.type, b.type} - {int, float}:
+            raise self._fail(node)
+        if a.type == b.type:
+            return Typed(f"({a.code} {sign} {b.code})", a.type)
+        return Typed(f"((double){a.code} {sign} (double){b.code})", float)
+
+    def _compare(self, terms: Sequence[ast.expr], ops: Sequence[ast.cmpop], node: ast.expr) -> Typed:
+        parts = []
+        for left, op, right in zip(terms, ops, terms[1:], strict=False):
+            a = self._expr(left).code
+            if isinstance(op, ast.In) and isinstance(right, ast.Tuple):
+                parts.append("(" + " || ".join(f"{a} == {self._expr(e).code}" for e in right.elts) + ")")
+            elif type(op) in _COMPARE:
+                parts.append(f"{a} {_COMPARE[type(op)]} {self._expr(right).code}")
+            else:
+                raise self._fail(node)
+        return Typed("(" + " && ".join(parts) + ")", int)
+
+    def _call(
+        self, func: ast.expr, args: list[ast.expr], keywords: list[ast.keyword], node: ast.expr
+    ) -> Typed:
+        try:
+            called = eval(compile(ast.Expression(func), "<function>", "eval"), self._globals)
+        except (NameError, AttributeError):
+            raise self._fail(node) from None
+        if isinstance(called, types.BuiltinFunctionType) or called in (float, int):
+            return self._builtin(called, [self._expr(a) for a in args], node)
+        is_record = isinstance(called, type) and hasattr(called, "_fields")
+        wanted = inspect.signature(called).parameters
+        hints = get_type_hints(called)
+        given = dict(zip(wanted, args, strict=False)) | {k.arg: k.value for k in keywords if k.arg}
+        codes = []
+        for name, parameter in wanted.items():
+            if name in given:
+                codes.append(self._as(given[name], plain(hints[name])))
+            elif parameter.default is not parameter.empty:
+                codes.append(self._t.literal(parameter.default))
+            else:
+                raise self._fail(node)
+        if is_record:
+            return Typed(self._struct(called, codes), called)
+        return Typed(f"{self._t.function(called)}({', '.join(codes)})", plain(hints["return"]))
+
+    def _builtin(self, called: Any, args: Sequence[Typed], node: ast.expr) -> Typed:
+        codes = [a.code for a in args]
+        name = str(called.__name__)
+        if called in (builtins.max, builtins.min):
+            code = codes[0]
+            for other in codes[1:]:
+                code = f"{name}_({code}, {other})"
+            return Typed(code, float)
+        if called is builtins.abs:
+            return Typed(f"fabs({codes[0]})" if args[0].type is float else f"labs({codes[0]})", args[0].type)
+        if called is builtins.round and len(codes) == 1:
+            return Typed(f"lrint({codes[0]})", int)
+        if called is float:
+            return Typed(f"((double){codes[0]})", float)
+        if called is math.isfinite:
+            return Typed(f"(isfinite({codes[0]}) != 0)", int)
+        if name in _MATH and getattr(math, name) is called:
+            return Typed(f"{name}({', '.join(codes)})", float)
+        raise self._fail(node)
+
+
+def _safe(name: str) -> str:
+    return f"{name}_" if name in _RESERVED else name
