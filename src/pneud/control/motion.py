@@ -30,6 +30,7 @@ class MotionState(NamedTuple):
     F: float  # unmatched force against the motion [N]
     x3: float  # [N] at that sample
     innovation: float  # [m]
+    unread_s: float = 0.0  # time predicted since the last encoder reading
 
 
 def triple_pole(omega_rad_s: float, h: float, blind_m: float = 0.0) -> MotionFilter:
@@ -83,7 +84,7 @@ def kalman(
 
 def at_rest(x: float, x3: float, rod_force_n: float) -> MotionState:
     """The state of a load that stands still at x: the unmatched force balances x3."""
-    return MotionState(x, 0.0, x3 - rod_force_n, x3, 0.0)
+    return MotionState(x, 0.0, x3 - rod_force_n, x3, 0.0, 0.0)
 
 
 def predict(
@@ -103,21 +104,25 @@ def predict(
     after = x3 - rod_force_n - state.F - force_step_n
     x = state.x + h * (state.v + h * (before / 3.0 + after / 6.0) / M)
     v = state.v + 0.5 * h * (before + after) / M
-    return MotionState(x, v, state.F + force_step_n, x3, 0.0)
+    return MotionState(x, v, state.F + force_step_n, x3, 0.0, state.unread_s + h)
 
 
 def correct(state: MotionState, position_m: float, M: float, h: float, p: MotionFilter) -> MotionState:
-    """The predicted state after an encoder reading; h is the interval that was predicted over.
+    """The predicted state after an encoder reading.
 
+    The error has grown since the last reading: over a longer interval it says less about velocity and force.
+    Over one shorter than a sample it says no more than over a whole one, or a late tick would be a blow.
     A reading stands for a whole step of the encoder: a prediction within it is left alone, and one outside
     is drawn to its edge. Otherwise each new step would be a blow of half its height to the estimates.
     """
+    interval = max(h, state.unread_s)
     innovation = position_m - state.x
     r = innovation - max(-p.blind_m, min(p.blind_m, innovation))
     return MotionState(
         state.x + p.alpha * r,
-        state.v + p.beta * r / h,
-        state.F - M * p.gamma * r / (h * h),
+        state.v + p.beta * r / interval,
+        state.F - M * p.gamma * r / (interval * interval),
         state.x3,
         innovation,
+        0.0,
     )

@@ -1,0 +1,47 @@
+"""Frames that do not come for a few ticks: the axis predicts, and does not strike when they are back."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from pneud.loading import load
+from pneud.signals import Frame, State
+from pneud.sim.lockstep import Simulation
+
+LOADED = load("virtual.toml")
+ENCODER, PRESSURE, STATUS = 0x181, 0x182, 0x183
+
+
+def worst(silent: Sequence[int], first: int, ticks: int) -> tuple[float, float]:
+    """Greatest error [m] and command [V] from a gap's begin to 0.2 s after it."""
+    run = Simulation(LOADED, 1.9)
+    count = 0
+
+    def hook(frame: Frame, outgoing: bool) -> Sequence[Frame]:
+        return () if outgoing and first <= count < first + ticks and frame.can_id in silent else (frame,)
+
+    run.node.hook = hook
+    error_m = command_v = 0.0
+    for record in run.records():
+        tick = record.tick
+        if first <= count < first + ticks + 200:
+            assert tick.state == State.TRACKING
+            error_m = max(error_m, abs(tick.estimate.position_m - record.truth_m))
+            error_m = max(error_m, abs(tick.reference.position_m - record.truth_m))
+            command_v = max(command_v, abs(tick.command.voltage_v))
+        count += 1
+    return error_m, command_v
+
+
+@pytest.mark.parametrize(
+    "silent",
+    [[ENCODER], [PRESSURE], [STATUS], [ENCODER, PRESSURE, STATUS]],
+    ids=["encoder", "pressure", "valve", "all"],
+)
+def test_eight_ticks_of_silence_in_motion_are_bridged(silent: list[int]) -> None:
+    quiet = worst([], 1500, 0)
+    error_m, command_v = worst(silent, 1500, 8)
+    assert error_m < quiet[0] + 100e-6
+    assert command_v < quiet[1] + 1.0
