@@ -155,6 +155,7 @@ ALLOWED = {
     "plant": "from pneud.physics import part\nfrom pneud.bus import part as b",
     "sim": "from pneud.plant import part\nfrom pneud import axis",
     "daemon": "from pneud import axis, processes\nfrom pneud.log import part",
+    "benchmark": "from pneud import control, loading\nfrom pneud.log import part",
     "verbs": "from pneud import daemon\nfrom pneud.sim import part",
     "cli": "from pneud.verbs import part, other",
 }
@@ -178,6 +179,7 @@ FORBIDDEN = {
     "sim": "from pneud import daemon",
     "view": "from pneud import config",
     "daemon": "from pneud.sim import part",
+    "benchmark": "from pneud.verbs import part",
     "verbs": "from pneud import cli\nfrom pneud.verbs import other",
 }
 

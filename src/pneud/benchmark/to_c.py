@@ -1,7 +1,7 @@
 """Pure functions of this package as C, so that a C program computes what the loop computes, not a copy of it.
 
 It takes what the law is written in: functions on floats, ints, bools and NamedTuples of them, with `math`,
-`if`, `for`, `while` and tuples. Signatures have types; those of local names follow from what is assigned first.
+`if`, `for`, `while` and tuples. Signatures have types; those of local names follow from their first value.
 """
 
 from __future__ import annotations
