@@ -30,7 +30,7 @@ from pneud.signals import (
 
 NAN = float("nan")
 # operations on the enum's flags are slow
-ENCODER, PRESSURE, VALVE = int(Source.ENCODER), int(Source.PRESSURE), int(Source.VALVE)
+ENCODER, VALVE = int(Source.ENCODER), int(Source.VALVE)
 SETTLE_NS = 50_000_000  # the load is given this long after the reference has come to rest
 NO_ESTIMATE = Estimate(NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN)
 NO_REFERENCE = Reference(NAN, NAN, NAN, NAN)
@@ -143,7 +143,6 @@ class Axis:
                 m.applied_v if m.fresh & VALVE else state.last_v,
                 elapsed_ns * 1e-9 if elapsed_ns > 0 else h,
                 p.controller,
-                bool(m.fresh & PRESSURE),
             )
             if measured:
                 read_ns = sampled_ns

@@ -93,7 +93,6 @@ def observe(
     applied_v: float,
     dt: float,
     p: Controller,
-    pressed: bool = True,
 ) -> tuple[ControllerState, Estimate]:
     """Take one sample in.
 
@@ -107,12 +106,20 @@ def observe(
         applied_v: command acting when this sample was taken.
         dt: time since the last sample [s].
         p: parameters.
-        pressed: False where this tick has no pressures; x3 is then what the observer's model makes of it.
 
     Returns:
         The state after this sample, and what is believed.
     """
     c = p.cylinder
+    x3 = x3_of(p1_pa, p2_pa, c)
+    motion = predict(state.motion, x3, state.force_step_n, c.rod_force_n, c.M, dt)
+    if measured:
+        motion = correct(motion, position_m, c.M, p.h, p.motion)
+    x1 = chamber_length(motion.x, c)
+    f0 = F0(x1, p1_pa, p2_pa, c, p.gas)
+    f1_fill = F1_fill(x1, p1_pa, p2_pa, supply_pa, c, p.gas)
+    f1_exhaust = F1_exhaust(x1, p1_pa, p2_pa, supply_pa, c, p.gas)
+
     # the command before the last one acts for delay_s, then the last one
     before = min(p.delay_s, dt)
     after = dt - before
@@ -124,25 +131,9 @@ def observe(
     else:
         u_mean = 0.5 * (before * (opening(state.spool.position_v, p.valve) + u1) + after * (u1 + u2)) / dt
 
-    if pressed:
-        x3 = x3_of(p1_pa, p2_pa, c)
-    else:
-        f1 = state.f1_fill if u_mean >= 0.0 else state.f1_exhaust
-        x3 = state.motion.x3 + dt * (state.f0 * state.motion.v + f1 * u_mean + state.observer.d_hat)
-    motion = predict(state.motion, x3, state.force_step_n, c.rod_force_n, c.M, dt)
-    if measured:
-        motion = correct(motion, position_m, c.M, p.h, p.motion)
-    x1 = chamber_length(motion.x, c)
-    f0 = F0(x1, p1_pa, p2_pa, c, p.gas)
-    f1_fill = F1_fill(x1, p1_pa, p2_pa, supply_pa, c, p.gas)
-    f1_exhaust = F1_exhaust(x1, p1_pa, p2_pa, supply_pa, c, p.gas)
-
-    if pressed:
-        f1_sum = state.f1_fill + f1_fill if u_mean >= 0.0 else state.f1_exhaust + f1_exhaust
-        f_mean = 0.5 * (state.f0 * state.motion.v + f0 * motion.v + f1_sum * u_mean)
-        observer = observe_disturbance(state.observer, x3, f_mean, dt, p.observer)
-    else:
-        observer = ObserverState(x3, state.observer.d_hat, 0.0)
+    f1_sum = state.f1_fill + f1_fill if u_mean >= 0.0 else state.f1_exhaust + f1_exhaust
+    f_mean = 0.5 * (state.f0 * state.motion.v + f0 * motion.v + f1_sum * u_mean)
+    observer = observe_disturbance(state.observer, x3, f_mean, dt, p.observer)
     found = (motion.F - state.motion.F - state.force_step_n) / dt
     force_rate = state.force_rate + p.force_rate_gain * (found - state.force_rate)
     return (
