@@ -145,3 +145,22 @@ def test_filter_stays_stable_over_longer_intervals() -> None:
         state = correct(predict(state, ROD, 0.0, ROD, M, h), 0.201, M, h, p)
     assert state.x == pytest.approx(0.201, abs=1e-9)
     assert pytest.approx(0.0, abs=1e-3) == state.F
+
+
+def test_a_reading_after_a_gap_counts_for_the_whole_gap() -> None:
+    p, h = triple_pole(300.0, H), H
+    state = at_rest(0.4, 20.0, 20.0)
+    for _ in range(8):
+        state = predict(state, 20.0, 0.0, 20.0, M, h)
+    after = correct(state, 0.4 + 80e-6, M, h, p)
+    assert after.v == pytest.approx(p.beta * 80e-6 / 8e-3)
+    assert after.F == pytest.approx(-M * p.gamma * 80e-6 / 8e-3**2)
+    assert after.unread_s == 0.0
+
+
+def test_a_reading_soon_after_the_last_one_counts_as_one_of_a_whole_sample() -> None:
+    p, h = triple_pole(300.0, H), H
+    state = predict(at_rest(0.4, 20.0, 20.0), 20.0, 0.0, 20.0, M, 0.1e-3)
+    after = correct(state, 0.4 + 1e-6, M, h, p)
+    assert after.v == pytest.approx(p.beta * 1e-6 / h)
+    assert after.F == pytest.approx(-M * p.gamma * 1e-6 / h**2)
