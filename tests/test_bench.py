@@ -234,7 +234,7 @@ def measurements(p: Law) -> list[tuple[float, ...]]:
     """Position, pressures, supply, applied command, time of a load that follows, but not quite."""
     random = Random(1)
     c = p.controller.cylinder
-    rows = []
+    rows: list[tuple[float, ...]] = []
     for n in range(600):
         t_s = n * p.controller.h
         position_m = reference(0.45, t_s, p).position_m + 2e-5 * math.sin(0.05 * n)
