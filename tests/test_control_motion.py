@@ -154,7 +154,7 @@ def test_a_reading_after_a_gap_counts_for_the_whole_gap() -> None:
         state = predict(state, 20.0, 0.0, 20.0, M, h)
     after = correct(state, 0.4 + 80e-6, M, h, p)
     assert after.v == pytest.approx(p.beta * 80e-6 / 8e-3)
-    assert after.F == pytest.approx(-M * p.gamma * 80e-6 / 8e-3**2)
+    assert pytest.approx(-M * p.gamma * 80e-6 / 8e-3**2) == after.F
     assert after.unread_s == 0.0
 
 
@@ -163,4 +163,4 @@ def test_a_reading_soon_after_the_last_one_counts_as_one_of_a_whole_sample() -> 
     state = predict(at_rest(0.4, 20.0, 20.0), 20.0, 0.0, 20.0, M, 0.1e-3)
     after = correct(state, 0.4 + 1e-6, M, h, p)
     assert after.v == pytest.approx(p.beta * 1e-6 / h)
-    assert after.F == pytest.approx(-M * p.gamma * 1e-6 / h**2)
+    assert pytest.approx(-M * p.gamma * 1e-6 / h**2) == after.F

@@ -22,15 +22,21 @@ class FrictionAhead(NamedTuple):
     rate_n_s: float  # at that instant
 
 
-def bristles_after(z: float, v: float, time_s: float, f: Friction) -> float:
-    """Deflection [m] after a time at constant velocity: ż = v − a z has an exact solution."""
-    a = relaxation_rate(v, f)
+def bristles_after(z: float, v: float, a: float, time_s: float) -> float:
+    """Deflection [m] after a time at constant velocity: ż = v − a z has an exact solution.
+
+    Args:
+        z: deflection now [m].
+        v: velocity [m/s].
+        a: relaxation rate at that velocity, negative where there is no dry friction [1/s].
+        time_s: the time [s].
+    """
     if a < 0.0:
         return 0.0
     x = a * time_s
     if x < 1e-5:
         return z * (1.0 - x) + v * time_s
-    return z + (v / a - z) * -math.expm1(-x)
+    return z - (v / a - z) * math.expm1(-x)
 
 
 def bristles_under(force_n: float, f: Friction) -> float:
@@ -41,25 +47,28 @@ def bristles_under(force_n: float, f: Friction) -> float:
 
 
 def friction_ahead(
-    z: float, now: Reference, following: Reference, effect: Reference, h: float, lead_s: float, f: Friction
+    z: float, now: Reference, goal: Reference, h: float, lead_s: float, f: Friction
 ) -> FrictionAhead:
     """The reference's friction until the next sample and until the command has its effect.
 
     Args:
         z: deflection now [m].
         now: the reference at the sample.
-        following: at the next sample, h later.
-        effect: when the command has its effect, `lead_s` later.
+        goal: the reference when the command has its effect, `lead_s` later.
         h: sample time [s].
         lead_s: time until the command has its effect [s].
         f: the friction as identified.
     """
-    v0, v1, v2 = now.velocity_m_s, following.velocity_m_s, effect.velocity_m_s
-    z1 = bristles_after(z, 0.5 * (v0 + v1), h, f)
-    z2 = bristles_after(z, 0.5 * (v0 + v2), lead_s, f)
+    v0, v2 = now.velocity_m_s, goal.velocity_m_s
+    v1 = v0 + h * (now.acceleration_m_s2 + 0.5 * h * now.jerk_m_s3)
+    a1, a2 = relaxation_rate(v1, f), relaxation_rate(v2, f)
+    z1, z2 = bristles_after(z, v1, a1, h), bristles_after(z, v2, a2, lead_s)
     force = friction_force(v0, z, f)
-    rate = f.viscous_n_s_m * effect.acceleration_m_s2
-    a = relaxation_rate(v2, f)
-    if a >= 0.0:
-        rate += f.sigma0_n_m * (v2 - a * z2)  # σ1 z̈ is small beside it
-    return FrictionAhead(z1, friction_force(v1, z1, f) - force, friction_force(v2, z2, f) - force, rate)
+    gained1, gained2 = f.viscous_n_s_m * v1 - force, f.viscous_n_s_m * v2 - force
+    rate = f.viscous_n_s_m * goal.acceleration_m_s2
+    if a2 >= 0.0:
+        zdot = v2 - a2 * z2
+        rate += f.sigma0_n_m * zdot  # σ1 z̈ is small beside it
+        gained1 += f.sigma0_n_m * z1 + f.sigma1_n_s_m * (v1 - a1 * z1)
+        gained2 += f.sigma0_n_m * z2 + f.sigma1_n_s_m * zdot
+    return FrictionAhead(z1, gained1, gained2, rate)

@@ -56,14 +56,14 @@ def implicit_w3(w1: float, w2: float, w3: float, h: float, g: Feedback) -> float
     """
     b1 = w1 + h * w2
     h2 = h * h
-    f, slope, _ = _residual(w3, b1, w2, w3, h, g)
+    f, slope, _ = _residual(w3, b1, w2, w3, h, h2, g)
     if f == 0.0:
         return w3
     y = w3 - f / slope
     low, high = (w3 - f, w3) if f > 0.0 else (w3, w3 - f)
     for kink in (0.0, -w2 / h, -b1 / h2):
         if low < kink < high:
-            f, _, _ = _residual(kink, b1, w2, w3, h, g)
+            f, _, _ = _residual(kink, b1, w2, w3, h, h2, g)
             if f == 0.0:
                 return kink
             if f > 0.0:
@@ -73,7 +73,7 @@ def implicit_w3(w1: float, w2: float, w3: float, h: float, g: Feedback) -> float
     if not low < y < high:
         y = 0.5 * (low + high)
     for _ in range(MAX_ITERATIONS):
-        f, slope, size = _residual(y, b1, w2, w3, h, g)
+        f, slope, size = _residual(y, b1, w2, w3, h, h2, g)
         if abs(f) <= ROUNDING * size:
             return y
         if f > 0.0:
@@ -89,27 +89,33 @@ def implicit_w3(w1: float, w2: float, w3: float, h: float, g: Feedback) -> float
     return y
 
 
-def _residual(y: float, b1: float, b2: float, w3: float, h: float, g: Feedback) -> tuple[float, float, float]:
-    # left side minus w3, its slope (without what is infinite), and the sum of its terms' sizes
-    e2 = b2 + h * y
-    e1 = b1 + h * h * y
-    m3, m2, m1 = abs(y), abs(e2), abs(e1)
-    f, slope, size = y - w3, 1.0, m3 + abs(w3)
-    if m3 > 0.0:
-        t = h * g.k3 * m3**g.a3
+def _residual(
+    y: float, b1: float, b2: float, w3: float, h: float, h2: float, g: Feedback
+) -> tuple[float, float, float]:
+    # left side minus w3, its slope (without what is infinite), and the sum of its terms' sizes;
+    # written out, since it is most of the law's time
+    k1, k2, k3, a1, a2, a3 = g
+    f, slope, size = y - w3, 1.0, abs(y) + abs(w3)
+    e, m = y, abs(y)
+    if m > 0.0:
+        t = h * k3 * m**a3
         size += t
-        slope += g.a3 * t / m3
-        f += t if y > 0.0 else -t
-    if m2 > 0.0:
-        t = h * g.k2 * m2**g.a2
+        slope += a3 * t / m
+        f += t if e > 0.0 else -t
+    e = b2 + h * y
+    m = abs(e)
+    if m > 0.0:
+        t = h * k2 * m**a2
         size += t
-        slope += h * g.a2 * t / m2
-        f += t if e2 > 0.0 else -t
-    if m1 > 0.0:
-        t = h * g.k1 * m1**g.a1
+        slope += h * a2 * t / m
+        f += t if e > 0.0 else -t
+    e = b1 + h2 * y
+    m = abs(e)
+    if m > 0.0:
+        t = h * k1 * m**a1
         size += t
-        slope += h * h * g.a1 * t / m1
-        f += t if e1 > 0.0 else -t
+        slope += h2 * a1 * t / m
+        f += t if e > 0.0 else -t
     return f, slope, size
 
 

@@ -172,7 +172,7 @@ def outlook(
 ) -> tuple[FrictionAhead, Motion, Reference]:
     """Friction, motion and reference at the instant at which this tick's command has its effect."""
     goal = later(r, p.lead_s)
-    friction = friction_ahead(state.bristles_m, r, later(r, p.h), goal, p.h, p.lead_s, p.friction)
+    friction = friction_ahead(state.bristles_m, r, goal, p.h, p.lead_s, p.friction)
     return friction, at_effect(state, e, friction.ahead_n + p.lead_s * state.force_rate, p), goal
 
 
