@@ -35,7 +35,8 @@ SETTING = {"rate_hz": 1000.0, "scheduling": "SCHED_FIFO 80", "bus": "unixcan", "
 
 
 def sample(lateness_us: list[int], **more: object) -> Sample:
-    return Sample({"lateness": [us * 1000 for us in lateness_us]}, len(lateness_us))._replace(**more)  # type: ignore[arg-type]
+    values = [us * 1000 for us in lateness_us]
+    return Sample({"lateness": values, "wakeup": values}, len(lateness_us))._replace(**more)  # type: ignore[arg-type]
 
 
 def series(name: str, *turns: list[int]) -> Series:
@@ -137,7 +138,7 @@ def test_the_report_is_json_and_has_everything_by_name() -> None:
     assert found["pneud_over"]["cyclictest"]["lateness"]["pairs"] == 2
     assert found["missing"] == {"c": "no compiler"}
     for name in ("pneud", "cyclictest"):
-        assert sum(count for _, _, count in found["lateness_histograms_ns"][name]) == 4
+        assert sum(count for _, _, count in found["wakeup_histograms_ns"][name]) == 4
 
 
 def test_the_words_name_whoever_is_missing_and_what_was_odd() -> None:
@@ -362,6 +363,8 @@ def test_a_log_yields_the_durations_of_its_ticks(tmp_path: Path) -> None:
     assert found.ticks == 200
     assert len(found.durations_ns["lateness"]) == 200
     assert set(found.durations_ns["latency"]) == {100_000}
+    assert set(found.durations_ns["wakeup"]) == {0}
+    assert len(found.durations_ns["wakeup"]) >= 199, "nothing takes too long there"
     assert found.durations_ns["own"] == [], "a simulation measures no hand-over"
     assert found.incomplete == found.skipped == 0
 
@@ -396,6 +399,7 @@ def test_every_contestant_yields_a_sample(name: str, track: Track) -> None:
     found = getattr(contestants, name)(track, 200.0, 0.5)
     assert found.ticks == 100
     assert len(found.durations_ns["lateness"]) == 100
+    assert 80 <= len(found.durations_ns["wakeup"]) <= 100, "nearly all of them slept"
     assert found.cpu_s["loop"] > 0.0
     assert found.page_faults is not None
     assert found.switches is not None

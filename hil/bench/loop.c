@@ -224,11 +224,11 @@ int main(int argc, char **argv) {
   const char *bus = strchr(argv[1], ':');
   if (!bus) fail(argv[1]);
   int fd = strncmp(argv[1], "unix:", 5) == 0 ? join_unixcan(bus + 1) : open_socketcan(bus + 1);
-  int64_t *lateness = malloc(3 * sizeof *lateness * (size_t)total), *latency = lateness + total,
-          *own = latency + total;
+  int64_t *lateness = malloc(4 * sizeof *lateness * (size_t)total), *latency = lateness + total,
+          *own = latency + total, *wakeup = own + total;
   uint8_t *ring = malloc((size_t)RECORD_BYTES * RECORDS), record[RECORD_BYTES] = {0};
   if (!lateness || !ring) fail("memory");
-  memset(lateness, 0xFF, 3 * sizeof *lateness * (size_t)total);
+  memset(lateness, 0xFF, 4 * sizeof *lateness * (size_t)total);
   memset(ring, 0, (size_t)RECORD_BYTES * RECORDS);
   real_time(atoi(argv[4]), atoi(argv[5]));
 
@@ -245,9 +245,11 @@ int main(int argc, char **argv) {
     }
     deadline += period;
     struct timespec until = {deadline / 1000000000LL, deadline % 1000000000LL};
+    int slept = now() < deadline;
     while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL) == EINTR) {}
     int64_t sync_ns = now(), stamp_ns, newest_ns = 0;
     lateness[n] = sync_ns - deadline;
+    if (slept) wakeup[n] = lateness[n];
     long missed = (long)(lateness[n] / period);
     skipped += missed;
     deadline += missed * period;
@@ -297,6 +299,7 @@ int main(int argc, char **argv) {
                  1e-6 * (double)(after.ru_utime.tv_usec - before.ru_utime.tv_usec + after.ru_stime.tv_usec - before.ru_stime.tv_usec);
   printf("{");
   print_list("lateness_ns", lateness + settle, total - settle);
+  print_list("wakeup_ns", wakeup + settle, total - settle);
   print_list("latency_ns", latency + settle, total - settle);
   print_list("own_ns", own + settle, total - settle);
   printf("\"ticks\": %ld, \"skipped\": %ld, \"incomplete\": %ld, \"elapsed_s\": %.9g, \"cpu_s\": {\"loop\": %.9g}, ",

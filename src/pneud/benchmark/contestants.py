@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from pneud import resources
 from pneud.benchmark.law import header
-from pneud.benchmark.sample import ProcessState, Sample, from_object, process_state
+from pneud.benchmark.sample import QUANTITIES, ProcessState, Sample, from_object, process_state
 from pneud.bus import folder
 from pneud.loading import Loaded
 from pneud.log.reader import read_log
@@ -24,6 +24,7 @@ from pneud.signals import ALL_SOURCES
 
 SETTLE_S = 0.6  # of a run of pneud, before its ticks count: first touches, joining the reference
 PATIENCE_S = 30.0
+DRAIN_NS = 60_000  # longest that the look for left-over frames before SYNC usually takes
 CYCLICTEST_MOST_US = 100_000
 
 
@@ -73,7 +74,7 @@ def cyclictest_sample(text: str) -> Sample:
     lateness_ns = [us * 1000 + 500 for us, n in sorted(counts.items()) for _ in range(n)]
     beyond = thread["cycles"] - len(lateness_ns)
     lateness_ns += [thread["max"] * 1000] * max(0, beyond)
-    return Sample({"lateness": lateness_ns}, thread["cycles"])
+    return Sample({"lateness": lateness_ns, "wakeup": lateness_ns}, thread["cycles"])
 
 
 def empty(track: Track, rate_hz: float, seconds: float) -> Sample:
@@ -190,10 +191,9 @@ def sample_of_log(log: Path, first: int, count: int) -> Sample:
     Raises:
         LogError: the log cannot be read.
     """
-    found: dict[str, list[int]] = {
-        name: [] for name in ("lateness", "latency", "own", "read", "cycle", "write", "record")
-    }
+    found: dict[str, list[int]] = {name: [] for name in QUANTITIES}
     ticks = skipped = incomplete = 0
+    ended_ns = 0  # the tick before
     last: tuple[int, int, int] | None = None  # read, cycle, write of the tick before, if it was complete
     for number, logged in enumerate(read_log(log)):
         if number < first:
@@ -211,6 +211,9 @@ def sample_of_log(log: Path, first: int, count: int) -> Sample:
         ticks += 1
         skipped += logged.measurement.skipped
         found["lateness"].append(t.lateness_ns)
+        if ended_ns + max(0, t.record_ns) < logged.t_ns - t.lateness_ns - DRAIN_NS:
+            found["wakeup"].append(t.lateness_ns)
+        ended_ns = logged.t_ns + t.set_ns + t.cycle_ns + t.send_ns
         if logged.measurement.fresh != ALL_SOURCES:
             incomplete += 1
         elif t.latency_ns >= 0:

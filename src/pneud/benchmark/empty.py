@@ -17,7 +17,7 @@ from pneud.rt import setup
 def run(rate_hz: float, seconds: float, priority: int, cpu: int | None) -> dict[str, Any]:
     """The object of one turn."""
     period_ns, total = round(1e9 / rate_hz), max(1, round(rate_hz * seconds))
-    lateness_ns = [0] * total
+    lateness_ns, wakeup_ns = [0] * total, [-1] * total
     setup.apply(priority, cpu, True)
     clock, sleep = time.monotonic_ns, time.sleep
     usage = Usage()
@@ -25,14 +25,23 @@ def run(rate_hz: float, seconds: float, priority: int, cpu: int | None) -> dict[
     deadline = clock()
     for n in range(total):
         deadline += period_ns
+        slept = clock() < deadline
         while (left_ns := deadline - clock()) > 0:
             sleep(left_ns * 1e-9)
         late_ns = clock() - deadline
         lateness_ns[n] = late_ns
+        if slept:
+            wakeup_ns[n] = late_ns
         missed = late_ns // period_ns
         skipped += missed
         deadline += missed * period_ns
-    return {"lateness_ns": lateness_ns, "ticks": total, "skipped": skipped, **usage.as_object()}
+    return {
+        "lateness_ns": lateness_ns,
+        "wakeup_ns": [ns for ns in wakeup_ns if ns >= 0],
+        "ticks": total,
+        "skipped": skipped,
+        **usage.as_object(),
+    }
 
 
 if __name__ == "__main__":

@@ -65,7 +65,8 @@ def run(
     latest = _Latest(
         {codec.can_id: (1 << i, codec) for i, codec in enumerate((c.encoder, c.pressure, c.valve_status))}
     )
-    lateness_ns, latency_ns, own_ns = [0] * total, [-1] * total, [-1] * total
+    lateness_ns, wakeup_ns = [0] * total, [-1] * total
+    latency_ns, own_ns = [-1] * total, [-1] * total
     setup.apply(0, cpu, True)
     if priority > 0:
         with contextlib.suppress(OSError):  # the notifier's thread, too: it inherits
@@ -82,9 +83,12 @@ def run(
                 skipped = incomplete = 0
                 usage = Usage()
             deadline += period_ns
-            time.sleep(max(0.0, (deadline - clock()) * 1e-9))
+            left_ns = deadline - clock()
+            time.sleep(max(0.0, left_ns * 1e-9))
             sync_ns = clock()
             lateness_ns[n] = sync_ns - deadline
+            if left_ns > 0:
+                wakeup_ns[n] = lateness_ns[n]
             missed = lateness_ns[n] // period_ns
             skipped += missed
             deadline += missed * period_ns
@@ -114,6 +118,7 @@ def run(
         notifier.stop()
     return {
         "lateness_ns": lateness_ns[settle:],
+        "wakeup_ns": [ns for ns in wakeup_ns[settle:] if ns >= 0],
         "latency_ns": [ns for ns in latency_ns[settle:] if ns >= 0],
         "own_ns": [ns for ns in own_ns[settle:] if ns >= 0],
         "ticks": total - settle,

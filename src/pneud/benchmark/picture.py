@@ -25,7 +25,7 @@ def page(report: Mapping[str, Any], text: str) -> str:
         report: the object of the benchmark.
         text: the same in words.
     """
-    histograms = report["lateness_histograms_ns"]
+    histograms = report["wakeup_histograms_ns"]
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>pneud bench</title>\n'
         "<style>body{font:15px sans-serif;max-width:920px;margin:2em auto;padding:0 1em}"

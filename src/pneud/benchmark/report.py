@@ -8,11 +8,12 @@ from typing import Any
 from pneud.benchmark.sample import Series, ratio_of_turns
 from pneud.summary import finite
 
+COMPARED = ("wakeup", "lateness", "latency", "own")
 OURS, KERNEL = "pneud", "cyclictest"
 _LEGEND = (
-    "wake-up: after the ideal grid. sensor to command: kernel stamp of the newest frame to send() done.",
-    "own work: the same with the record handed over, without deliberate sleeps; the kernel's waking of the",
-    "process is in it. CPU: time of the whole process for each tick, system calls included.",
+    "wake-up: after the ideal grid, of ticks that slept until it. sensor to command: kernel stamp of the newest",
+    "sensor frame to command sent. own work: the same with the record handed over, without deliberate sleeps;",
+    "the kernel's waking of the process is in it. CPU: of the whole process for each tick, system calls included.",
 )
 
 
@@ -47,10 +48,10 @@ def as_object(
         "contestants": {name: one.as_object() for name, one in series.items()},
         "pneud_over": ratios,
         "missing": dict(missing),
-        "lateness_histograms_ns": {
-            name: [list(bucket) for bucket in one.histograms["lateness"].counts()]
+        "wakeup_histograms_ns": {
+            name: [list(bucket) for bucket in one.histograms["wakeup"].counts()]
             for name, one in series.items()
-            if "lateness" in one.histograms
+            if "wakeup" in one.histograms
         },
     }
     cleaned: dict[str, Any] = finite(result)
@@ -91,7 +92,7 @@ def _table(contestants: Mapping[str, Any]) -> list[str]:
     short = f"{'p50':>7}{'p99':>6}{'max':>7}"
     rows.append(f"{'µs':12}{quantiles}{short}{short}{'CPU':>9}{'Hz':>8}")
     for name, c in contestants.items():
-        row = f"{name:12}{_cells(c['lateness_us'], (6, 6, 7, 7), ('p50', 'p99', 'p999', 'max'))}"
+        row = f"{name:12}{_cells(c['wakeup_us'], (6, 6, 7, 7), ('p50', 'p99', 'p999', 'max'))}"
         for quantity in ("latency_us", "own_us"):
             row += _cells(c[quantity], (7, 6, 7), ("p50", "p99", "max"))
         rate = c["highest_rate_hz"]
@@ -131,8 +132,14 @@ def _ours(report: Mapping[str, Any]) -> list[str]:
     lines.append(
         f"pneud's ticks: {ours['ticks']}, {ours['skipped']} skipped, {ours['incomplete']} without a whole set"
     )
+    late = ours["lateness_us"]
+    if late:
+        lines.append(
+            f"lateness of all ticks of pneud, µs: {late['p50']:.0f} p50, {late['p99']:.0f} p99, {late['max']:.0f} max;"
+            f" {ours['overrun']} of them followed one that took too long"
+        )
     for name, found in report["pneud_over"].items():
-        for quantity, words in (("lateness", "wake-up"), ("own", "own work")):
+        for quantity, words in (("wakeup", "wake-up"), ("own", "own work")):
             if quantity in found:
                 p50, p99 = found[quantity]["p50"], found[quantity]["p99"]
                 lines.append(

@@ -14,9 +14,12 @@ from typing import Any, NamedTuple
 from pneud.rt.histogram import Histogram
 from pneud.summary import percentiles_us
 
-QUANTITIES = ("lateness", "latency", "own", "read", "cycle", "write", "record")
-"""Durations of a tick [ns]: wake-up after the ideal grid; newest sensor frame's kernel stamp → command sent;
-the same stamp → command sent and record handed over, without deliberate sleeps; and the parts of the latter.
+QUANTITIES = ("lateness", "wakeup", "latency", "own", "read", "cycle", "write", "record")
+"""Durations of a tick [ns].
+
+lateness: begun after the ideal grid. wakeup: the same, of ticks that had slept until then (others are late
+because the one before took too long). latency: newest sensor frame's kernel stamp → command sent. own: that
+stamp → command sent and record handed over, without deliberate sleeps; read, cycle, write, record are its parts.
 """
 
 
@@ -160,6 +163,7 @@ class Series:
             "ticks": self.ticks,
             "skipped": self.skipped,
             "incomplete": self.incomplete,
+            "overrun": self._count("lateness") - self._count("wakeup"),
             **{f"{name}_us": self._figures(name) if name in self.histograms else None for name in QUANTITIES},
             "cpu_percent": {name: 100.0 * s / ticks_seen_s for name, s in self.cpu_s.items()},
             "cpu_us_per_tick": 1e6 * loop_s * per_tick if loop_s is not None else None,
@@ -172,6 +176,9 @@ class Series:
             "highest_rate_hz": self.highest_rate_hz,
             "notes": self.notes,
         }
+
+    def _count(self, name: str) -> int:
+        return self.histograms[name].count if name in self.histograms else 0
 
     def _figures(self, name: str) -> dict[str, Any]:
         turns = self.turns_us[name]
