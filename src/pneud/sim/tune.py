@@ -1,0 +1,115 @@
+"""One optimiser and one cost for the gains of every law that is compared.
+
+    python -m pneud.sim.tune [LAW …]
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+
+import numpy as np
+
+from pneud.loading import load
+from pneud.sim import cases
+from pneud.sim.cases import Bench, Case, Figures, bench_of, figures
+from pneud.sim.tuned import GAINS, Setting, setting
+
+Gains = dict[str, float]
+UNSTABLE = 1e3  # cost of gains that let the simulation overflow
+RANDOM, REFINED = 150, 450  # evaluations
+SPAN = 2.0  # random search covers each gain from 1/e² to e² times its start
+RECOVERIES = ("start +400 mm", "start -400 mm", "push +500 N", "push -500 N")
+OFF_MODEL = ("mass x 0.5", "mass x 1.5", "friction x 2", "hose 3 ms", "encoder 10 um")
+
+
+def course(bench: Bench) -> dict[str, Case]:
+    """The cases that count."""
+    every = cases.sines(bench) | cases.moves(bench) | cases.loads(bench) | cases.rests(bench, 3.0)
+    every |= cases.recoveries(bench) | cases.spread(bench)
+    names = ("sine 0.5 Hz", "sine 2 Hz", "50 N on", "-50 N off", "move 10 mm", "move 100 mm", "rest")
+    return {name: every[name] for name in (*names, *RECOVERIES, *OFF_MODEL)}
+
+
+def parts(name: str, f: Figures) -> list[float]:
+    """Figures of a case over what they should be."""
+    mm, max_mm = f.rms_m * 1e3, f.max_m * 1e3
+    if name == "sine 0.5 Hz":
+        return [mm / 0.02, max_mm / 0.08, f.chatter_v / 0.05]
+    if name == "sine 2 Hz":
+        return [mm / 0.1, max_mm / 0.25]
+    if name.startswith("move"):
+        return [mm / 0.02, max_mm / 0.08]
+    if name == "rest":
+        return [max_mm / 0.05, f.chatter_v / 0.02]
+    if "50 N" in name:
+        return [max_mm / 0.6, min(f.settled_s, 1.0) / 0.3]
+    if name in RECOVERIES:
+        return [mm / 0.02]
+    return [mm / 0.2]
+
+
+def cost(bench: Bench, s: Setting, over: dict[str, Case]) -> float:
+    """Sum of log(1 + ratio²): counts what is far off, without drowning the rest in it."""
+    total = 0.0
+    for name, c in over.items():
+        for ratio in parts(name, figures(bench, s, c)):
+            if not math.isfinite(ratio):
+                return UNSTABLE
+            total += math.log1p(ratio * ratio)
+    return total
+
+
+def tune(value: Callable[[Gains], float], begin: Gains, seed: int, random: int, refined: int) -> tuple[Gains, float]:
+    """The best gains found: a random search about `begin`, then steps of adapting size from its best.
+
+    Args:
+        value: what to minimise.
+        begin: gains to begin with, all positive.
+        seed: of the random numbers; the same seed finds the same gains.
+        random: evaluations of the search.
+        refined: evaluations of the refinement.
+    """
+    rng = np.random.default_rng(seed)
+    names = list(begin)
+    best, least = dict(begin), value(begin)
+    for _ in range(random):
+        trial = _moved(begin, names, SPAN * rng.uniform(-1.0, 1.0, len(names)))
+        found = value(trial)
+        if found < least:
+            best, least = trial, found
+    size = 0.3
+    for _ in range(refined):
+        trial = _moved(best, names, size * rng.normal(0.0, 1.0, len(names)))
+        found = value(trial)
+        better = found < least
+        if better:
+            best, least = trial, found
+        size = min(0.5, max(0.01, size * (1.5 if better else 0.9)))
+    return best, least
+
+
+def _moved(gains: Gains, names: list[str], logs: np.ndarray) -> Gains:
+    moved = {n: gains[n] * math.exp(x) for n, x in zip(names, logs, strict=True)}
+    if "alpha" in moved:  # its distance from one is what is scaled
+        moved["alpha"] = max(0.5, 1.0 - (1.0 - gains["alpha"]) * moved["alpha"] / gains["alpha"])
+    return moved
+
+
+def main(names: list[str]) -> None:
+    """Tune laws and print their gains as they stand in `tuned.py`."""
+    bench = bench_of(load("virtual.toml"), compiled=True)
+    over = course(bench)
+    for name in names or list(GAINS):
+        base = bench.controller
+
+        def value(g: Gains, name: str = name) -> float:
+            return cost(bench, setting(name, base, g), over)
+
+        gains, least = tune(value, GAINS[name], 1, RANDOM, REFINED)
+        print(name, {n: float(f"{x:.4g}") for n, x in gains.items()}, f"cost {least:.2f}", flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,87 @@
+"""The laws that are compared, with the gains that `pneud.sim.tune` found for them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from pneud.control.baselines import ADRC, PID, SLIDING, Adrc, Law, Pid, quadruple_pole
+from pneud.control.homogeneous import feedback
+from pneud.control.motion import triple_pole
+from pneud.control.step import Controller
+
+NO_PID = Pid(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NO_ADRC = Adrc(0.0, 0.0, 0.0, True, 0.0, 0.0, 0.0, 0.0)
+AS_CONFIGURED = Law(SLIDING, 1.0, NO_PID, NO_ADRC)
+PID_FF, ADRC4, ADRC3, ISMC, COMPOSITE = "PID + FF", "ADRC, ESO 4", "ADRC, ESO 3", "ISMC", "composite"
+ISMC_PAPER, COMPOSITE_PAPER = "ISMC, paper's gains", "composite, paper's gains"
+EXTENDED = "extended composite"
+
+GAINS: dict[str, dict[str, float]] = {
+    PID_FF: dict(kp=1600.0, ki=20000.0, kd=80.0, kf=150.0, reach=0.02, hold=0.03, bw=316.0),
+    ADRC4: dict(k1=64000.0, k2=4800.0, k3=120.0, reach=0.02, hold=0.03, eso=400.0),
+    ADRC3: dict(k1=64000.0, k2=4800.0, k3=120.0, reach=0.02, hold=0.03, bw=316.0, rate=580.0),
+    ISMC: dict(k1=64000.0, k2=4800.0, k3=120.0, alpha=0.9, eta=20.0, hold=0.03, bw=316.0),
+    COMPOSITE: dict(k1=64000.0, k2=4800.0, k3=120.0, alpha=0.9, eta=20.0, hold=0.03, bw=316.0, L=2400.0),
+}
+
+
+class Setting(NamedTuple):
+    """A law ready to run."""
+
+    controller: Controller
+    law: Law
+
+
+def setting(name: str, base: Controller, gains: Mapping[str, float] | None = None) -> Setting:
+    """A law with its tuned gains, or with others.
+
+    Every law shares the plant's model, prediction, motion filter, dead-zone inverse and friction feed-forward
+    of `base`, the extended composite as configured.
+
+    Args:
+        name: of the law.
+        base: the controller as configured.
+        gains: other gains than those in `GAINS`.
+    """
+    if name == EXTENDED:
+        return Setting(base, AS_CONFIGURED)
+    s, h = base.sliding, base.h
+    if name in (ISMC_PAPER, COMPOSITE_PAPER):
+        ismc = name == ISMC_PAPER
+        paper = feedback(200.0, 500.0, 400.0, 0.9) if ismc else feedback(220.0, 450.0, 350.0, 0.8)
+        s = s._replace(gains=paper, eta=20.0, compensate_d=not ismc, implicit=True)
+        observer = base.observer._replace(lambda0=10.0, lambda1=5.0, L=5.0)
+        return Setting(without_force(base)._replace(sliding=s, observer=observer), AS_CONFIGURED)
+    g = GAINS[name] if gains is None else gains
+    s = s._replace(hold_v=g["hold"])
+    base = base._replace(sliding=s)
+    if "bw" in g:
+        base = base._replace(motion=triple_pole(g["bw"], h, base.motion.blind_m))
+    if name in (ISMC, COMPOSITE):
+        s = s._replace(
+            gains=feedback(g["k1"], g["k2"], g["k3"], g["alpha"]),
+            eta=g["eta"],
+            compensate_d=name == COMPOSITE,
+        )
+        base = without_force(base)._replace(sliding=s)
+        if "L" in g:
+            base = base._replace(observer=base.observer._replace(L=g["L"]))
+        return Setting(base, AS_CONFIGURED)
+    base = base._replace(sliding=s._replace(compensate_d=False), use_x3_hat=False)
+    if name == PID_FF:
+        pid = Pid(g["kp"], g["ki"], g["kd"], g["kf"], 20e-6, 200.0)
+        return Setting(base, Law(PID, g["reach"], pid, NO_ADRC))
+    eso = quadruple_pole(g["eso"], h) if name == ADRC4 else (0.0, 0.0, 0.0, 0.0)
+    gain = 1.0 - math.exp(-g["rate"] * h) if "rate" in g else 0.0
+    adrc = Adrc(g["k1"], g["k2"], g["k3"], name == ADRC3, *eso)
+    return Setting(base._replace(force_rate_gain=gain), Law(ADRC, g["reach"], NO_PID, adrc))
+
+
+def without_force(base: Controller) -> Controller:
+    """The controller without what the paper does not have: F̂, its rate, and friction fed forward."""
+    none = base.friction._replace(
+        coulomb_n=0.0, static_n=0.0, viscous_n_s_m=0.0, sigma0_n_m=0.0, sigma1_n_s_m=0.0
+    )
+    return base._replace(use_force=False, force_rate_gain=0.0, friction=none)
