@@ -191,6 +191,24 @@ def test_the_highest_rate_is_the_last_one_held(limit_hz: float, track: Track) ->
     assert rates.highest(turn, track, 1.0) == (limit_hz or None)
 
 
+def test_who_cannot_start_at_any_rate_says_why(track: Track) -> None:
+    def turn(_: Track, rate_hz: float, __: float) -> Sample:
+        raise AbsentError("out of order")
+
+    with pytest.raises(AbsentError, match="out of order"):
+        rates.highest(turn, track, 1.0)
+
+
+def test_one_pause_of_the_host_does_not_decide(track: Track) -> None:
+    tried: list[float] = []
+
+    def turn(_: Track, rate_hz: float, __: float) -> Sample:
+        tried.append(rate_hz)
+        return Sample({}, 1000, skipped=100 if tried.count(rate_hz) == 1 else 0)
+
+    assert rates.highest(turn, track, 1.0) == rates.RATES_HZ[-1]
+
+
 @pytest.mark.parametrize(
     ("found", "holds"),
     [

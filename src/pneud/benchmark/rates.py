@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -30,24 +29,33 @@ def held(sample: Sample) -> bool:
 
 
 def highest(turn: Turn, track: Track, seconds: float) -> float | None:
-    """The highest of RATES_HZ that a contestant holds, by bisection; None if it holds none of them."""
+    """The highest of RATES_HZ that a contestant holds, by bisection; None if it holds none of them.
+
+    Raises:
+        AbsentError: it could not take part at any rate that was tried.
+    """
     best, left, right = None, 0, len(RATES_HZ)
+    reason, started = "", False
     while left < right:
         middle = (left + right) // 2
-        rate_hz = RATES_HZ[middle]
-        if _holds(turn, track, rate_hz, seconds):
-            best, left = rate_hz, middle + 1
+        held_it = False
+        for _ in range(ATTEMPTS):
+            try:
+                sample = turn(_at(track, RATES_HZ[middle]), RATES_HZ[middle], seconds)
+            except AbsentError as e:
+                reason = str(e)
+                continue
+            started = True
+            if held(sample):
+                held_it = True
+                break
+        if held_it:
+            best, left = RATES_HZ[middle], middle + 1
         else:
             right = middle
+    if not started:
+        raise AbsentError(reason)
     return best
-
-
-def _holds(turn: Turn, track: Track, rate_hz: float, seconds: float) -> bool:
-    for _ in range(ATTEMPTS):
-        with suppress(AbsentError):
-            if held(turn(_at(track, rate_hz), rate_hz, seconds)):
-                return True
-    return False
 
 
 def without_bus_time(track: Track) -> Track:

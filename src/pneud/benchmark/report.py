@@ -11,9 +11,9 @@ from pneud.summary import finite
 COMPARED = ("wakeup", "lateness", "latency", "own")
 OURS, KERNEL = "pneud", "cyclictest"
 _LEGEND = (
-    "wake-up: after the ideal grid, of ticks that slept until it. sensor to command: kernel stamp of the newest",
-    "sensor frame to command sent. own work: the same with the record handed over, without deliberate sleeps;",
-    "the kernel's waking of the process is in it. CPU: of the whole process for each tick, system calls included.",
+    "wake-up: after the ideal grid, of ticks that slept until it. sensor to command: kernel stamp of the",
+    "newest sensor frame to command sent. own work: the same with the record handed over and without",
+    "deliberate sleeps; the kernel's waking of the process is in it. CPU: all of the process for each tick.",
 )
 
 
@@ -36,10 +36,7 @@ def as_object(
     if ours is not None:
         for name, other in series.items():
             if name != OURS:
-                found = {
-                    quantity: ratio_of_turns(ours, other, quantity)
-                    for quantity in ("lateness", "latency", "own")
-                }
+                found = {quantity: ratio_of_turns(ours, other, quantity) for quantity in COMPARED}
                 ratios[name] = {quantity: ratio for quantity, ratio in found.items() if ratio is not None}
     result = {
         "schema": 1,
@@ -135,8 +132,8 @@ def _ours(report: Mapping[str, Any]) -> list[str]:
     late = ours["lateness_us"]
     if late:
         lines.append(
-            f"lateness of all ticks of pneud, µs: {late['p50']:.0f} p50, {late['p99']:.0f} p99, {late['max']:.0f} max;"
-            f" {ours['overrun']} of them followed one that took too long"
+            f"lateness of all ticks of pneud, µs: {late['p50']:.0f} p50, {late['p99']:.0f} p99,"
+            f" {late['max']:.0f} max; {ours['overrun']} of them followed one that took too long"
         )
     for name, found in report["pneud_over"].items():
         for quantity, words in (("wakeup", "wake-up"), ("own", "own work")):

@@ -19,7 +19,7 @@ QUANTITIES = ("lateness", "wakeup", "latency", "own", "read", "cycle", "write", 
 
 lateness: begun after the ideal grid. wakeup: the same, of ticks that had slept until then (others are late
 because the one before took too long). latency: newest sensor frame's kernel stamp → command sent. own: that
-stamp → command sent and record handed over, without deliberate sleeps; read, cycle, write, record are its parts.
+stamp → command sent and record handed over, without deliberate sleeps; read, cycle, write, record are parts.
 """
 
 

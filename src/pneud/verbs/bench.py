@@ -160,7 +160,10 @@ def _find_rates(
     for name, one in series.items():
         if field[name].has_rate:
             _progress(f"highest rate: {name}")
-            one.highest_rate_hz = rates.highest(field[name].turn, quick, rate_s)
+            try:
+                one.highest_rate_hz = rates.highest(field[name].turn, quick, rate_s)
+            except AbsentError as e:
+                one.notes.append(f"highest rate not found: {e}")
     _progress("")
 
 
