@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from pathlib import Path
 from typing import Annotated, NoReturn
@@ -84,8 +85,10 @@ def daemon(
             _fail(f"{given[0]} belongs to the daemon; options of '{verb}' stand behind it")
         return
     if not virtual and config is None:
+        if given:
+            _fail("needs --virtual, or --config for a rig; see pneud --help")
         typer.echo(ctx.get_help())
-        raise typer.Exit(USAGE if given else DONE)
+        raise typer.Exit(DONE)
     if duration is not None and not 0.0 < duration < 1e9:
         _fail(f"--duration {duration:g}: must be a positive number of seconds")
     if sys.platform != "linux":
@@ -130,9 +133,21 @@ def sim(
     ] = None,
     duration: Annotated[float, typer.Option("--duration", metavar="S", help="Simulated time.")] = 10.0,
     seed: SeedOption = 0,
+    compare: Annotated[
+        bool,
+        typer.Option(
+            "--compare", help="The law against its baselines, case by case; --duration is that of the rest."
+        ),
+    ] = False,
     json: JsonOption = False,
 ) -> None:
     """The same axis and plant in simulated time, faster than real time, the same for a seed."""
+    if compare:
+        if output is not None or seed:
+            _fail("--compare writes no log and has its own seed; leave out -o and --seed")
+        from pneud.verbs.compare import compare_laws
+
+        _exit(compare_laws, file, duration, json)
     from pneud.verbs.simulate import simulate as verb
 
     _exit(verb, file, output, duration, seed, json)
@@ -240,6 +255,8 @@ def _exit(verb: object, *args: object) -> NoReturn:
         _fail(str(e))
     except LinkError as e:
         _fail(str(e), e.exit_code)
+    except MemoryError:
+        _fail("not enough memory", MACHINE)
     except KeyboardInterrupt:
         status = 130
     except BrokenPipeError:
@@ -249,6 +266,9 @@ def _exit(verb: object, *args: object) -> NoReturn:
 
 def main() -> None:
     """Entry point of the `pneud` command."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without Greek letters is no reason to fail
     app()
 
 

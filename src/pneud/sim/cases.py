@@ -1,4 +1,4 @@
-"""What the laws are put through: references, loads, pushes and plants other than the model, and the figures."""
+"""What the laws are put through: references, loads, pushes, plants other than the model; and the figures."""
 
 from __future__ import annotations
 
@@ -123,7 +123,12 @@ def sines(bench: Bench) -> dict[str, Case]:
     }
 
 
-MOVES = {"move 1 mm": (1e-3, 0.15), "move 10 mm": (0.01, 0.3), "move 100 mm": (0.1, 0.6), "move 400 mm": (0.4, 1.2)}
+MOVES = {
+    "move 1 mm": (1e-3, 0.15),
+    "move 10 mm": (0.01, 0.3),
+    "move 100 mm": (0.1, 0.6),
+    "move 400 mm": (0.4, 1.2),
+}
 
 
 def moves(bench: Bench) -> dict[str, Case]:
@@ -182,7 +187,10 @@ def spread(bench: Bench) -> dict[str, Case]:
         return case(bench, track, (4.0, 8.0), bench.rig._replace(plant=plant))
 
     plant = bench.rig.plant
-    found = {f"mass x {m:g}": on(plant._replace(cylinder=plant.cylinder._replace(M=plant.cylinder.M * m))) for m in (0.5, 1.5)}
+    found = {
+        f"mass x {m:g}": on(plant._replace(cylinder=plant.cylinder._replace(M=plant.cylinder.M * m)))
+        for m in (0.5, 1.5)
+    }
     found |= {f"friction x {f:g}": on(rubbing(f)) for f in (0.5, 2.0)}
     for bar in (5.0, 7.0):
         found[f"supply {bar:g} bar"] = on(plant_of(with_(c, gas=with_(c.gas, supply_pa=bar * 1e5))))
@@ -192,7 +200,9 @@ def spread(bench: Bench) -> dict[str, Case]:
         rig = bench.rig._replace(delay_s=bench.rig.delay_s + ms * 1e-3)
         found[f"hose {ms:g} ms"] = case(bench, track, (4.0, 8.0), rig)
     for bits in (10, 16):
-        found[f"DAC {bits} bit"] = case(bench, track, (4.0, 8.0), bench.rig._replace(command_step_v=step_of(bits)))
+        found[f"DAC {bits} bit"] = case(
+            bench, track, (4.0, 8.0), bench.rig._replace(command_step_v=step_of(bits))
+        )
     for um in (5.0, 10.0):
         found[f"encoder {um:g} um"] = on(plant._replace(encoder_resolution_m=um * 1e-6))
     return found

@@ -130,7 +130,7 @@ def run(
     own = LawState(0.0, 0.0, 0.0, 0.0, 0.0)
     applied_v = 0.0
     h, u_max = controller.h, controller.valve.u_max_v
-    whole = int(math.floor(delay_s / h))
+    whole = math.floor(delay_s / h)
     part = delay_s - whole * h
     for k in range(trace.shape[0]):
         t = k * h

@@ -1,6 +1,6 @@
 """One optimiser and one cost for the gains of every law that is compared.
 
-    python -m pneud.sim.tune [LAW …]
+python -m pneud.sim.tune [LAW …]
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pneud.sim.tuned import GAINS, Setting, setting
 
 Gains = dict[str, float]
 UNSTABLE = 1e3  # cost of gains that let the simulation overflow
-RANDOM, REFINED = 150, 450  # evaluations
+RANDOM, REFINED = 100, 300  # evaluations
 SPAN = 2.0  # random search covers each gain from 1/e² to e² times its start
 RECOVERIES = ("start +400 mm", "start -400 mm", "push +500 N", "push -500 N")
 OFF_MODEL = ("mass x 0.5", "mass x 1.5", "friction x 2", "hose 3 ms", "encoder 10 um")
@@ -50,22 +50,29 @@ def parts(name: str, f: Figures) -> list[float]:
     return [mm / 0.2]
 
 
-def cost(bench: Bench, s: Setting, over: dict[str, Case]) -> float:
-    """Sum of log(1 + ratio²): counts what is far off, without drowning the rest in it."""
+def cost(bench: Bench, s: Setting, over: dict[str, Case], limit: float = math.inf) -> float:
+    """Sum of log(1 + ratio²): counts what is far off, without drowning the rest in it.
+
+    Stops where it exceeds `limit`.
+    """
     total = 0.0
     for name, c in over.items():
         for ratio in parts(name, figures(bench, s, c)):
             if not math.isfinite(ratio):
                 return UNSTABLE
             total += math.log1p(ratio * ratio)
+        if total > limit:
+            break
     return total
 
 
-def tune(value: Callable[[Gains], float], begin: Gains, seed: int, random: int, refined: int) -> tuple[Gains, float]:
+def tune(
+    value: Callable[[Gains, float], float], begin: Gains, seed: int, random: int, refined: int
+) -> tuple[Gains, float]:
     """The best gains found: a random search about `begin`, then steps of adapting size from its best.
 
     Args:
-        value: what to minimise.
+        value: what to minimise; may stop at anything above the limit that it is given.
         begin: gains to begin with, all positive.
         seed: of the random numbers; the same seed finds the same gains.
         random: evaluations of the search.
@@ -73,16 +80,16 @@ def tune(value: Callable[[Gains], float], begin: Gains, seed: int, random: int, 
     """
     rng = np.random.default_rng(seed)
     names = list(begin)
-    best, least = dict(begin), value(begin)
+    best, least = dict(begin), value(begin, math.inf)
     for _ in range(random):
         trial = _moved(begin, names, SPAN * rng.uniform(-1.0, 1.0, len(names)))
-        found = value(trial)
+        found = value(trial, least)
         if found < least:
             best, least = trial, found
     size = 0.3
     for _ in range(refined):
         trial = _moved(best, names, size * rng.normal(0.0, 1.0, len(names)))
-        found = value(trial)
+        found = value(trial, least)
         better = found < least
         if better:
             best, least = trial, found
@@ -102,10 +109,9 @@ def main(names: list[str]) -> None:
     bench = bench_of(load("virtual.toml"), compiled=True)
     over = course(bench)
     for name in names or list(GAINS):
-        base = bench.controller
 
-        def value(g: Gains, name: str = name) -> float:
-            return cost(bench, setting(name, base, g), over)
+        def value(g: Gains, limit: float, name: str = name) -> float:
+            return cost(bench, setting(name, bench.controller, g), over, limit)
 
         gains, least = tune(value, GAINS[name], 1, RANDOM, REFINED)
         print(name, {n: float(f"{x:.4g}") for n, x in gains.items()}, f"cost {least:.2f}", flush=True)

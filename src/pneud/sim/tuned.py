@@ -19,11 +19,28 @@ ISMC_PAPER, COMPOSITE_PAPER = "ISMC, paper's gains", "composite, paper's gains"
 EXTENDED = "extended composite"
 
 GAINS: dict[str, dict[str, float]] = {
-    PID_FF: dict(kp=1600.0, ki=20000.0, kd=80.0, kf=150.0, reach=0.02, hold=0.03, bw=316.0),
-    ADRC4: dict(k1=64000.0, k2=4800.0, k3=120.0, reach=0.02, hold=0.03, eso=400.0),
-    ADRC3: dict(k1=64000.0, k2=4800.0, k3=120.0, reach=0.02, hold=0.03, bw=316.0, rate=580.0),
-    ISMC: dict(k1=64000.0, k2=4800.0, k3=120.0, alpha=0.9, eta=20.0, hold=0.03, bw=316.0),
-    COMPOSITE: dict(k1=64000.0, k2=4800.0, k3=120.0, alpha=0.9, eta=20.0, hold=0.03, bw=316.0, L=2400.0),
+    PID_FF: {"kp": 1600.0, "ki": 20000.0, "kd": 80.0, "kf": 150.0, "reach": 0.02, "hold": 0.03, "bw": 316.0},
+    ADRC4: {"k1": 64000.0, "k2": 4800.0, "k3": 120.0, "reach": 0.02, "hold": 0.03, "eso": 400.0},
+    ADRC3: {
+        "k1": 64000.0,
+        "k2": 4800.0,
+        "k3": 120.0,
+        "reach": 0.02,
+        "hold": 0.03,
+        "bw": 316.0,
+        "rate": 580.0,
+    },
+    ISMC: {"k1": 64000.0, "k2": 4800.0, "k3": 120.0, "alpha": 0.9, "eta": 20.0, "hold": 0.03, "bw": 316.0},
+    COMPOSITE: {
+        "k1": 64000.0,
+        "k2": 4800.0,
+        "k3": 120.0,
+        "alpha": 0.9,
+        "eta": 20.0,
+        "hold": 0.03,
+        "bw": 316.0,
+        "L": 2400.0,
+    },
 }
 
 

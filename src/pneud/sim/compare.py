@@ -1,0 +1,172 @@
+"""The laws under one roof: every law through every case, as a table and as JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from pneud.loading import Loaded
+from pneud.sim import cases
+from pneud.sim.cases import Bench, Case, Figures, bench_of, figures
+from pneud.sim.tuned import (
+    ADRC3,
+    ADRC4,
+    COMPOSITE,
+    COMPOSITE_PAPER,
+    EXTENDED,
+    ISMC,
+    ISMC_PAPER,
+    PID_FF,
+    setting,
+)
+
+LAWS = (PID_FF, ADRC4, ADRC3, ISMC, ISMC_PAPER, COMPOSITE, COMPOSITE_PAPER, EXTENDED)
+SEED = 1  # not the noise that gains are tuned with
+SINE, MOVE, LOAD, REST, RECOVERY, SPREAD = "sine", "move", "load", "rest", "recovery", "spread"
+CLAIMED = (SINE, MOVE, LOAD)  # groups in which the extended composite should lead
+BRIEFLY = ("sine 0.5 Hz", "move 100 mm", "50 N on")
+
+
+class Row(NamedTuple):
+    """One law in one case."""
+
+    group: str
+    case: str
+    law: str
+    judged_s: float
+    figures: Figures
+
+
+class Lead(NamedTuple):
+    """A figure in which another law is at least as good as the extended composite."""
+
+    case: str
+    figure: str  # "RMS" or "max"
+    law: str
+    value_m: float
+    extended_m: float
+
+
+class Comparison(NamedTuple):
+    """Everything that was found."""
+
+    config: str
+    compiled: bool
+    rows: tuple[Row, ...]
+    behind: tuple[Lead, ...]
+
+    @property
+    def good(self) -> bool:
+        """Whether the extended composite leads in every sine, move and load."""
+        return not self.behind
+
+
+def every_case(bench: Bench, rest_s: float) -> dict[str, dict[str, Case]]:
+    """All cases by group."""
+    return {
+        SINE: cases.sines(bench),
+        MOVE: cases.moves(bench),
+        LOAD: cases.loads(bench),
+        REST: cases.rests(bench, rest_s),
+        RECOVERY: cases.recoveries(bench),
+        SPREAD: cases.spread(bench),
+    }
+
+
+def compare(loaded: Loaded, rest_s: float, compiled: bool, laws: tuple[str, ...] = LAWS) -> Comparison:
+    """Run all laws through all cases; through three of them where nothing is compiled.
+
+    Args:
+        loaded: the axis, whose control is the extended composite.
+        rest_s: how long to rest in the case at rest.
+        compiled: needs numba.
+        laws: which laws.
+    """
+    bench = bench_of(loaded, compiled)
+    groups = every_case(bench, rest_s)
+    rows = [
+        Row(group, name, law, c.judged[1] - c.judged[0], figures(bench, s, c, SEED))
+        for law, s in ((law, setting(law, bench.controller)) for law in laws)
+        for group, members in groups.items()
+        for name, c in members.items()
+        if compiled or name in BRIEFLY
+    ]
+    return Comparison(loaded.path.name, compiled, tuple(rows), tuple(behind(rows)))
+
+
+def behind(rows: list[Row]) -> list[Lead]:
+    """Where the extended composite does not lead, among sines, moves and loads."""
+    mine = {r.case: r.figures for r in rows if r.law == EXTENDED}
+    found = []
+    for r in rows:
+        if r.law == EXTENDED or r.group not in CLAIMED or r.case not in mine:
+            continue
+        own = mine[r.case]
+        for figure, theirs, ours in (
+            ("RMS", r.figures.rms_m, own.rms_m),
+            ("max", r.figures.max_m, own.max_m),
+        ):
+            if not ours < theirs:
+                found.append(Lead(r.case, figure, r.law, theirs, ours))
+    return found
+
+
+def as_json(c: Comparison) -> dict[str, Any]:
+    """Everything as one object; a time that never comes is null."""
+    return {
+        "schema": 1,
+        "config": c.config,
+        "compiled": c.compiled,
+        "rows": [
+            {
+                "group": r.group,
+                "case": r.case,
+                "law": r.law,
+                "judged_s": r.judged_s,
+                **{k: (v if math.isfinite(v) else None) for k, v in r.figures._asdict().items()},
+            }
+            for r in c.rows
+        ],
+        "behind": [b._asdict() for b in c.behind],
+        "good": c.good,
+    }
+
+
+def in_words(c: Comparison) -> str:
+    """The tables, for a person."""
+    out = [
+        _table(c, "RMS / max error [mm]", None, lambda r: f"{_mm(r.figures.rms_m)} / {_mm(r.figures.max_m)}"),
+        _table(c, "settled to 0.1 mm after [s]", (MOVE, LOAD), lambda r: _seconds(r.figures.settled_s)),
+        _table(c, "mean |du| [mV]", (SINE, REST), lambda r: f"{r.figures.chatter_v * 1e3:.1f}"),
+        _table(c, "air [NL/min]", (SINE, REST), lambda r: f"{60.0 * r.figures.air_nl / r.judged_s:.1f}"),
+    ]
+    if c.good:
+        out.append("The extended composite leads in RMS and maximum in every sine, move and load.")
+    else:
+        out.append("Where the extended composite does not lead:")
+        out += [
+            f"  {b.case}, {b.figure}: {_mm(b.value_m)} mm with {b.law}, {_mm(b.extended_m)} mm with it"
+            for b in c.behind
+        ]
+    return "\n".join(out)
+
+
+def _table(c: Comparison, title: str, groups: tuple[str, ...] | None, cell: Callable[[Row], str]) -> str:
+    chosen = [r for r in c.rows if groups is None or r.group in groups]
+    laws = list(dict.fromkeys(r.law for r in chosen))
+    cells = {(r.case, r.law): cell(r) for r in chosen}
+    lines = [[title, *laws]]
+    lines += [[case, *(cells[case, law] for law in laws)] for case in dict.fromkeys(r.case for r in chosen)]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(laws) + 1)]
+    text = [" | ".join(f"{v:<{w}}" for v, w in zip(line, widths, strict=True)) for line in lines]
+    text.insert(1, "-|-".join("-" * w for w in widths))
+    return "\n".join(f"| {line} |" for line in text) + "\n"
+
+
+def _mm(metres: float) -> str:
+    return f"{metres * 1e3:.3g}" if math.isfinite(metres) else "lost"
+
+
+def _seconds(s: float) -> str:
+    return f"{s:.3f}" if math.isfinite(s) else "never"
