@@ -1,0 +1,224 @@
+"""PID with feed-forward and ADRC: what each part of them does, and that they hold a load."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pneud.control.baselines import (
+    PID,
+    SLIDING,
+    Adrc,
+    Law,
+    LawState,
+    Pid,
+    act_any,
+    begin,
+    command,
+    extend,
+    quadruple_pole,
+    reading,
+)
+from pneud.control.motion import correct, predict
+from pneud.control.reference import rest
+from pneud.control.step import Controller, ControllerState, act, join, observe, start
+from pneud.loading import load
+from pneud.parameters import plant_of
+from pneud.physics.valve import dead_zone
+from pneud.signals import Estimate
+from pneud.sim.cases import Bench, bench_of, case, figures, move_of, trace_of
+from pneud.sim.tuned import (
+    ADRC3,
+    ADRC4,
+    AS_CONFIGURED,
+    COMPOSITE,
+    COMPOSITE_PAPER,
+    EXTENDED,
+    ISMC,
+    ISMC_PAPER,
+    NO_ADRC,
+    NO_PID,
+    PID_FF,
+    setting,
+)
+
+LOADED = load("virtual.toml")
+BENCH = bench_of(LOADED, compiled=False)
+P = BENCH.controller
+AT = 0.4
+PID_LAW = Law(PID, 0.02, Pid(1600.0, 20000.0, 80.0, 150.0, 20e-6, 200.0), NO_ADRC)
+
+
+def joined(p: Controller = P) -> tuple[ControllerState, Estimate]:
+    plant = plant_of(LOADED.config)
+    p2 = 3e5
+    p1 = (p2 * plant.cylinder.A2 + plant.cylinder.rod_force_n) / plant.cylinder.A1
+    state = start(AT, p1, p2, 6e5, p)
+    state, e = observe(state, AT, True, p1, p2, 6e5, 0.0, p.h, p)
+    return join(state, e, rest(AT), p), e
+
+
+@pytest.mark.parametrize("name", [PID_FF, ADRC4, ADRC3])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_each_drives_the_load_towards_the_reference(name: str, side: float) -> None:
+    s = setting(name, P)
+    state, e = joined(s.controller)
+    _, _, u = act_any(state, begin(e), e, rest(AT + side * 5e-3), s.controller, s.law)
+    assert u * side > 0.1
+
+
+@pytest.mark.parametrize("name", [PID_FF, ADRC4, ADRC3])
+def test_an_error_counts_no_more_than_the_reach(name: str) -> None:
+    s = setting(name, P)
+    state, e = joined(s.controller)
+    far = [
+        act_any(state, begin(e), e, rest(AT + d * s.law.reach_m), s.controller, s.law)[2] for d in (1.0, 5.0)
+    ]
+    assert far[0] == pytest.approx(far[1], rel=1e-9)
+
+
+def test_the_sliding_law_goes_through_unchanged() -> None:
+    state, e = joined()
+    own = begin(e)
+    after, same, u = act_any(state, own, e, rest(AT + 1e-3), P, AS_CONFIGURED)
+    expected, out = act(state, e, rest(AT + 1e-3), P)
+    assert AS_CONFIGURED.kind == SLIDING
+    assert (after, same, u) == (expected, own, out.u_v)
+
+
+def test_the_integral_gains_in_the_direction_of_the_error() -> None:
+    state, e = joined()
+    _, own, _ = act_any(state, begin(e), e, rest(AT + 1e-4), P, PID_LAW)
+    assert own.integral_n == pytest.approx(P.h * P.cylinder.M * 20000.0 * 1e-4, rel=1e-3)
+
+
+def test_the_integral_rests_within_the_quiet_band() -> None:
+    state, e = joined()
+    _, own, _ = act_any(state, begin(e), e, rest(AT + 1e-5), P, PID_LAW)
+    assert own.integral_n == 0.0
+
+
+def test_the_integral_does_not_wind_up_where_the_valve_saturates() -> None:
+    state, e = joined()
+    strong = PID_LAW._replace(pid=PID_LAW.pid._replace(kp=1e5))
+    _, own, u = act_any(state, begin(e), e, rest(AT + 0.02), P, strong)
+    assert abs(u) > P.valve.u_max_v
+    assert own.integral_n == 0.0
+    # but it does unwind
+    wound = begin(e)._replace(integral_n=1e4)
+    free = strong._replace(pid=strong.pid._replace(force_max_n=1e9))
+    _, own, u = act_any(state, wound, e, rest(AT - 1e-3), P, free)
+    assert u > P.valve.u_max_v
+    assert own.integral_n < 1e4
+
+
+def test_the_integral_has_a_bound() -> None:
+    state, e = joined()
+    _, own, _ = act_any(state, begin(e)._replace(integral_n=1e3), e, rest(AT), P, PID_LAW)
+    assert own.integral_n == 200.0
+
+
+def test_pid_without_the_estimated_force_sees_the_force_of_the_pressures() -> None:
+    state, e = joined()
+    blind = P._replace(use_force=False)
+    u = [act_any(state, begin(e), e, rest(AT + 2e-3), p, PID_LAW)[2] for p in (P, blind)]
+    assert u[0] == pytest.approx(u[1], rel=0.05)  # the load stands still and no force acts on it
+
+
+@given(st.floats(-1e4, 1e4).filter(lambda z: z != 0.0))
+def test_a_command_gives_the_rate_wanted_or_says_that_it_cannot(Z: float) -> None:
+    state, _ = joined()
+    u, possible = command(Z, state, P)
+    gain = state.f1_fill if Z >= 0.0 else state.f1_exhaust
+    if abs(Z / gain) <= P.sliding.hold_v:
+        assert dead_zone(u, P.valve) == 0.0
+        assert possible
+    else:
+        assert gain * dead_zone(u, P.valve) == pytest.approx(Z, rel=1e-9)
+        assert possible == (abs(Z / gain) <= P.valve.u_max_v)
+
+
+def test_without_the_inverse_the_command_is_the_opening() -> None:
+    state, _ = joined()
+    plain = P._replace(sliding=P.sliding._replace(invert_dead_zone=False))
+    assert command(state.f1_fill, state, plain) == (1.0, True)
+
+
+@pytest.mark.parametrize("omega", [100.0, 400.0, 1500.0])
+def test_the_observer_of_fourth_order_has_four_equal_poles(omega: float) -> None:
+    h = 1e-3
+    a = np.array([[1, 1, 1 / 2, 1 / 6], [0, 1, 1, 1 / 2], [0, 0, 1, 1], [0, 0, 0, 1]])
+    g = np.array(quadruple_pole(omega, h))
+    error = a - np.outer(g, a[0])
+    q = math.exp(-omega * h)
+    assert np.poly(error) == pytest.approx(np.poly([q] * 4), abs=1e-9)
+
+
+@given(st.floats(-1e-4, 1e-4))
+def test_the_reading_is_found_again_in_the_estimate(off: float) -> None:
+    state, _ = joined()
+    motion = predict(state.motion, state.motion.x3, 0.0, P.cylinder.rod_force_n, P.cylinder.M, P.h)
+    after = correct(motion, AT + off, P.cylinder.M, P.h, P.motion)
+    e = Estimate(after.x, after.v, after.F, after.x3, after.x3, 0.0, after.innovation, 0.0)
+    assert reading(e, P.motion) == pytest.approx(AT + off, abs=1e-12)
+
+
+@pytest.mark.parametrize("u", [1.0, -1.0])
+def test_the_observer_of_fourth_order_finds_what_the_model_leaves_out(u: float) -> None:
+    state, e = joined()
+    g = Adrc(0.0, 0.0, 0.0, False, *quadruple_pole(300.0, P.h))
+    f1 = state.f1_fill if u >= 0.0 else state.f1_exhaust
+    M, missing = P.cylinder.M, 50.0 * u
+    own, x, v, a = LawState(0.0, AT, 0.0, 0.0, 0.0), AT, 0.0, 0.0
+    for _ in range(100):
+        jerk = (state.f0 * v + f1 * u) / M + missing
+        x += P.h * (v + P.h * (0.5 * a + P.h * jerk / 6.0))
+        v += P.h * (a + 0.5 * P.h * jerk)
+        a += P.h * jerk
+        seen = e._replace(position_m=x, innovation_m=0.0, opening_v=u)
+        own = extend(own, state, seen, P, g)
+    assert own.f == pytest.approx(missing, rel=0.05)
+    assert own.v == pytest.approx(v, rel=0.01)
+
+
+def test_adrc_without_prediction_takes_the_state_as_it_is() -> None:
+    now = P._replace(lead_s=0.0)
+    s = setting(ADRC4, now)
+    state, e = joined(s.controller)
+    _, own, u = act_any(state, begin(e), e, rest(AT + 1e-3), s.controller, s.law)
+    assert u > 0.0
+    assert own.x == pytest.approx(AT)
+
+
+@pytest.mark.parametrize("name", [PID_FF, ADRC4, ADRC3, EXTENDED])
+def test_a_short_move_ends_within_a_millimetre(name: str) -> None:
+    f = _moved(BENCH, name)
+    assert f[0] < 1e-3
+    assert f[1] < 0.5
+
+
+def _moved(bench: Bench, name: str) -> tuple[float, float]:
+    c = case(bench, move_of(bench, 0.01, 0.3, 0.2), (0.2, 0.7))
+    found = figures(bench, setting(name, bench.controller), c)
+    return found.max_m, found.chatter_v
+
+
+@pytest.mark.parametrize("name", [ISMC, COMPOSITE, ISMC_PAPER, COMPOSITE_PAPER])
+def test_the_papers_laws_have_neither_force_nor_friction(name: str) -> None:
+    s = setting(name, P)
+    assert not s.controller.use_force
+    assert s.controller.friction.coulomb_n == 0.0
+    assert s.controller.sliding.compensate_d == ("omposite" in name)
+    assert s.law.pid == NO_PID
+
+
+@pytest.mark.slow
+def test_compiled_and_interpreted_runs_are_the_same() -> None:
+    fast = bench_of(LOADED, compiled=True)
+    c = case(BENCH, move_of(BENCH, 0.01, 0.1, 0.02), (0.2, 0.3))
+    for name in (PID_FF, ADRC4):
+        a, b = (trace_of(bench, setting(name, P), c) for bench in (BENCH, fast))
+        assert np.array_equal(a[0], b[0])
+        assert np.array_equal(a[1], b[1])
