@@ -151,6 +151,7 @@ CENTRING = [
     Case(F.COMMAND_RANGE, too_much, lasting=False),
     Case(F.DEADLINE, value(), company=(F.VALVE_TIMED_OUT,), lasting=False, skipped=50),
     Case(F.LINK_DOWN, host(Host.LINK_DOWN)),
+    Case(F.OTHER_CONTROLLER, host(Host.OTHER_CONTROLLER)),
     Case(F.INTERNAL, raises),
     Case(F.ENCODER_JUMP, moved(position_m=0.0025)),
     Case(F.ENCODER_JUMP, moved(position_m=-0.0025)),

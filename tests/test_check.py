@@ -8,6 +8,7 @@ import pytest
 
 from commands import pneud
 from pneud import resources
+from pneud.bus.codec import DatabaseError
 from pneud.config import ConfigError, load_config, parse
 from pneud.loading import load
 
@@ -108,3 +109,24 @@ def test_rig_and_virtual_describe_the_same_axis() -> None:
 
 def test_text_of_a_configuration_can_be_parsed_again() -> None:
     assert parse(GOOD, "virtual.toml") == load_config("virtual.toml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("SG_ Voltage : 0|16@1- ", "SG_ Voltage : 0|16@1+ "),  # no negative voltage
+        ("SG_ Voltage : 0|16@1- (0.0005,0)", "SG_ Voltage : 0|8@1- (0.0005,0)"),
+        ("SG_ Voltage : 0|16@1- (0.0005,0)", "SG_ Voltage : 0|16@1- (0.5,0)"),
+        ("SG_ Position : 0|32@1- ", "SG_ Position : 0|16@1- "),
+        ("SG_ Sequence : 24|8@1+ ", "SG_ Sequence : 24|4@1+ "),
+    ],
+    ids=["unsigned command", "short command", "coarse command", "short position", "short sequence"],
+)
+def test_a_dbc_too_narrow_for_the_axis_is_refused(tmp_path: Path, old: str, new: str) -> None:
+    assert old in DBC
+    (tmp_path / "pneud.dbc").write_text(DBC.replace(old, new))
+    file = tmp_path / "axis.toml"
+    file.write_text(GOOD)
+    with pytest.raises(DatabaseError) as e:
+        load(file)
+    assert "\n" not in str(e.value)

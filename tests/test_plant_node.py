@@ -336,6 +336,9 @@ class FakeLink:
         self.sent: list[tuple[int, int, bytes]] = []  # (time since SYNC, identifier, data)
         self.incoming: list[Frame] = []
 
+    def watch_clock(self) -> int:
+        return 0
+
     def drain(self, into: list[Frame]) -> int:
         now = time.monotonic_ns()
         if now >= self.next_ns and self.rig_counter < 20:

@@ -13,7 +13,7 @@ from pneud.log.files import LogError
 from pneud.log.reader import read_log
 from pneud.replaying import replay
 
-ENCODER = 0x181
+ENCODER, COMMAND = 0x181, 0x203
 
 
 @pytest.fixture(scope="module")
@@ -24,15 +24,19 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def rewritten(source: Path, target: Path, tick: int) -> Path:
-    """A copy of a log in which the lowest bit of the position in one encoder frame is the other one."""
+def rewritten(source: Path, target: Path, tick: int, can_id: int = ENCODER, place: int = 0) -> Path:
+    """A copy of a log in which the lowest bit of one byte of one frame is the other one."""
     from mcap.reader import NonSeekingReader  # noqa: PLC0415
     from mcap.writer import Writer  # noqa: PLC0415
 
     wanted = next(
-        f.data for i, t in enumerate(read_log(source)) if i == tick for f in t.frames if f.can_id == ENCODER
+        f.data
+        for i, t in enumerate(read_log(source))
+        if i == tick
+        for f in (*t.frames, *t.sent)
+        if f.can_id == can_id
     )
-    changed = bytes((wanted[0] ^ 1,)) + wanted[1:]
+    changed = wanted[:place] + bytes((wanted[place] ^ 1,)) + wanted[place + 1 :]
     with source.open("rb") as f, target.open("wb") as g:
         writer = Writer(g)
         writer.start()
@@ -105,6 +109,15 @@ def test_one_flipped_bit_is_found_in_its_tick(log: Path, tmp_path: Path) -> None
     assert outcome.first is not None
     assert outcome.first.tick == 600
     assert "encoder" in outcome.first.variable or "fresh" in outcome.first.variable
+
+
+@pytest.mark.parametrize("place", [0, 2, 7], ids=["voltage", "enable", "crc"])
+def test_one_flipped_bit_of_a_command_is_no_identical_log(log: Path, tmp_path: Path, place: int) -> None:
+    outcome = replay(read_log(rewritten(log, tmp_path / "flipped.mcap", 600, COMMAND, place)))
+    assert not outcome.good
+    assert not outcome.equivalent
+    assert outcome.first is not None
+    assert outcome.first.tick == 600
 
 
 def test_other_gains_differ_and_say_where(log: Path, tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ import pytest
 
 from commands import background, children, eventually, kill, object_of, pneud
 from pneud.bus.link import open_link
+from pneud.log.files import open_log
 from pneud.log.reader import read_log
 from pneud.signals import Frame, State, ValveState
 
@@ -217,7 +218,39 @@ def test_a_bus_that_is_driven_already_is_refused(bus: str) -> None:
         assert "another controller drives it" in done.stderr
 
 
-def test_a_log_of_python_can_holds_what_the_valve_did(tmp_path: Path) -> None:
+def test_a_second_controller_centres_the_axis(tmp_path: Path, bus: str) -> None:
+    log = tmp_path / "run.mcap"
+    with background("--virtual", "--bus", bus, "--headless", "--json", "--log", log) as daemon:
+        eventually(lambda: log.exists() and log.stat().st_size > 100_000)
+        with open_link(bus) as other:
+            other.send(COMMAND, bytes(8))
+            out, _ = daemon.communicate(timeout=30)
+    assert daemon.returncode == 1
+    assert json.loads(out)["faults"] == ["other_controller"]
+    ticks = list(read_log(log))
+    heard = next(i for i, t in enumerate(ticks) if any(f.can_id == COMMAND for f in t.frames))
+    assert ticks[heard].state == State.FAULT
+    assert ticks[heard].sent[1].data[:3] == b"\0\0\0"
+    assert object_of(pneud("replay", log, "--json"))["identical"] is True
+
+
+def test_ctrl_z_stops_nothing(tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    with background("--virtual", "--headless", "--json", "--duration", 3, "--log", log) as daemon:
+        eventually(lambda: log.exists() and log.stat().st_size > 50_000)
+        for pid in (daemon.pid, *children(daemon.pid)):
+            kill(pid, signal.SIGTSTP)
+        out, err = daemon.communicate(timeout=60)
+    assert daemon.returncode == 0, err
+    assert json.loads(out)["log_dropped"] == 0
+
+
+def test_two_runs_at_once_get_two_logs(tmp_path: Path) -> None:
+    names = {open_log(str(tmp_path), "virtual", 0.0)[0] for _ in range(5)}
+    assert len(names) == 5
+
+
+def test_the_log_holds_what_the_valve_did(tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     assert pneud("--virtual", "--duration", 2, "--headless", "--log", log).returncode == 0
     ticks = list(read_log(log))

@@ -53,8 +53,8 @@ def check_channel(text: str) -> None:
 class CylinderConfig(Section):
     """Geometry and load."""
 
-    piston_area_1_m2: Positive
-    piston_area_2_m2: Positive
+    piston_area_1_m2: Annotated[float, Field(gt=0, le=0.2)]
+    piston_area_2_m2: Annotated[float, Field(gt=0, le=0.2)]
     stroke_m: Annotated[float, Field(gt=0, le=20)]
     dead_length_1_m: Positive
     dead_length_2_m: Positive
@@ -351,6 +351,10 @@ class Config(Section):
             raise ValueError(
                 f"limits.travel {self.limits.travel_min_m:g} … {self.limits.travel_max_m:g} m"
                 f" must lie within the stroke 0 … {stroke:g} m"
+            )
+        if self.limits.tracking_error_m > 0.5 * stroke:
+            raise ValueError(
+                f"limits.tracking_error_m = {self.limits.tracking_error_m:g} is more than half the stroke"
             )
         centre = self.reference.effective_centre_m - self.cylinder.dead_length_1_m
         low, high = centre - self.reference.amplitude_m, centre + self.reference.amplitude_m

@@ -21,7 +21,7 @@ from pneud.plant.truth import TruthReader
 from pneud.rt.histogram import Histogram
 from pneud.rt.notify import Notifier
 from pneud.rt.pacer import Pacer
-from pneud.safety.faults import BLOCKS_ARM
+from pneud.safety.faults import BLOCKS_ARM, F
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Frame, Host, Record, Request, RequestKind, State, Tick, Timing
 from pneud.summary import Tracking
@@ -29,8 +29,8 @@ from pneud.summary import Tracking
 SYNC_COUNTERS = 240
 END_TICKS = 20  # times that the valve is told to centre before the loop ends
 FAULT_S = 0.1  # how long a run that ends on a fault goes on telling the valve to centre
-CHECKS_S = 0.5  # how often recorder and clock are looked at
-CLOCK_STEP_NS = 1_000_000
+CHECKS_S = 0.5  # how often the recorder is looked at
+FOREIGN_S = 1.0  # how long another controller counts as present after its last frame
 NAN = float("nan")
 
 
@@ -105,8 +105,8 @@ class Loop:
         self._stop = True
 
     def handle_signals(self) -> None:
-        """Let SIGINT and SIGTERM stop the run in good order."""
-        for number in (signal.SIGINT, signal.SIGTERM):
+        """Let Ctrl-C, a closed terminal and a kill stop the run in good order."""
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
             signal.signal(number, lambda *_: self.stop())
         # stopped from the keyboard, the axis would be gone but not centred, and the screen in the way
         signal.signal(signal.SIGTSTP, signal.SIG_IGN)
@@ -137,6 +137,8 @@ class Loop:
         count = 0
         idle_ticks = 0
         failed_before = link.tx_failed
+        foreign_before = foreign_until = 0
+        foreign_ticks = max(1, round(FOREIGN_S * o.rate_hz))
         record_ns = -1
         tick: Tick | None = None
         self._notifier.ready()
@@ -144,6 +146,7 @@ class Loop:
         while True:
             _, late_ns, skipped = pacer.next()
             lateness_ns = late_ns + skipped * period_ns  # since the first of the grid points it missed
+            step_ns = link.watch_clock()
             frames.clear()
             link.drain(frames)
             for frame in frames:
@@ -176,8 +179,15 @@ class Loop:
             if link.tx_failed != failed_before:
                 failed_before = link.tx_failed
                 flags |= Host.SEND_FAILED
+            if step_ns:
+                flags |= Host.CLOCK_STEP
+            if inbox.foreign != foreign_before:
+                foreign_before = inbox.foreign
+                foreign_until = count + foreign_ticks
+            if count < foreign_until:
+                flags |= Host.OTHER_CONTROLLER
             if count % check_ticks == check_ticks - 1:
-                flags |= self._check()
+                self._check()
             if self.recorder_lost:
                 flags |= Host.RECORDER_LOST
             measurement = inbox.measurement(skipped, flags)
@@ -216,8 +226,10 @@ class Loop:
 
             count += 1
             self._count = count
-            if request is not None and request.kind == RequestKind.ARM and not is_engaged(tick.state):
-                self.refused = tick.present & BLOCKS_ARM
+            if request is not None and request.kind == RequestKind.ARM:
+                # what shows only now would show again; anything else may pass, and arming is tried again
+                self.refused = 0 if is_engaged(tick.state) else tick.present & BLOCKS_ARM
+                self._armed = is_engaged(tick.state) or bool(tick.present & 1 << F.UNREACHABLE)
             self.latched = tick.latched
             self.ever_latched |= tick.latched
             if not self._shut:
@@ -251,18 +263,13 @@ class Loop:
             and last.state == State.DISARMED
             and not last.present & BLOCKS_ARM
         ):
-            self._armed = True
             return Request(RequestKind.ARM)
         return None
 
-    def _check(self) -> int:
-        """Look at what changes slowly: the wall clock and the recorder."""
-        flags = 0
-        if abs(self.link.remeasure()) > CLOCK_STEP_NS:
-            flags |= int(Host.CLOCK_STEP)
+    def _check(self) -> None:
+        """Look at what changes slowly: the recorder."""
         if self._recorder and not self.recorder_lost:
             self.recorder_lost = self.ring.status().error != 0 or _gone(self._recorder)
-        return flags
 
 
 def _gone(pid: int) -> bool:

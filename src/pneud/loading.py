@@ -8,8 +8,10 @@ from typing import NamedTuple
 from pydantic import ValidationError
 
 from pneud import resources
-from pneud.bus.codec import Codecs, load_codecs
+from pneud.bus.codec import Codecs, DatabaseError, load_codecs
 from pneud.config import Config, ConfigError, check_channel, explain, load_with_text
+
+SYNC_COUNTERS = 240  # SYNC counts 1 … 240
 
 
 class Loaded(NamedTuple):
@@ -40,7 +42,34 @@ def load(config_file: str | Path, rate_hz: float | None = None) -> Loaded:
         dbc = resources.find(config.bus.dbc, path.parent)
     except FileNotFoundError as e:
         raise ConfigError(f"{path}: bus.dbc: {e}") from None
-    return Loaded(config, path, text, dbc, load_codecs(config.bus, dbc))
+    codecs = load_codecs(config.bus, dbc)
+    _check_ranges(config, codecs, dbc)
+    return Loaded(config, path, text, dbc, codecs)
+
+
+def _check_ranges(config: Config, codecs: Codecs, dbc: Path) -> None:
+    """Make sure that the frames can carry whatever the axis may have to say and to hear."""
+    u_max, limits = config.valve.u_max_v, config.limits
+    try:
+        codecs.sync.encode(counter=SYNC_COUNTERS)
+        for voltage_v in (-u_max, u_max):
+            codecs.valve_command.encode(voltage_v, 1, SYNC_COUNTERS, counter=0)
+            codecs.valve_status.encode(voltage_v, 4, counter=0)
+        for position_m in (limits.travel_min_m, limits.travel_max_m):
+            codecs.encoder.encode(position_m, 1, 0.0, counter=0)
+        codecs.pressure.encode(limits.chamber_max_pa, limits.chamber_max_pa, limits.supply_max_pa, counter=0)
+    except ValueError as e:
+        raise DatabaseError(f"{dbc}: too narrow for this axis: {e}") from None
+    finest = 0.01 * u_max
+    if codecs.command_lsb_v > finest:
+        raise DatabaseError(
+            f"{dbc}: the command's steps of {codecs.command_lsb_v:g} V are too coarse; needs {finest:g} V"
+        )
+
+
+def listening_s(config: Config) -> float:
+    """How long to listen on a bus to be sure that nobody sends in every tick [s]."""
+    return max(0.1, 2.5 / config.loop.rate_hz)
 
 
 def at_rate(config: Config, rate_hz: float) -> Config:

@@ -30,8 +30,9 @@ def fork(main: Callable[[], None]) -> int:
     Returns:
         The child's process id.
     """
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:  # as it is where the descriptor is closed
+            stream.flush()
     child = os.fork()
     if not child:
         _in_child(main)

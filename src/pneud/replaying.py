@@ -82,7 +82,7 @@ def replay(log: LogReader, config: Config | None = None) -> Outcome:
         codecs = load_codecs(chosen.bus, dbc)
     axis = Axis(parameters.axis_of(chosen, codecs.command_lsb_v))
     inbox = Inbox(codecs, chosen.bus)
-    command, sync_id = codecs.valve_command, codecs.sync.can_id
+    command = codecs.valve_command
 
     ticks = commands = mismatches = engaged = worst_lsb = 0
     first: Difference | None = None
@@ -101,24 +101,27 @@ def replay(log: LogReader, config: Config | None = None) -> Outcome:
         tick = axis.cycle(measurement, logged.request, logged.t_ns)
         different = crc_of(tick) != logged.check or _states(tick) != _states(logged.record.tick)
         same_states = same_states and _states(tick) == _states(logged.record.tick)
-        sequence = next((f.data[0] for f in logged.sent if f.can_id == sync_id and f.data), 1)
-        for frame in logged.sent:
-            if frame.can_id == command.can_id and command.valid(frame.data):
-                commands += 1
-                again = command.encode(
-                    tick.command.voltage_v,
-                    tick.command.enable,
-                    sequence,
-                    counter=command.counter(frame.data),
-                )
-                if again != frame.data:
-                    different = True
-                    apart = abs(command.decode(frame.data)[0] - command.decode(again)[0])
-                    worst_lsb = max(worst_lsb, round(apart / codecs.command_lsb_v))
+        sent = {f.can_id: f.data for f in logged.sent}
+        sync, data = sent.get(codecs.sync.can_id, b""), sent.get(command.can_id, b"")
+        whole = len(logged.sent) == 2 and codecs.sync.valid(sync) and command.valid(data)
+        if whole:
+            commands += 1
+            again = command.encode(
+                tick.command.voltage_v,
+                tick.command.enable,
+                codecs.sync.counter(sync),
+                counter=command.counter(data),
+            )
+            if again != data:
+                different = True
+                apart = abs(command.decode(data)[0] - command.decode(again)[0])
+                worst_lsb = max(worst_lsb, round(apart / codecs.command_lsb_v))
+        else:
+            different, same_states = True, False
         if different:
             mismatches += 1
             if first is None:
-                first = _difference(ticks, logged, tick)
+                first = _difference(ticks, logged, tick, whole)
         engaged += is_engaged(tick.state)
         ticks += 1
     return Outcome(
@@ -139,8 +142,10 @@ def _states(t: Tick) -> tuple[int, int, int, int]:
     return t.state, t.present, t.latched, t.command.enable
 
 
-def _difference(number: int, logged: LoggedTick, tick: Tick) -> Difference:
+def _difference(number: int, logged: LoggedTick, tick: Tick, whole: bool) -> Difference:
     """The first value that differs, in the order in which a cycle makes them."""
+    if not whole:
+        return Difference(number, "frames sent", "not one valid SYNC and one valid command", "both")
     for name, was, now in _pairs(logged, tick):
         if repr(was) != repr(now):  # which makes NaN equal to itself
             # a compact log holds floats of 32 bits

@@ -38,6 +38,7 @@ class Host(IntFlag):
     RECORDER_LOST = 4
     CLOCK_STEP = 8
     SEND_FAILED = 16
+    OTHER_CONTROLLER = 32
 
 
 class EncoderStatus(IntFlag):

@@ -97,6 +97,11 @@ class Inbox:
         """All three sources are fresh in this tick."""
         return self._fresh == ALL_SOURCES
 
+    @property
+    def foreign(self) -> int:
+        """The controller's own frames that someone else has sent so far."""
+        return self._foreign
+
     def begin(self, t_ns: int) -> None:
         """This tick's SYNC left at `t_ns`."""
         self._t_ns = t_ns

@@ -15,7 +15,7 @@ from collections.abc import Iterable
 from typing import Protocol
 
 from pneud.bus import interfaces, wire
-from pneud.bus.party import Party, UnixCanError
+from pneud.bus.party import Party, UnixCanError, channels
 from pneud.bus.socketcan import NotVirtualError, SocketCan, SocketCanError
 from pneud.signals import Frame
 
@@ -23,6 +23,7 @@ USAGE, MACHINE = 2, 3  # exit codes
 _DOWN = frozenset((errno.ENETDOWN, errno.ENODEV, errno.ENXIO))
 _AUTO_INTERFACE = "vcan0"
 _IDLE_S = 0.05
+_CLOCK_NOISE_NS = 50_000
 
 
 class LinkError(Exception):
@@ -50,7 +51,7 @@ class Link:
     Attributes:
         name: such as unixcan:x, as it can be given to `--bus`.
         note: one line on why this bus was chosen; empty where it was asked for by name.
-        realtime_offset_ns: CLOCK_REALTIME minus CLOCK_MONOTONIC, as last measured.
+        realtime_offset_ns: CLOCK_REALTIME minus CLOCK_MONOTONIC, as `watch_clock` last found it.
         tx: frames sent.
         tx_failed: frames that could not be sent; they are never sent again.
         down: the interface was down or gone when last used, and no frame has been sent since.
@@ -131,11 +132,21 @@ class Link:
         """
         return bool(select.select(self._descriptors, (), (), timeout_s)[0])
 
-    def remeasure(self) -> int:
-        """Measure the offset between the clocks again, use it, and return by how much it changed [ns]."""
-        before = self.realtime_offset_ns
-        self.realtime_offset_ns = wire.realtime_offset_ns()
-        return self.realtime_offset_ns - before
+    def watch_clock(self) -> int:
+        """Follow a step of the wall clock, which stamps what arrives; to be called before every drain.
+
+        Returns:
+            The step [ns], 0 for none.
+        """
+        before = time.monotonic_ns()
+        now = time.time_ns()
+        after = time.monotonic_ns()
+        step = now - (before + after) // 2 - self.realtime_offset_ns
+        # interrupted between the readings, they say nothing; what is smaller is their own noise
+        if after - before > _CLOCK_NOISE_NS or -_CLOCK_NOISE_NS < step < _CLOCK_NOISE_NS:
+            return 0
+        self.realtime_offset_ns += step
+        return step
 
     def close(self) -> None:
         """Leave the bus; in a forked copy of the process only the copy's descriptors."""
@@ -167,13 +178,16 @@ def open_link(channel: str, *, virtual: bool = False) -> Link:
     raise LinkError(f"bus {channel!r} is none of auto, socketcan:IF, unixcan:NAME", USAGE)
 
 
-def refuse_if_driven(link: Link, ids: Iterable[int], listen_s: float = 0.1) -> None:
-    """Make sure that nobody else controls this bus; drops what arrives meanwhile.
+def refuse_if_driven(
+    link: Link, ids: Iterable[int], listen_s: float = 0.1, what: str = "another controller drives it"
+) -> None:
+    """Make sure that nobody else plays a part on this bus; drops what arrives meanwhile.
 
     Args:
         link: the bus.
-        ids: identifiers that only a controller sends.
+        ids: identifiers that only that part sends.
         listen_s: for how long to listen.
+        what: what it means to hear one.
 
     Raises:
         LinkError: with `exit_code` 2 as soon as one of them comes.
@@ -188,8 +202,8 @@ def refuse_if_driven(link: Link, ids: Iterable[int], listen_s: float = 0.1) -> N
         for frame in frames:
             if frame.can_id in wanted:
                 raise LinkError(
-                    f"{link.name}: 0x{frame.can_id:03X} is on this bus already, so another controller drives"
-                    " it; stop that one or use another bus",
+                    f"{link.name}: 0x{frame.can_id:03X} is on this bus already, so {what};"
+                    " stop that one or use another bus",
                     USAGE,
                 )
 
@@ -207,6 +221,7 @@ def _open_auto() -> Link:
                 return link
             link.close()
             reason = f"{_AUTO_INTERFACE} carries traffic"
+    channels()  # which removes what dead ones have left
     link = open_link(f"unixcan:auto-{os.getpid()}-{secrets.token_hex(2)}")
     link.note = f"bus {link.name} ({reason})"
     return link

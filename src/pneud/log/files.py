@@ -50,6 +50,24 @@ def log_path(option: str | None, name: str, now: float | None = None) -> Path:
     return path
 
 
+def open_log(option: str | None, name: str, now: float | None = None) -> tuple[Path, int]:
+    """As `log_path`, with the file made, so that two runs in the same second get two names.
+
+    Returns:
+        The path, and a descriptor open for writing, the caller's to close.
+
+    Raises:
+        LogError: the file exists, or cannot be made.
+    """
+    while True:
+        path = log_path(option, name, now)
+        try:
+            return path, create_log(path)
+        except LogError:
+            if (option or "").endswith(".mcap") or not path.exists():
+                raise
+
+
 def log_folder(option: str | None) -> Path:
     """The folder that logs go to, which need not exist.
 

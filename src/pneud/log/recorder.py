@@ -11,7 +11,6 @@ import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pneud.log.files import create_log
 from pneud.log.header import LogHeader
 from pneud.log.ring import RECORDER_FAILED, RecorderStatus, Ring, RingReader
 from pneud.signals import Record
@@ -23,24 +22,22 @@ _POLL_S = 0.02
 _NICE = 5
 
 
-def start_recorder(ring: Ring, path: Path, header: LogHeader) -> int:
-    """Create the log and fork the recorder.
+def start_recorder(ring: Ring, descriptor: int, header: LogHeader) -> int:
+    """Fork the recorder.
 
     It finishes by itself when the ring is closed or this process dies, however it dies.
 
     Args:
         ring: what to read; nothing may have been put yet.
-        path: the new file.
+        descriptor: of the new file, open for writing; closed here.
         header: what the log says about its run.
 
     Returns:
         The child's process id; wait for it after `ring.set_closed()`.
 
     Raises:
-        LogError: the file exists or cannot be created.
         OSError: no more processes.
     """
-    descriptor = create_log(path)
     parent = os.getpid()
     child = os.fork()
     if child:
@@ -79,7 +76,7 @@ def recorder_main(ring: Ring, descriptor: int, header: LogHeader, parent: int) -
         Exit status: 0, or 1 if records are missing or the file is incomplete.
     """
     # A Ctrl-C or a closed terminal reaches the whole group; the recorder leaves after the loop, not with it.
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
         signal.signal(number, signal.SIG_IGN)
     try:
         os.nice(_NICE)

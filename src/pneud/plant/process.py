@@ -18,6 +18,9 @@ LAG_NS = 5_000_000  # how far behind the clock an idle plant is kept
 class BusLink(Protocol):
     """What the runner needs of a link to the bus."""
 
+    def watch_clock(self) -> int:
+        """Follow a step of the wall clock."""
+
     def drain(self, into: list[Frame]) -> int:
         """Append everything received, in order of stamps."""
 
@@ -57,6 +60,7 @@ def serve(
         for _ in range(MAX_DRAINS):
             # before the drain: whatever was sent until now is then known to the node
             now_ns = time.monotonic_ns()
+            link.watch_clock()
             frames.clear()
             link.drain(frames)
             heard = heard or bool(frames)

@@ -27,6 +27,7 @@ _HOST = (
     (int(Host.RECORDER_LOST), 1 << F.RECORDER_LOST),
     (int(Host.CLOCK_STEP), 1 << F.CLOCK_STEP),
     (int(Host.SEND_FAILED), 1 << F.SEND_FAILED),
+    (int(Host.OTHER_CONTROLLER), 1 << F.OTHER_CONTROLLER),
 )
 
 

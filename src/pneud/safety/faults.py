@@ -59,6 +59,7 @@ class F(IntEnum):
     UNSETTLED = 34
     UNREACHABLE = 35
     VALVE_ACTIVE = 36
+    OTHER_CONTROLLER = 37
 
 
 class Fault(NamedTuple):
@@ -230,6 +231,12 @@ TABLE: tuple[Fault, ...] = (
         Reaction.NO_ARM,
         "the valve node is enabled, or off its centre, although the axis is not engaged",
         "check that nothing else commands this valve; check the valve's amplifier",
+    ),
+    Fault(
+        F.OTHER_CONTROLLER,
+        Reaction.CENTRE,
+        "someone else sends SYNC or valve commands on this bus",
+        "stop the other program; one axis has one controller",
     ),
 )
 

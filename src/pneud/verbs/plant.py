@@ -6,9 +6,9 @@ import signal
 import sys
 
 from pneud import parameters
-from pneud.bus.link import open_link
+from pneud.bus.link import open_link, refuse_if_driven
 from pneud.config import ConfigError
-from pneud.loading import bus_name, load
+from pneud.loading import bus_name, listening_s, load
 from pneud.plant.node import PlantNode
 from pneud.plant.process import serve
 from pneud.rt import setup
@@ -37,10 +37,13 @@ def plant(config_file: str, bus: str, seed: int) -> int:
     def say(state: ValveState) -> None:
         print(f"valve node: {state.name.lower()}", file=sys.stderr, flush=True)
 
+    codecs = axis.codecs
+    answers = (codecs.encoder.can_id, codecs.pressure.can_id, codecs.valve_status.can_id)
     with open_link(channel, virtual=True) as link:
+        refuse_if_driven(link, answers, listening_s(config), "other nodes answer there")
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, stop)
-        node = PlantNode(parameters.plant_of(config), axis.codecs, seed)
+        node = PlantNode(parameters.plant_of(config), codecs, seed)
         print(f"plant {config.name} on {link.name}; Ctrl-C stops", file=sys.stderr, flush=True)
         setup.apply(max(0, config.realtime.priority - 10), None, False)
         serve(link, node, stop=lambda: stopped, on_valve_state=say)

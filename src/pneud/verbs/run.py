@@ -11,11 +11,11 @@ from pathlib import Path
 from pneud import parameters
 from pneud.axis import Axis
 from pneud.bus.inbox import Inbox
-from pneud.bus.link import Link, open_link, refuse_if_driven
+from pneud.bus.link import Link, LinkError, open_link, refuse_if_driven
 from pneud.config import Config, ConfigError
 from pneud.daemon import Loop, options_of
-from pneud.loading import Loaded, bus_name, load
-from pneud.log.files import log_path
+from pneud.loading import Loaded, bus_name, listening_s, load
+from pneud.log.files import open_log
 from pneud.log.header import LogHeader
 from pneud.log.recorder import start_recorder
 from pneud.log.ring import Ring
@@ -63,17 +63,24 @@ def run(o: RunOptions) -> int:
     channel = bus_name(o.bus, axis.config)
     if channel == "auto" and not o.virtual:
         raise ConfigError(f"{axis.path}: bus auto is for virtual runs; name the rig's bus with --bus")
-    log_file = log_path(o.log, axis.config.name)
     codecs = axis.codecs
-    with open_link(channel, virtual=o.virtual) as link:
+    log_file, descriptor = open_log(o.log, axis.config.name)
+    try:
+        link = open_link(channel, virtual=o.virtual)
+        if channel != "auto":
+            own = (codecs.sync.can_id, codecs.valve_command.can_id)
+            refuse_if_driven(link, own, listening_s(axis.config))
+    except LinkError:
+        os.close(descriptor)
+        log_file.unlink(missing_ok=True)
+        raise
+    with link:
         if link.note:
             print(f"pneud: {link.note}", file=sys.stderr)
-        if channel != "auto":
-            refuse_if_driven(link, (codecs.sync.can_id, codecs.valve_command.can_id))
-        return _run(o, axis, link, log_file)
+        return _run(o, axis, link, log_file, descriptor)
 
 
-def _run(o: RunOptions, loaded: Loaded, link: Link, log_file: Path) -> int:
+def _run(o: RunOptions, loaded: Loaded, link: Link, log_file: Path, descriptor: int) -> int:
     config, path, text, dbc, codecs = loaded
     axis = Axis(parameters.axis_of(config, codecs.command_lsb_v))
     ring = Ring.create()
@@ -93,7 +100,7 @@ def _run(o: RunOptions, loaded: Loaded, link: Link, log_file: Path) -> int:
     plant, screen, recorder, truth = 0, 0, 0, None
     reports: list[setup.Report] = []
     try:
-        recorder = start_recorder(ring, log_file, header)
+        recorder = start_recorder(ring, descriptor, header)
         if o.virtual:
             memory = truth_memory()
             truth = TruthReader(memory)
@@ -135,9 +142,8 @@ def _run(o: RunOptions, loaded: Loaded, link: Link, log_file: Path) -> int:
             end_screen(screen)
         if plant:
             end(plant, 2.0)
-        if recorder:
-            wait(recorder, RECORDER_PATIENCE_S)
-    return _report(o, config, loop, ring, log_file, reports)
+        finished = wait(recorder, RECORDER_PATIENCE_S) if recorder else True
+    return _report(o, config, loop, ring, log_file, reports, finished)
 
 
 def _report(
@@ -147,9 +153,13 @@ def _report(
     ring: Ring,
     log_file: Path,
     reports: list[setup.Report],
+    finished: bool,
 ) -> int:
     status = ring.status()
-    missing = max(0, ring.put_count - status.written)
+    # what a recorder that is still at work holds is not lost
+    missing = max(0, ring.put_count - status.written) if finished else status.lost
+    if not finished:
+        print(f"pneud: {log_file} is still being written", file=sys.stderr)
     summary = summarise(
         state=loop.state,
         bus=loop.link.name,

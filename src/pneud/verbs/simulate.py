@@ -87,4 +87,4 @@ def simulate(config_file: str, output: Path | None, duration_s: float, seed: int
         faults=faults,
     )
     print(json_.dumps(summary) if json else in_words(summary))
-    return 0 if state == State.TRACKING and not faults else 1
+    return 0 if state == State.TRACKING and not faults and not lost else 1
