@@ -111,7 +111,8 @@ def main() -> None:
         if error <= ours:
             rate = SCIPY_S / (time.process_time() - t)
             print(
-                f"plant alone, solve_ivp, rtol {rtol:g}:     {rate:8.1f} times real time, within {1e9 * error:.0f} nm"
+                f"plant alone, solve_ivp, rtol {rtol:g}:     "
+                f"{rate:8.1f} times real time, within {1e9 * error:.0f} nm"
             )
             break
 
