@@ -14,9 +14,33 @@ import numpy as np
 from pneud.loading import load
 from pneud.sim import cases
 from pneud.sim.cases import Bench, Case, Figures, bench_of, figures
-from pneud.sim.tuned import GAINS, Setting, setting
+from pneud.sim.tuned import ADRC3, ADRC4, COMPOSITE, ISMC, PID_FF, Setting, setting
 
 Gains = dict[str, float]
+STARTS: dict[str, Gains] = {
+    PID_FF: {"kp": 1600.0, "ki": 20000.0, "kd": 80.0, "kf": 150.0, "reach": 0.02, "hold": 0.03, "bw": 316.0},
+    ADRC4: {"k1": 64000.0, "k2": 4800.0, "k3": 120.0, "reach": 0.02, "hold": 0.03, "eso": 400.0},
+    ADRC3: {
+        "k1": 64000.0,
+        "k2": 4800.0,
+        "k3": 120.0,
+        "reach": 0.02,
+        "hold": 0.03,
+        "bw": 316.0,
+        "rate": 580.0,
+    },
+    ISMC: {"k1": 64000.0, "k2": 4800.0, "k3": 120.0, "alpha": 0.9, "eta": 20.0, "hold": 0.03, "bw": 316.0},
+    COMPOSITE: {
+        "k1": 64000.0,
+        "k2": 4800.0,
+        "k3": 120.0,
+        "alpha": 0.9,
+        "eta": 20.0,
+        "hold": 0.03,
+        "bw": 316.0,
+        "L": 2400.0,
+    },
+}
 UNSTABLE = 1e3  # cost of gains that let the simulation overflow
 RANDOM, REFINED = 100, 300  # evaluations
 SPAN = 2.0  # random search covers each gain from 1/e² to e² times its start
@@ -108,12 +132,12 @@ def main(names: list[str]) -> None:
     """Tune laws and print their gains as they stand in `tuned.py`."""
     bench = bench_of(load("virtual.toml"), compiled=True)
     over = course(bench)
-    for name in names or list(GAINS):
+    for name in names or list(STARTS):
 
         def value(g: Gains, limit: float, name: str = name) -> float:
             return cost(bench, setting(name, bench.controller, g), over, limit)
 
-        gains, least = tune(value, GAINS[name], 1, RANDOM, REFINED)
+        gains, least = tune(value, STARTS[name], 1, RANDOM, REFINED)
         print(name, {n: float(f"{x:.4g}") for n, x in gains.items()}, f"cost {least:.2f}", flush=True)
 
 

@@ -19,7 +19,15 @@ ISMC_PAPER, COMPOSITE_PAPER = "ISMC, paper's gains", "composite, paper's gains"
 EXTENDED = "extended composite"
 
 GAINS: dict[str, dict[str, float]] = {
-    PID_FF: {"kp": 1600.0, "ki": 20000.0, "kd": 80.0, "kf": 150.0, "reach": 0.02, "hold": 0.03, "bw": 316.0},
+    PID_FF: {
+        "kp": 7476.0,
+        "ki": 343100.0,
+        "kd": 146.2,
+        "kf": 150.6,
+        "reach": 0.007962,
+        "hold": 0.002916,
+        "bw": 497.2,
+    },
     ADRC4: {"k1": 64000.0, "k2": 4800.0, "k3": 120.0, "reach": 0.02, "hold": 0.03, "eso": 400.0},
     ADRC3: {
         "k1": 64000.0,
