@@ -18,7 +18,7 @@ virtual: $(RUNTIME) ## close the loop on the software rig
 	@exec $(BIN)/pneud --virtual $(ARGS)
 
 test: $(DEV) ## the quick tests
-	@exec $(BIN)/python -m pytest $(ARGS)
+	@exec $(BIN)/python -m pytest -n 2 $(ARGS)
 
 lint: $(DEV) ## ruff: rules and layout
 	@$(BIN)/ruff check .; rules=$$?; $(BIN)/ruff format --check . && exit $$rules

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from commands import pneud
+from commands import pneud_here as pneud
 from pneud import resources
 from pneud.bus.codec import DatabaseError
 from pneud.config import ConfigError, load_config, parse

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from commands import object_of, pneud
+from commands import object_of, pneud, pneud_here
 
 
 @pytest.mark.parametrize(
@@ -24,7 +24,7 @@ from commands import object_of, pneud
     ],
 )
 def test_usage_error_is_one_line_exit_2_and_empty_stdout(args: list[str], says: str) -> None:
-    done = pneud(*args)
+    done = pneud_here(*args)
     assert done.returncode == 2
     assert done.stdout == ""
     assert says in done.stderr
@@ -33,7 +33,7 @@ def test_usage_error_is_one_line_exit_2_and_empty_stdout(args: list[str], says: 
 
 
 def test_unknown_option_is_a_usage_error() -> None:
-    done = pneud("--nonsense")
+    done = pneud_here("--nonsense")
     assert done.returncode == 2
     assert done.stdout == ""
     assert "--nonsense" in done.stderr
@@ -49,25 +49,27 @@ def test_missing_interface_is_exit_3_with_one_line() -> None:
 def test_log_is_never_overwritten(tmp_path: Path) -> None:
     log = tmp_path / "a.mcap"
     log.write_bytes(b"precious")
-    done = pneud("sim", "virtual.toml", "-o", log, "--duration", "0.1")
+    done = pneud_here("sim", "virtual.toml", "-o", log, "--duration", "0.1")
     assert done.returncode == 2
     assert "never overwritten" in done.stderr
     assert log.read_bytes() == b"precious"
 
 
-@pytest.mark.parametrize("verb", ["plant", "sim", "replay", "recover", "check"])
+@pytest.mark.parametrize(
+    "verb", ["plant", "sim", "replay", "recover", "check", "reproduce", "doctor", "bench"]
+)
 def test_every_verb_has_help(verb: str) -> None:
-    done = pneud(verb, "--help")
+    done = pneud_here(verb, "--help")
     assert done.returncode == 0
     assert "Usage" in done.stdout
 
 
 def test_version() -> None:
-    assert pneud("--version").stdout.startswith("pneud ")
+    assert pneud_here("--version").stdout.startswith("pneud ")
 
 
 def test_sim_object_is_the_documented_one() -> None:
-    summary = object_of(pneud("sim", "virtual.toml", "--duration", "1", "--json"))
+    summary = object_of(pneud_here("sim", "virtual.toml", "--duration", "1", "--json"))
     assert list(summary) == [
         "schema",
         "state",

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from commands import object_of, pneud
+from commands import object_of
+from commands import pneud_here as pneud
 from pneud import resources
 from pneud.config import parse
 from pneud.log.files import LogError
