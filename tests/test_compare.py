@@ -110,12 +110,7 @@ def test_the_flow_from_the_supply_is_what_a_chamber_of_fixed_volume_gains() -> N
         flow = supply_flow_kg_s(rig, plant)
         rig = advance(rig, 2.0, 0.0, 0.0, h, plant)
         kg += 0.5 * h * (flow + supply_flow_kg_s(rig, plant))
-    gained = (
-        (rig.p1 - before)
-        * c.A1
-        * rig.x1
-        / (plant.polytropic_exponent * plant.gas.R * plant.gas.temperature_k)
-    )
+    per_pa = c.A1 * rig.x1 / (plant.polytropic_exponent * plant.gas.R * plant.gas.temperature_k)
     assert rig.p1 > before + 1e4
     assert kg == pytest.approx((rig.p1 - before) * per_pa, rel=1e-3)
     assert supply_flow_kg_s(rig._replace(y=0.0), plant) == 0.0
