@@ -201,6 +201,29 @@ def check(
 
 
 @app.command()
+def design(
+    bandwidth: Annotated[float, typer.Option("--bandwidth", metavar="RAD_S", help="Of the closed loop.")],
+    error_mm: Annotated[
+        float, typer.Option("--error-mm", metavar="A", help="Error at which the gains are those of a line.")
+    ],
+    file: Annotated[str, typer.Argument(metavar="FILE", help="Configuration.")] = "virtual.toml",
+    alpha: Annotated[
+        float | None, typer.Option("--alpha", metavar="X", help="Exponent; default the configuration's.")
+    ] = None,
+    rate: Annotated[float | None, typer.Option("--rate", metavar="HZ", help="Ticks per second.")] = None,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="Try them, also from a start error of 0.4 strokes.")
+    ] = False,
+    json: JsonOption = False,
+) -> None:
+    """Gains for a bandwidth, as TOML, with what they will do and what is wrong with them."""
+    from pneud.verbs.design import DesignOptions
+    from pneud.verbs.design import design as verb
+
+    _exit(verb, DesignOptions(file, bandwidth, error_mm, alpha, rate, simulate, json))
+
+
+@app.command()
 def doctor(
     file: Annotated[str, typer.Argument(metavar="FILE", help="Configuration.")] = "virtual.toml",
     json: JsonOption = False,

@@ -6,6 +6,7 @@ import json as json_
 
 from pneud import parameters
 from pneud.axis import Axis
+from pneud.design import predict, warnings
 from pneud.loading import load
 
 
@@ -20,11 +21,18 @@ def check(config_file: str, json: bool) -> int:
     c, codecs = loaded.config, loaded.codecs
     Axis(parameters.axis_of(c, codecs.command_lsb_v))
     parameters.plant_of(c)
+    doubts = warnings(c, predict(c))
     if json:
-        print(json_.dumps({"schema": 1, "ok": True, "name": c.name, "file": str(loaded.path)}))
+        print(
+            json_.dumps(
+                {"schema": 1, "ok": True, "name": c.name, "file": str(loaded.path), "warnings": doubts}
+            )
+        )
         return 0
     print(f"{loaded.path}: fine")
     stroke, mass = c.cylinder.stroke_m, c.cylinder.moving_mass_kg
     print(f"axis {c.name}: {stroke:g} m stroke, {mass:g} kg, {c.loop.rate_hz:g} Hz")
     print(f"law {c.control.law}, {c.control.discretisation}, on {c.bus.channel} with {loaded.dbc.name}")
+    for doubt in doubts:
+        print(f"warning: {doubt}")
     return 0
