@@ -52,9 +52,7 @@ def test_gains_scale_with_length_and_time(w: float, a: float, alpha: float, scal
     errors_of = (0.3 * a, -0.2 * w * a, 0.7 * w * w * a)
     expected = scale * explicit_ustar(*errors_of, one)
     w1, w2, w3 = (scale * e for e in errors_of)
-    assert explicit_ustar(w1, w2, w3, other) == pytest.approx(
-        expected, rel=1e-6, abs=1e-9 * scale * w**3 * a
-    )
+    assert explicit_ustar(w1, w2, w3, other) == pytest.approx(expected, rel=1e-6, abs=1e-9 * scale * w**3 * a)
 
 
 @given(omegas, errors, alphas)
