@@ -188,6 +188,7 @@ def test_gains_that_pneud_would_refuse_are_printed_with_the_reason_and_status_1(
         ("explicit limit cycle", by_rule(110.0, 200.0, discretisation="explicit")),
         ("Hz are few", by_rule(60.0, 50.0)),
         ("oscillates", by_rule(140.0, predict=False)),
+        ("unstable where it is linearised", by_rule(140.0, predict=False)),
         ("hangs on the prediction", by_rule(300.0)),
         ("alone takes", settings(VIRTUAL, eta_m_s3=500.0)),
         ("may not come back from 400 mm", by_rule(280.0)),
@@ -241,6 +242,17 @@ def test_accurate_gains_that_do_not_come_back_are_found_out() -> None:
     assert near["rms_m"] < 1e-5
     assert far["rms_m"] > 1e-2
     assert any("does not come back" in line for line in found["warnings"])
+
+
+@pytest.mark.slow
+def test_slow_sampling_costs_the_explicit_form_its_calm_and_the_implicit_one_only_accuracy() -> None:
+    rough = by_rule(110.0, 200.0, discretisation="explicit")
+    assert design.predict(rough).explicit_limit_cycle_m_s2 > 10 * design.acceleration_noise(rough)
+    assert tried(rough).chatter_v > 1.0
+    assert tried(by_rule(110.0, 200.0)).chatter_v < 0.1
+    slow, slower = tried(by_rule(110.0, 100.0), 0.4), tried(by_rule(110.0, 50.0), 0.4)
+    assert slow.rms_m < slower.rms_m < 2e-3
+    assert slower.saturated == 0.0
 
 
 @pytest.mark.slow

@@ -181,7 +181,6 @@ def designed(c: Config, omega_rad_s: float, error_m: float, alpha: float) -> Con
     )
     control = law.model_copy(
         update={
-            "discretisation": "implicit",
             "k1": rounded(g.k1),
             "k2": rounded(g.k2),
             "k3": rounded(g.k3),
@@ -283,7 +282,9 @@ def warnings(c: Config, p: Prediction) -> list[str]:
             f"may not come back from {1e3 * LARGE_ERROR * c.cylinder.stroke_m:.0f} mm: recovery ratio"
             f" {p.recovery_ratio:.1f}, above {MOST_RECOVERY_RATIO:g}; take less bandwidth or a smaller alpha"
         )
-    if p.mean_step_v > MOST_CHATTER_V:
+    if math.isinf(p.mean_step_v):
+        found.append("unstable where it is linearised at the size of its noise; take less bandwidth")
+    elif p.mean_step_v > MOST_CHATTER_V:
         found.append(f"noise moves the command by {p.mean_step_v:.2g} V a sample, above {MOST_CHATTER_V:g} V")
     if not law.estimate_force:
         found.append(
