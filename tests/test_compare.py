@@ -29,7 +29,7 @@ from pneud.sim.cases import (
     trace_of,
 )
 from pneud.sim.closed_loop import supply_flow_kg_s
-from pneud.sim.compare import LAWS, Comparison, Row, as_json, behind, compare, in_words
+from pneud.sim.compare import LAWS, Comparison, Row, as_json, behind, compare, in_words, missed
 from pneud.sim.tune import _moved, course, parts, tune
 from pneud.sim.tuned import AS_CONFIGURED, EXTENDED, PID_FF, Setting, setting
 
@@ -130,8 +130,7 @@ def test_a_law_that_leads_somewhere_is_named() -> None:
     rows = [row(EXTENDED, 2e-5, 9e-5), row(PID_FF, 1e-5, 9.5e-5)]
     found = behind(rows)
     assert [(b.figure, b.law) for b in found] == [("RMS", PID_FF)]
-    c = Comparison("x.toml", True, tuple(rows), tuple(found))
-    assert not c.good
+    c = Comparison("x.toml", True, tuple(rows), tuple(found), {})
     assert "a case, RMS: 0.01 mm with PID + FF, 0.02 mm" in in_words(c)
 
 
@@ -144,11 +143,14 @@ def test_a_tie_is_no_lead_and_a_lost_loop_no_rival() -> None:
 
 def test_words_and_json_say_the_same() -> None:
     rows = (row(EXTENDED, 1e-5, 1e-4), row(PID_FF, 2e-5, math.inf, settled=math.inf))
-    c = Comparison("x.toml", True, rows, ())
+    c = Comparison("x.toml", True, rows, (), missed(list(rows)))
     text, data = in_words(c), as_json(c)
     assert "0.01 / 0.1" in text
     assert "0.02 / lost" in text
-    assert "leads in RMS and maximum in every" in text
+    assert "leads all baselines in RMS and maximum in every" in text
+    assert "extended composite: none" in text
+    assert "PID + FF: 1, first a case: max inf mm" in text
+    assert data["missed"][PID_FF] == ("a case: max inf mm (at most 0.15)",)
     assert data["schema"] == 1
     assert data["rows"][1]["max_m"] is None
     assert data["rows"][0]["settled_s"] == 0.0
@@ -202,6 +204,18 @@ def test_the_extended_composite_keeps_its_own_figures(found: Comparison) -> None
     assert all(mine[name].max_m < 0.6e-3 and mine[name].settled_s < 0.3 for name in loads(BENCH))
     assert all(mine[name].rms_m < 0.2e-3 for name in spread(BENCH))
     assert all(mine[name].rms_m < 0.05e-3 for name in recoveries(BENCH))
+
+
+@pytest.mark.slow
+def test_no_baseline_leads_and_meets_what_is_required(found: Comparison) -> None:
+    assert found.missed[EXTENDED] == ()
+    leaders = {b.law for b in found.behind}
+    assert all(found.missed[law] for law in leaders)
+
+
+@pytest.mark.slow
+def test_the_extended_composite_leads_where_it_is_said_to(found: Comparison) -> None:
+    assert {b.case for b in found.behind} <= {"sine 1 Hz", "sine 2 Hz", *loads(BENCH)}
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ import numpy as np
 from pneud.loading import load
 from pneud.sim import cases
 from pneud.sim.cases import Bench, Case, Figures, bench_of, figures
-from pneud.sim.tuned import ADRC3, ADRC4, COMPOSITE, ISMC, PID_FF, Setting, setting
+from pneud.sim.tuned import ADRC3, ADRC4, COMPOSITE, EXTENDED_TUNED, ISMC, PID_FF, Setting, setting
 
 Gains = dict[str, float]
 STARTS: dict[str, Gains] = {
@@ -39,6 +39,17 @@ STARTS: dict[str, Gains] = {
         "hold": 0.03,
         "bw": 316.0,
         "L": 2400.0,
+    },
+    EXTENDED_TUNED: {
+        "k1": 95000.0,
+        "k2": 6050.0,
+        "k3": 104.0,
+        "alpha": 0.923,
+        "eta": 0.3,
+        "L": 2400.0,
+        "hold": 0.034,
+        "bw": 316.0,
+        "rate": 580.0,
     },
 }
 UNSTABLE = 1e3  # cost of gains that let the simulation overflow

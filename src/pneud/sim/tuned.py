@@ -16,7 +16,7 @@ NO_ADRC = Adrc(0.0, 0.0, 0.0, True, 0.0, 0.0, 0.0, 0.0)
 AS_CONFIGURED = Law(SLIDING, 1.0, NO_PID, NO_ADRC)
 PID_FF, ADRC4, ADRC3, ISMC, COMPOSITE = "PID + FF", "ADRC, ESO 4", "ADRC, ESO 3", "ISMC", "composite"
 ISMC_PAPER, COMPOSITE_PAPER = "ISMC, paper's gains", "composite, paper's gains"
-EXTENDED = "extended composite"
+EXTENDED, EXTENDED_TUNED = "extended composite", "extended, tuned alike"
 
 GAINS: dict[str, dict[str, float]] = {
     PID_FF: {
@@ -30,13 +30,13 @@ GAINS: dict[str, dict[str, float]] = {
     },
     ADRC4: {"k1": 651800.0, "k2": 16300.0, "k3": 299.8, "reach": 0.01222, "hold": 0.08291, "eso": 203.4},
     ADRC3: {
-        "k1": 64000.0,
-        "k2": 4800.0,
-        "k3": 120.0,
-        "reach": 0.02,
-        "hold": 0.03,
-        "bw": 316.0,
-        "rate": 580.0,
+        "k1": 404700.0,
+        "k2": 11470.0,
+        "k3": 101.6,
+        "reach": 0.1452,
+        "hold": 0.00678,
+        "bw": 505.0,
+        "rate": 226.1,
     },
     ISMC: {"k1": 64000.0, "k2": 4800.0, "k3": 120.0, "alpha": 0.9, "eta": 20.0, "hold": 0.03, "bw": 316.0},
     COMPOSITE: {
@@ -48,6 +48,17 @@ GAINS: dict[str, dict[str, float]] = {
         "hold": 0.03,
         "bw": 316.0,
         "L": 2400.0,
+    },
+    EXTENDED_TUNED: {
+        "k1": 95000.0,
+        "k2": 6050.0,
+        "k3": 104.0,
+        "alpha": 0.923,
+        "eta": 0.3,
+        "L": 2400.0,
+        "hold": 0.034,
+        "bw": 316.0,
+        "rate": 580.0,
     },
 }
 
@@ -84,24 +95,21 @@ def setting(name: str, base: Controller, gains: Mapping[str, float] | None = Non
     base = base._replace(sliding=s)
     if "bw" in g:
         base = base._replace(motion=triple_pole(g["bw"], h, base.motion.blind_m))
-    if name in (ISMC, COMPOSITE):
-        s = s._replace(
-            gains=feedback(g["k1"], g["k2"], g["k3"], g["alpha"]),
-            eta=g["eta"],
-            compensate_d=name == COMPOSITE,
-        )
-        base = without_force(base)._replace(sliding=s)
-        if "L" in g:
-            base = base._replace(observer=base.observer._replace(L=g["L"]))
-        return Setting(base, AS_CONFIGURED)
+    if "rate" in g:
+        base = base._replace(force_rate_gain=1.0 - math.exp(-g["rate"] * h))
+    if "L" in g:
+        base = base._replace(observer=base.observer._replace(L=g["L"]))
+    if name in (ISMC, COMPOSITE, EXTENDED_TUNED):
+        powers = feedback(g["k1"], g["k2"], g["k3"], g["alpha"])
+        base = base._replace(sliding=s._replace(gains=powers, eta=g["eta"], compensate_d=name != ISMC))
+        return Setting(base if name == EXTENDED_TUNED else without_force(base), AS_CONFIGURED)
     base = base._replace(sliding=s._replace(compensate_d=False), use_x3_hat=False)
     if name == PID_FF:
         pid = Pid(g["kp"], g["ki"], g["kd"], g["kf"], 20e-6, 200.0)
         return Setting(base, Law(PID, g["reach"], pid, NO_ADRC))
     eso = quadruple_pole(g["eso"], h) if name == ADRC4 else (0.0, 0.0, 0.0, 0.0)
-    gain = 1.0 - math.exp(-g["rate"] * h) if "rate" in g else 0.0
     adrc = Adrc(g["k1"], g["k2"], g["k3"], name == ADRC3, *eso)
-    return Setting(base._replace(force_rate_gain=gain), Law(ADRC, g["reach"], NO_PID, adrc))
+    return Setting(base, Law(ADRC, g["reach"], NO_PID, adrc))
 
 
 def without_force(base: Controller) -> Controller:

@@ -17,7 +17,7 @@ def compare_laws(config_file: str, rest_s: float, json: bool) -> int:
     """Run every law through every case and print the tables.
 
     Returns:
-        Exit status: 0 where the extended composite leads in every sine, move and load, 1 where it does not.
+        Exit status, 0: the tables are the answer.
 
     Raises:
         ConfigError: the configuration cannot be used.
@@ -33,4 +33,4 @@ def compare_laws(config_file: str, rest_s: float, json: bool) -> int:
         )
     found = compare(load(config_file), rest_s, compiled)
     print(json_.dumps(as_json(found)) if json else in_words(found))
-    return 0 if found.good else 1
+    return 0
