@@ -56,7 +56,7 @@ def test_log_is_never_overwritten(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "verb", ["plant", "sim", "replay", "recover", "check", "reproduce", "doctor", "bench"]
+    "verb", ["plant", "sim", "replay", "recover", "check", "design", "reproduce", "doctor", "bench"]
 )
 def test_every_verb_has_help(verb: str) -> None:
     done = pneud_here(verb, "--help")
