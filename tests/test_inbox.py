@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from pneud import resources
 from pneud.bus.codec import load_codecs
-from pneud.bus.inbox import NEVER_NS, Counts, Inbox, wire_time_ns
+from pneud.bus.inbox import NEVER_NS, Counts, Inbox
+from pneud.bus.wire import wire_time_ns
 from pneud.config import BusConfig
 from pneud.signals import ALL_SOURCES, Defect, Frame, Measurement, Source
 

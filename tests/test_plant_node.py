@@ -13,11 +13,12 @@ from hypothesis import strategies as st
 from plant_reference import IDEAL, REALISTIC
 from pneud import resources
 from pneud.bus.codec import Codecs, load_codecs
+from pneud.bus.wire import wire_time_ns
 from pneud.config import BusConfig
 from pneud.plant.dynamics import advance, initial_state
 from pneud.plant.node import PlantNode
 from pneud.plant.process import serve
-from pneud.plant.timing import Item, Wire, wire_ns
+from pneud.plant.timing import Item, Wire
 from pneud.plant.truth import SLOTS, TruthReader, TruthWriter, truth_memory
 from pneud.signals import Frame, ValveState
 
@@ -63,7 +64,7 @@ def valve_status(frames: dict[int, Frame]) -> tuple[float, int]:
 
 
 def test_wire_times_are_those_of_a_stuffed_frame() -> None:
-    assert (wire_ns(1, 1e6), wire_ns(8, 1e6), wire_ns(8, math.inf)) == (SYNC_NS, DATA_NS, 0)
+    assert (wire_time_ns(1, 1e6), wire_time_ns(8, 1e6), wire_time_ns(8, math.inf)) == (SYNC_NS, DATA_NS, 0)
 
 
 def test_answers_come_when_and_in_the_order_a_real_bus_delivers_them() -> None:

@@ -85,12 +85,10 @@ class Loop:
         self.ticks = 0
         self.skipped = 0
         self.state = int(State.STARTING)
-        self.latched = 0
         self.ever_latched = 0
         self.present = 0
         self.refused = 0  # faults that showed only when the axis was asked to arm
         self.recorder_lost = False
-        self.realtime_offset_ns = link.realtime_offset_ns
         self._codecs = codecs
         self._recorder = recorder
         self._stop = False
@@ -230,7 +228,6 @@ class Loop:
                 # what shows only now would show again; anything else may pass, and arming is tried again
                 self.refused = 0 if is_engaged(tick.state) else tick.present & BLOCKS_ARM
                 self._armed = is_engaged(tick.state) or bool(tick.present & 1 << F.UNREACHABLE)
-            self.latched = tick.latched
             self.ever_latched |= tick.latched
             if not self._shut:
                 self.ticks += 1

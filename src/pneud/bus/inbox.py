@@ -10,7 +10,7 @@ import math
 from typing import Any, NamedTuple
 
 from pneud.bus.codec import Codec, Codecs
-from pneud.bus.wire import CAN_ERR_FLAG
+from pneud.bus.wire import CAN_ERR_FLAG, wire_time_ns
 from pneud.config import BusConfig
 from pneud.signals import ALL_SOURCES, Defect, Frame, Measurement, Source
 
@@ -19,7 +19,6 @@ NEVER_NS = 1 << 62  # the age of a source that has not been heard of yet
 _CORRUPT, _FROZEN, _LATE = int(Defect.CORRUPT), int(Defect.FROZEN), int(Defect.LATE)
 _EMCY_IDS = range(0x081, 0x100)
 _EMCY_BASE = 0x080
-_STUFFING = 1.1  # 10 % on top of the 47 bits that a frame has besides its data
 
 
 class Counts(NamedTuple):
@@ -59,11 +58,6 @@ class _Origin:
         if self.sample_ns == -NEVER_NS:
             return NEVER_NS
         return max(0, t_ns - self.sample_ns)
-
-
-def wire_time_ns(data_bytes: int, bitrate_bit_s: float) -> int:
-    """How long a frame is on the wire: 47 bits and its data, plus 10 % stuffing; 0 at infinite bit rate."""
-    return round((47 + 8 * data_bytes) * _STUFFING / bitrate_bit_s * 1e9)
 
 
 class Inbox:

@@ -18,6 +18,9 @@ CAN_FLAGS = CAN_EFF_FLAG | CAN_RTR_FLAG | CAN_ERR_FLAG
 
 PACKET = struct.Struct("=IB3x8s")
 
+FRAME_BITS = 47  # of a standard frame without data, interframe space included
+STUFFING = 1.1
+
 _SO_TIMESTAMPNS = 35
 _SO_RXQ_OVFL = 40
 _TIMESPEC = struct.Struct("@ll")
@@ -33,6 +36,11 @@ def stamp_arrivals(sock: socket.socket) -> None:
 def count_overflows(sock: socket.socket) -> None:
     """Have the kernel tell how many packets found the receive queue full."""
     sock.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
+
+
+def wire_time_ns(data_bytes: int, bitrate_bit_s: float) -> int:
+    """How long a frame is on the wire: 47 bits and its data, plus 10 % stuffing; 0 at infinite bit rate."""
+    return round((FRAME_BITS + 8 * data_bytes) * STUFFING / bitrate_bit_s * 1e9)
 
 
 def realtime_offset_ns(attempts: int = 5) -> int:

@@ -9,11 +9,12 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from pneud.bus.codec import Codec, Codecs
+from pneud.bus.wire import wire_time_ns
 from pneud.plant import dynamics
 from pneud.plant.dynamics import PlantState, initial_state, stroke_position
 from pneud.plant.parameters import PlantParameters
 from pneud.plant.sensors import Noise, PressureSensor, quantised
-from pneud.plant.timing import Item, Wire, wire_ns
+from pneud.plant.timing import Item, Wire
 from pneud.plant.valvenode import ValveNode
 from pneud.signals import EncoderStatus, Frame
 
@@ -84,7 +85,7 @@ class PlantNode:
         self._age_s = min(p.node_delay_s, codecs.older_s)
         self._sync_id, self._command_id = codecs.sync.can_id, codecs.valve_command.can_id
         answers = (codecs.encoder, codecs.pressure, codecs.valve_status)
-        self._durations = tuple(wire_ns(codec.length, p.bitrate_bit_s) for codec in answers)
+        self._durations = tuple(wire_time_ns(codec.length, p.bitrate_bit_s) for codec in answers)
         self._answer_ids = frozenset(codec.can_id for codec in answers)
         self._shortest_ns = min(self._durations)
         self._counters = [0, 0, 0]
@@ -130,7 +131,7 @@ class PlantNode:
             self._truth = Truth(frame.stamp_ns, stroke_position(self._state, self.p), self._state)
         for passed in (frame,) if self.hook is None else self.hook(frame, False):
             if passed.can_id in (self._sync_id, self._command_id) and len(self._wire.waiting) < MAX_WAITING:
-                duration = wire_ns(len(passed.data), self.p.bitrate_bit_s)
+                duration = wire_time_ns(len(passed.data), self.p.bitrate_bit_s)
                 self._wire.add(Item(max(passed.stamp_ns, sent_ns), passed.can_id, duration, passed))
 
     def due(self) -> int | None:

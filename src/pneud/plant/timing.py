@@ -4,14 +4,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-FRAME_BITS = 47  # standard frame without data, interframe space included
-STUFFING = 1.1
-
-
-def wire_ns(length: int, bitrate_bit_s: float) -> int:
-    """Time [ns] that a frame with `length` data bytes takes, stuff bits included; 0 at infinite rate."""
-    return round((FRAME_BITS + 8 * length) * STUFFING / bitrate_bit_s * 1e9)
-
 
 class Item(NamedTuple):
     """A frame on its way: from when it waits for the wire, and what it carries."""

@@ -17,6 +17,7 @@ from pneud.physics.valve import opening
 from pneud.plant.chamber import inflow
 from pneud.plant.dynamics import PlantState, advance
 from pneud.plant.parameters import PlantParameters
+from pneud.plant.sensors import quantised
 from pneud.signals import Reference
 
 
@@ -26,11 +27,6 @@ class Outcome(NamedTuple):
     controller: ControllerState
     plant: PlantState
     last_v: float  # command on its way or acting
-
-
-def quantised(value: float, step: float) -> float:
-    """The nearest multiple of step; the value itself where step is 0."""
-    return round(value / step) * step if step > 0.0 else value
 
 
 def run_sine(
