@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from pneud.loading import Loaded
+from pneud.loading import Loaded, at_rate
 from pneud.sim import cases
 from pneud.sim.cases import Bench, Case, Figures, bench_of, figures
 from pneud.sim.tuned import (
@@ -27,6 +27,7 @@ OURS = (EXTENDED, EXTENDED_TUNED)
 SEED = 1  # not the noise that gains are tuned with
 SINE, MOVE, LOAD, REST, RECOVERY, SPREAD = "sine", "move", "load", "rest", "recovery", "spread"
 CLAIMED = (SINE, MOVE, LOAD)  # groups in which the extended composite should lead
+RATES_HZ = (200.0, 500.0, 2000.0)
 BRIEFLY = ("sine 0.5 Hz", "move 100 mm", "50 N on")
 # requirements [mm], [mV], by group
 RMS_MM = {SINE: 0.05, RECOVERY: 0.05, SPREAD: 0.2}
@@ -89,12 +90,18 @@ def compare(loaded: Loaded, rest_s: float, compiled: bool, laws: tuple[str, ...]
         laws: which laws.
     """
     bench = bench_of(loaded, compiled)
-    groups = every_case(bench, rest_s)
-    rows = [
-        Row(group, name, law, c.judged[1] - c.judged[0], figures(bench, s, c, SEED))
-        for law, s in ((law, setting(law, bench.controller)) for law in laws)
-        for group, members in groups.items()
+    runs = [
+        (group, name, bench, c)
+        for group, members in every_case(bench, rest_s).items()
         for name, c in members.items()
+    ]
+    for hz in RATES_HZ:
+        other = bench_of(loaded._replace(config=at_rate(loaded.config, hz)), compiled)
+        runs.append((SPREAD, f"rate {hz:g} Hz", other, cases.tracking(other)))
+    rows = [
+        Row(group, name, law, c.judged[1] - c.judged[0], figures(b, setting(law, b.controller), c, SEED))
+        for law in laws
+        for group, name, b, c in runs
         if compiled or name in BRIEFLY
     ]
     return Comparison(loaded.path.name, compiled, tuple(rows), tuple(behind(rows)), missed(rows))
