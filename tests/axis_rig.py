@@ -47,7 +47,7 @@ class Rig:
         self.t_ns = 1_000_000_000
         self.count = 0
 
-    def tick(self, kind: int = 0, *, skipped: int = 0) -> Tick:
+    def tick(self, kind: int = 0, *values: float, skipped: int = 0) -> Tick:
         """One tick; what leaves for the valve is checked in each."""
         codecs = loaded().codecs
         self.t_ns += (1 + skipped) * PERIOD_NS
@@ -61,7 +61,7 @@ class Rig:
             if altered is not None:
                 self.inbox.feed(altered)
         m = self.measurement(self.inbox.measurement(skipped, self.host))
-        tick = self.axis.cycle(m, Request(kind) if kind else None, self.t_ns)
+        tick = self.axis.cycle(m, Request(kind, values) if kind else None, self.t_ns)
         self._check(tick)
         data = codecs.valve_command.encode(
             tick.command.voltage_v, tick.command.enable, number, counter=self.count & 0xFF
@@ -114,7 +114,7 @@ def _ready() -> Rig:
 @cache
 def _tracking() -> Rig:
     rig = ready()
-    assert rig.tick(ARM).state == State.TRACKING
+    assert rig.tick(ARM, 1.0).state == State.TRACKING
     assert all(tick.state == State.TRACKING and not tick.latched for tick in rig.ticks(60))
     return rig
 

@@ -16,6 +16,8 @@ from pneud.log.files import create_log
 from pneud.log.header import Detail, LogHeader
 from pneud.log.writer import LogWriter
 from pneud.signals import (
+    REQUEST_VALUES,
+    Answer,
     Command,
     Estimate,
     Frame,
@@ -138,7 +140,11 @@ def _filled(of: Any) -> st.SearchStrategy[Any]:
 _frames = st.lists(st.builds(Frame, st.integers(0, 2**61), _word, st.binary(max_size=8)), max_size=90).map(
     tuple
 )
-_requests = st.none() | st.builds(Request, st.sampled_from(RequestKind).map(int), _floats)
+_requests = st.none() | st.builds(
+    Request,
+    st.sampled_from(RequestKind).map(int),
+    st.lists(_floats, max_size=REQUEST_VALUES).map(tuple),
+)
 _ticks = st.builds(
     Tick,
     _t,
@@ -150,6 +156,7 @@ _ticks = st.builds(
     st.sampled_from(State).map(int),
     _mask,
     _mask,
+    st.sampled_from(Answer).map(int),
 )
 
 

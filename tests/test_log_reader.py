@@ -16,7 +16,7 @@ from pneud.log.header import Detail
 from pneud.log.reader import LogReader, read_log
 from pneud.log.records import crc_of
 from pneud.log.recover import recover
-from pneud.signals import Host, Record, Request, RequestKind, State, Timing
+from pneud.signals import Answer, Host, Record, Request, RequestKind, State, Timing
 
 COUNT = 120
 RECORDS = list(noisy(COUNT))
@@ -56,7 +56,11 @@ def test_compact_detail_keeps_frames_times_and_checks_exact(tmp_path: Path) -> N
 
 def test_requests_states_faults_and_truth_come_back(tmp_path: Path) -> None:
     tick = tick_at(5)._replace(
-        request=Request(int(RequestKind.ARM), 0.1), present=1 << 63, latched=5, state=int(State.FAULT)
+        request=Request(int(RequestKind.GOTO), (0.1, 0.0, -2.5)),
+        present=1 << 63,
+        latched=5,
+        state=int(State.FAULT),
+        answer=int(Answer.BLOCKED),
     )
     tick = tick._replace(measurement=tick.measurement._replace(skipped=3, host=int(Host.CLOCK_STEP)))
     record = Record(tick, Timing(1, -1, 3, 4, 5, 6), (), 0, (), float("nan"))
@@ -206,14 +210,14 @@ def test_foreign_files_are_refused_in_one_line(tmp_path: Path, log: Path) -> Non
         writer.add_message(writer.register_channel("/x", "json", schema), 1, b"{}", 1)
         writer.finish()  # type: ignore[no-untyped-call]
     newer = tmp_path / "newer.mcap"
-    newer.write_bytes(log.read_bytes().replace(b"schema\x01\x00\x00\x001", b"schema\x01\x00\x00\x009", 1))
+    newer.write_bytes(log.read_bytes().replace(b"schema\x01\x00\x00\x002", b"schema\x01\x00\x00\x009", 1))
     for path, words in (
         (tmp_path / "none.mcap", "cannot be read: No such file"),
         (tmp_path, "cannot be read: Is a directory"),
         (text, "not an MCAP file"),
         (empty, "is empty"),
         (foreign, "no log of pneud"),
-        (newer, "has log schema 9, this pneud reads 1"),
+        (newer, "has log schema 9, this pneud reads 2"),
     ):
         with pytest.raises(LogError, match=words) as caught:
             read_log(path)

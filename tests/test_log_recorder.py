@@ -289,7 +289,7 @@ def test_events_tell_states_requests_and_faults(tmp_path: Path) -> None:
     t[3] = t[3]._replace(state=int(State.FAULT), present=2, latched=2)
     t[4] = t[4]._replace(state=int(State.FAULT), latched=2)
     t[5] = t[5]._replace(state=int(State.FAULT), present=1 << 40, latched=2)
-    t[6] = t[6]._replace(request=Request(int(RequestKind.CLEAR), 2.5), present=1 << 40)
+    t[6] = t[6]._replace(request=Request(int(RequestKind.GOTO), (2.5, 0.0)), present=1 << 40, answer=3)
     assert told(tmp_path / "x.mcap", t) == [
         (Level.INFO, "state", "waiting"),
         (Level.WARNING, "fault", f"{FAULTS[0]} present"),
@@ -301,7 +301,7 @@ def test_events_tell_states_requests_and_faults(tmp_path: Path) -> None:
         (Level.ERROR, "fault", f"{FAULTS[1]} latched"),
         (Level.INFO, "fault", f"{FAULTS[1]} gone"),
         (Level.WARNING, "fault", "fault 40 present"),
-        (Level.INFO, "request", "clear 2.5"),
+        (Level.WARNING, "request", "goto 2.5 0: blocked"),
         (Level.INFO, "state", "fault → disarmed"),
         (Level.INFO, "fault", f"{FAULTS[1]} cleared"),
     ]

@@ -17,6 +17,7 @@ from pneud.safety.output import CENTRED, OutputLimits, emit
 from pneud.safety.supervisor import INITIAL, Supervisor, advance, is_engaged, trip
 from pneud.signals import (
     ALL_SOURCES,
+    Answer,
     Command,
     Estimate,
     Measurement,
@@ -31,6 +32,8 @@ from pneud.signals import (
 NAN = float("nan")
 # operations on the enum's flags are slow
 ENCODER, VALVE = int(Source.ENCODER), int(Source.VALVE)
+NO_REQUEST, TAKEN, WRONG_STATE = int(Answer.NONE), int(Answer.TAKEN), int(Answer.WRONG_STATE)
+BLOCKED, MALFORMED, CLOSING = int(Answer.BLOCKED), int(Answer.MALFORMED), int(Answer.CLOSING)
 SETTLE_NS = 50_000_000  # the load is given this long after the reference has come to rest
 NO_ESTIMATE = Estimate(NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN)
 NO_REFERENCE = Reference(NAN, NAN, NAN, NAN)
@@ -99,7 +102,8 @@ class Axis:
             if self.failure is None:
                 self.failure = e
             bits, kind = 1 << F.INTERNAL, request.kind if request is not None else 0
-            after = trip(self.state.supervisor, bits, kind)
+            before = self.state.supervisor
+            after = trip(before, bits, kind)
             self.state = self.state._replace(
                 supervisor=after, controller=None, t_ns=t_ns, phase=NONE, last_v=0.0
             )
@@ -113,6 +117,7 @@ class Axis:
                 after.state,
                 bits,
                 after.latched,
+                _answer(kind, before, after, bits),
             )
 
     def _cycle(self, m: Measurement, request: Request | None, t_ns: int) -> Tick:
@@ -221,7 +226,28 @@ class Axis:
             after.state,
             present,
             after.latched,
+            _answer(kind, before, after, present),
         )
+
+
+def _answer(kind: int, before: Supervisor, after: Supervisor, present: int) -> int:
+    if kind == 0:
+        return NO_REQUEST
+    if kind in (RequestKind.SHUTDOWN, RequestKind.MARK):
+        return TAKEN
+    if kind == RequestKind.ARM:
+        wrong, done = before.state != State.DISARMED, is_engaged(after.state)
+    elif kind == RequestKind.DISARM:
+        wrong, done = not is_engaged(before.state), True
+    elif kind == RequestKind.CLEAR:
+        wrong, done = before.state != State.FAULT, after.state != State.FAULT
+    else:
+        return MALFORMED
+    if wrong:
+        return WRONG_STATE
+    if done:
+        return TAKEN
+    return CLOSING if before.closing and not present & BLOCKS_ARM else BLOCKED
 
 
 def _first_estimate(s: ControllerState) -> Estimate:

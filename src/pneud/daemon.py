@@ -260,7 +260,7 @@ class Loop:
             and last.state == State.DISARMED
             and not last.present & BLOCKS_ARM
         ):
-            return Request(RequestKind.ARM)
+            return Request(RequestKind.ARM, (1.0,))
         return None
 
     def _check(self) -> None:

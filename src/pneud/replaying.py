@@ -138,8 +138,8 @@ def replay(log: LogReader, config: Config | None = None) -> Outcome:
     )
 
 
-def _states(t: Tick) -> tuple[int, int, int, int]:
-    return t.state, t.present, t.latched, t.command.enable
+def _states(t: Tick) -> tuple[int, int, int, int, int]:
+    return t.state, t.present, t.latched, t.answer, t.command.enable
 
 
 def _difference(number: int, logged: LoggedTick, tick: Tick, whole: bool) -> Difference:
@@ -163,5 +163,6 @@ def _pairs(logged: LoggedTick, tick: Tick) -> Iterator[tuple[str, float | str, f
     yield "state", State(logged.state).label, State(tick.state).label
     yield "present", logged.present, tick.present
     yield "latched", logged.latched, tick.latched
+    yield "answer", logged.answer, tick.answer
     for name in tick.command._fields:
         yield f"command.{name}", getattr(logged.command, name), getattr(tick.command, name)

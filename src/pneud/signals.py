@@ -82,20 +82,47 @@ ENGAGED = (State.TRACKING, State.MOVING, State.HOLDING, State.HOMING, State.STOP
 
 
 class RequestKind(IntEnum):
-    """What may be asked of an axis."""
+    """What may be asked of an axis, and with which values; metres and seconds, stroke coordinate."""
 
-    ARM = 1
+    ARM = 1  # (): engage and hold still; (1.0,): engage and track the configured reference
     DISARM = 2  # controlled stop, then centre
     CLEAR = 3
     SHUTDOWN = 4  # controlled stop, then centre for good
     MARK = 5  # text for the log; the axis ignores it
+    STOP = 6  # controlled stop, then what limits.stop_then says
+    HOLD = 7  # come to rest and hold
+    HOME = 8
+    GOTO = 9  # (position, speed, acceleration, jerk); 0 for the configured one
+    JOG = 10  # (velocity, lease in ticks)
+    TRACK = 11  # (0.0,): the configured reference; (1.0,): the uploaded profile
+    PIECE = 12  # (T, c0 … c7): one more piece of the profile; (): empty it
+    GAINS = 13  # all tunables in their order
+
+
+REQUEST_VALUES = 9  # the most that a request carries
 
 
 class Request(NamedTuple):
     """One request of the operator, taken by the axis in one tick."""
 
     kind: int
-    value: float = 0.0
+    values: tuple[float, ...] = ()
+
+
+class Answer(IntEnum):
+    """What became of a request."""
+
+    NONE = 0  # there was none
+    TAKEN = 1
+    WRONG_STATE = 2
+    BLOCKED = 3  # by faults that are present
+    OUT_OF_TRAVEL = 4
+    BEYOND_LIMITS = 5  # of speed, acceleration or jerk
+    UNSTABLE = 6  # gains that the loop cannot have
+    NOT_REFERENCED = 7
+    NO_PROFILE = 8
+    MALFORMED = 9
+    CLOSING = 10
 
 
 class Measurement(NamedTuple):
@@ -171,6 +198,7 @@ class Tick(NamedTuple):
     state: int
     present: int  # bits of the fault table that hold now
     latched: int  # bits of the fault table that hold the axis in FAULT
+    answer: int = 0  # an `Answer`: what became of the request
 
 
 class Frame(NamedTuple):

@@ -6,9 +6,10 @@ from collections.abc import Iterator
 
 from pneud.log.records import LoggedEvent
 from pneud.log.schema import Level
-from pneud.signals import Record, RequestKind, State
+from pneud.signals import Answer, Record, RequestKind, State
 
 _QUIET_NS = 1_000_000_000
+_OFTEN = (RequestKind.JOG, RequestKind.PIECE)  # asked many times a second
 
 
 class _Limiter:
@@ -52,9 +53,15 @@ class EventSource:
         tick = record.tick
         t_ns = tick.t_ns
         if tick.request is not None:
-            kind, value = tick.request
-            words = _label(RequestKind, kind) + (f" {value:g}" if value else "")
-            yield self._event(t_ns, Level.INFO, "request", words)
+            kind, values = tick.request
+            words = " ".join([_label(RequestKind, kind), *(f"{value:g}" for value in values)])
+            level = Level.INFO
+            if tick.answer > Answer.TAKEN:
+                level, words = Level.WARNING, f"{words}: {_label(Answer, tick.answer)}"
+            if kind in _OFTEN:
+                yield from self._limited(t_ns, level, "request", words)
+            else:
+                yield self._event(t_ns, level, "request", words)
         if tick.state != self._state:
             yield self._state_change(t_ns, tick.state)
         if tick.latched != self._latched or tick.present != self._present:
@@ -102,7 +109,7 @@ class EventSource:
         return LoggedEvent(t_ns + self._offset_ns, level, name, words)
 
 
-def _label(names: type[RequestKind] | type[State], value: int) -> str:
+def _label(names: type[Answer] | type[RequestKind] | type[State], value: int) -> str:
     try:
         return names(value).name.lower()
     except ValueError:

@@ -1,4 +1,7 @@
-"""One tick as protobuf messages, packed by `struct` with the tag bytes baked in, and back again."""
+"""One tick as protobuf messages, packed by `struct` with the tag bytes baked in, and back again.
+
+A request, which few ticks have, follows what all have.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +26,7 @@ _CODES = {
     F.TYPE_SFIXED64: (1, "q"),
     F.TYPE_ENUM: (0, "B"),  # below 128, hence one byte
 }
+_REQUEST = len(tick_fields("compact")[1])  # number of its field
 _SHORT = [bytes((i,)) for i in range(128)]
 _measurement = attrgetter(*Measurement._fields)
 _estimate = attrgetter(*Estimate._fields)
@@ -85,7 +89,7 @@ class _TickLayout:
                     codes.append(code)
                     pending = b""
 
-        walk(fields)
+        walk(fields[:-1])
         self._struct = struct.Struct(
             "<" + "".join(f"{len(c)}s{v}" for c, v in zip(constants, codes, strict=True))
         )
@@ -110,8 +114,8 @@ class _TickLayout:
         if len(data) == self._struct.size:
             items = self._struct.unpack(data)
             if items[::2] == self._constants:
-                return items[1::2]
-        # The same message in another order of bytes, as a tool that wrote it anew may choose.
+                return (*items[1::2], None)
+        # With a request, or in another order of bytes, as a tool that wrote it anew may choose.
         t = self._class.FromString(data)
         return (
             t.t_ns,
@@ -122,10 +126,10 @@ class _TickLayout:
             t.state,
             t.present,
             t.latched,
-            t.request.kind,
-            t.request.value,
+            t.answer,
             t.truth_m,
             t.check,
+            Request(t.request.kind, tuple(t.request.values)) if t.request.kind else None,
         )
 
 
@@ -147,6 +151,14 @@ def _size(fields: list[Field]) -> int:
 _LAYOUTS = {"pneud.Tick": _TickLayout("compact"), "pneud.FullTick": _TickLayout("full")}
 
 
+def _request(request: Request) -> bytes:
+    kind, values = request
+    body = b"\x08" + varint(kind)
+    if values:
+        body += b"\x12" + varint(8 * len(values)) + struct.pack(f"<{len(values)}d", *values)
+    return varint(_REQUEST << 3 | 2) + varint(len(body)) + body
+
+
 class Packer:
     """Packs records at one level of detail."""
 
@@ -157,8 +169,7 @@ class Packer:
     def tick(self, record: Record) -> bytes:
         """The message of `/axis/tick`."""
         tick = record.tick
-        kind, value = (0, 0.0) if tick.request is None else tick.request
-        return self._layout.pack(
+        packed = self._layout.pack(
             (
                 tick.t_ns,
                 *tick.measurement,
@@ -168,12 +179,12 @@ class Packer:
                 tick.state,
                 tick.present,
                 tick.latched,
-                kind,
-                value,
+                tick.answer,
                 record.truth_m,
                 crc_of(tick),
             )
         )
+        return packed if tick.request is None else packed + _request(tick.request)
 
     def frames(self, record: Record) -> bytes:
         """The message of `/can/frames`."""
@@ -260,6 +271,7 @@ class LoggedTick(NamedTuple):
     state: int
     present: int
     latched: int
+    answer: int
     check: int
     frames: tuple[Frame, ...]
     before: int
@@ -290,6 +302,7 @@ class LoggedTick(NamedTuple):
             self.state,
             self.present,
             self.latched,
+            self.answer,
         )
         return Record(tick, self.timing, self.frames, self.before, self.sent, self.truth_m)
 
@@ -314,19 +327,20 @@ def unpack(
     f = _Frames.FromString(frames)
     t_ns = v[0]
     new = tuple.__new__  # half the time of Frame(…)
-    state, present, latched, kind, value, truth_m, check = v[_S:]
+    state, present, latched, answer, truth_m, check, request = v[_S:]
     return LoggedTick(
         number,
         log_time_ns,
         t_ns,
         Measurement._make(v[1:_E]),
-        Request(kind, value) if kind else None,
+        request,
         Estimate._make(v[_E:_R]),
         Reference._make(v[_R:_C]),
         Command._make(v[_C:_S]),
         state,
         present,
         latched,
+        answer,
         check,
         tuple([new(Frame, (t_ns + r.stamp_after_t_ns, r.can_id, r.data)) for r in f.received]),
         f.before,

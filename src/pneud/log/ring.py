@@ -16,7 +16,18 @@ import struct
 import time
 from typing import NamedTuple
 
-from pneud.signals import Command, Estimate, Frame, Measurement, Record, Reference, Request, Tick, Timing
+from pneud.signals import (
+    REQUEST_VALUES,
+    Command,
+    Estimate,
+    Frame,
+    Measurement,
+    Record,
+    Reference,
+    Request,
+    Tick,
+    Timing,
+)
 
 # 64-bit words of the head of the mapping; the loop's and the recorder's lie in different cache lines.
 _HEAD, _NUMBER, _CLOSED = 0, 1, 2
@@ -28,8 +39,11 @@ _HEAD_BYTES = 16_384
 _FRAME = "qI B3x 8s"
 _FRAME_BYTES = 24
 _PREFIX = struct.Struct("QQ HHHH")  # sequence, record, part, parts, frames in this slot, frames of the record
-_TICK = "q" + "qIddddd" + "I" + "I" + "qqq" + "III" + "qII" + "d" * 8 + "dddd" + "dIIddd" + "IQQ" + "Id"
-_BODY = "II" + _TICK + "qqqqqq" + "d"  # sent frames among them, before, tick, request, timing, truth
+_TICK = "q" + "qIddddd" + "I" + "I" + "qqq" + "III" + "qII" + "d" * 8 + "dddd" + "dIIddd" + "IQQ" + "III"
+_REQUEST = f"{8 * REQUEST_VALUES}s"
+_VALUES = [struct.Struct(f"{n}d") for n in range(REQUEST_VALUES + 1)]
+# sent frames among them, before, tick with answer, kind and count of values, the values, timing, truth
+_BODY = "II" + _TICK + _REQUEST + "qqqqqq" + "d"
 
 # Where the parts of an unpacked first slot begin.
 _M = 9
@@ -37,7 +51,7 @@ _E = _M + len(Measurement._fields)
 _R = _E + len(Estimate._fields)
 _C = _R + len(Reference._fields)
 _S = _C + len(Command._fields)
-_T = _S + 5
+_T = _S + 7
 _TRUTH = _T + len(Timing._fields)
 _F = _TRUTH + 1
 
@@ -98,7 +112,7 @@ class Ring:
 
         Args:
             slots: how many records of an ordinary tick it holds.
-            slot_bytes: size of one; 1024 hold a tick with 23 frames.
+            slot_bytes: size of one; 1024 hold a tick with 20 frames.
 
         Raises:
             OSError: no memory for it.
@@ -123,7 +137,7 @@ class Ring:
         first = min(count, self._first_frames)
         parts = 1 if count == first else 1 - (first - count) // self._more_frames
         request = tick.request
-        kind, value = (0, 0.0) if request is None else request
+        kind, wanted = (0, ()) if request is None else request
         values: list[int | float | bytes] = []
         for stamp_ns, can_id, data in everything[:first]:
             values += (stamp_ns, can_id, len(data), data)
@@ -132,6 +146,7 @@ class Ring:
         try:
             if parts > self._longest:
                 return  # counted by the readers, which miss its number
+            wanted_bytes = _VALUES[len(wanted)].pack(*wanted)
             self._layouts[first].pack_into(
                 self._memory,
                 offset,
@@ -151,8 +166,10 @@ class Ring:
                 tick.state,
                 tick.present,
                 tick.latched,
+                tick.answer,
                 kind,
-                value,
+                len(wanted),
+                wanted_bytes,
                 *timing,
                 truth_m,
                 *values,
@@ -160,7 +177,7 @@ class Ring:
             self._words[(offset + self.slot_bytes) // 8 - 1] = sequence
             if parts > 1:
                 sequence = self._put_rest(everything[first:], sequence, parts)
-        except struct.error:
+        except (struct.error, IndexError):
             return  # a value that no slot can hold: the record is missed, the loop goes on
         finally:
             self._words[_NUMBER] = self._number
@@ -262,13 +279,14 @@ class Ring:
         tick = Tick(
             v[8],
             Measurement._make(v[_M:_E]),
-            Request(v[_S + 3], v[_S + 4]) if v[_S + 3] else None,
+            Request(v[_S + 4], _VALUES[v[_S + 5]].unpack_from(v[_S + 6])) if v[_S + 4] else None,
             Estimate._make(v[_E:_R]),
             Reference._make(v[_R:_C]),
             Command._make(v[_C:_S]),
             v[_S],
             v[_S + 1],
             v[_S + 2],
+            v[_S + 3],
         )
         timing = Timing._make(v[_T:_TRUTH])
         return number, parts, Record(tick, timing, frames[:received], v[7], frames[received:], v[_TRUTH])

@@ -20,6 +20,7 @@ from google.protobuf.descriptor_pb2 import (
 
 from pneud.log.header import Detail
 from pneud.signals import (
+    Answer,
     Command,
     Estimate,
     Measurement,
@@ -29,7 +30,7 @@ from pneud.signals import (
     Timing,
 )
 
-SCHEMA = 1
+SCHEMA = 2
 
 METADATA = "pneud"  # name of the metadata on the run
 SETUP = "setup"  # name of the metadata on the real-time set-up
@@ -73,20 +74,27 @@ PARTS = (
 
 
 def tick_fields(detail: Detail) -> tuple[str, list[Field], dict[str, list[Field]]]:
-    """Name, fields and nested messages of `/axis/tick`; every field is of fixed width and always present."""
+    """Name, fields and nested messages of `/axis/tick`.
+
+    Every field is of fixed width and always present, but for the last, which only a tick with a request has.
+    """
     real = F.TYPE_FLOAT if detail == "compact" else F.TYPE_DOUBLE
     name = "Tick" if detail == "compact" else "FullTick"
     nested = {record.__name__: fields_of(record, real) for _, record in PARTS}
-    nested["Request"] = [Field("kind", F.TYPE_ENUM, "RequestKind"), Field("value", F.TYPE_DOUBLE)]
+    nested["Request"] = [
+        Field("kind", F.TYPE_ENUM, "RequestKind"),
+        Field("values", F.TYPE_DOUBLE, repeated=True),
+    ]
     fields = [Field("t_ns", F.TYPE_SFIXED64)]
     fields += [Field(part, F.TYPE_MESSAGE, f"{name}.{record.__name__}") for part, record in PARTS]
     fields += [
         Field("state", F.TYPE_ENUM, "State"),
         Field("present", F.TYPE_FIXED64),
         Field("latched", F.TYPE_FIXED64),
-        Field("request", F.TYPE_MESSAGE, f"{name}.Request"),
+        Field("answer", F.TYPE_ENUM, "Answer"),
         Field("truth_m", real),
         Field("check", F.TYPE_FIXED32),
+        Field("request", F.TYPE_MESSAGE, f"{name}.Request"),
     ]
     return name, fields, nested
 
@@ -141,6 +149,7 @@ def _pneud_file() -> FileDescriptorProto:
     # Values of an enumeration share the package's name space, hence the prefixes.
     file.enum_type.append(_enum("State", "STATE_", State))
     file.enum_type.append(_enum("RequestKind", "REQUEST_", RequestKind, none=True))
+    file.enum_type.append(_enum("Answer", "ANSWER_", Answer))
     file.message_type.append(_tick_message("compact"))
     file.message_type.append(_tick_message("full"))
     file.message_type.append(_message("Frame", _FRAME))

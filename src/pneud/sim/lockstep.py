@@ -73,7 +73,7 @@ class Simulation:
                 request = Request(RequestKind.SHUTDOWN)
             elif not armed and last_state == State.DISARMED and not last_present & BLOCKS_ARM:
                 armed = True
-                request = Request(RequestKind.ARM)
+                request = Request(RequestKind.ARM, (1.0,))
             tick = self.axis.cycle(measurement, request, t_ns)
             last_state, last_present = tick.state, tick.present
 
