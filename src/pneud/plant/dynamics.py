@@ -11,10 +11,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from pneud.physics.cylinder import Cylinder
 from pneud.physics.friction import slide
-from pneud.physics.valve import SpoolTransition, opening, spool_transition
-from pneud.plant.chamber import inflow, outflow, relax
+from pneud.physics.valve import opening, spool_transition
+from pneud.plant.chamber import exchange
 from pneud.plant.parameters import PlantParameters
 
 
@@ -65,7 +64,7 @@ def step(
         h: step, at most 0.1 ms [s].
         p: the plant.
     """
-    return _step(state, command_v, force_ext_n, t_s, h, spool_transition(0.5 * h, p.valve), p)
+    return _march(state, command_v, force_ext_n, t_s, h, 1, p)
 
 
 def advance(
@@ -76,79 +75,75 @@ def advance(
     if span <= 0.0:
         return state
     count = max(1, math.ceil(span / p.step_s - 1e-6))
-    h = span / count
-    half = spool_transition(0.5 * h, p.valve)
-    for i in range(count):
-        state = _step(state, command_v, force_ext_n, t0_s + i * h, h, half, p)
-    return state
+    return _march(state, command_v, force_ext_n, t0_s, span / count, count, p)
 
 
-def _step(
+def _march(
     state: PlantState,
     command_v: float,
     force_ext_n: float,
     t_s: float,
     h: float,
-    half: SpoolTransition,
+    count: int,
     p: PlantParameters,
 ) -> PlantState:
+    # Several steps: the second half of one's drift and the first half of the next one's are one drift.
+    # It keeps to local numbers, since it is most of a simulation's time.
     x1, v, p1, p2, z, y, ydot, a = state
-    c, g, n, length = p.cylinder, p.gas, p.polytropic_exponent, p.cylinder.L
-
-    # spool: exact for a constant command; its middle position stands for the step
+    g, c, valve, friction = p.gas, p.cylinder, p.valve, p.friction
+    A1, A2, M, length, rear = c.A1, c.A2, c.M, c.L, c.x_e1
+    front = rear + c.stroke_m
+    n, supply, atmosphere = p.polytropic_exponent, g.supply_pa, g.atmosphere_pa
+    rate = n / g.k * c.c1
+    load = c.rod_force_n + force_ext_n
+    disturbed, reverse = p.disturbance != 0, p.reverse_flow
+    d1 = d2 = 0.0
+    ee, er, re, rr = spool_transition(0.5 * h, valve)
     e = y - command_v
-    middle_e = half.ee * e + half.er * ydot
-    middle_rate = half.re * e + half.rr * ydot
-    y = command_v + half.ee * middle_e + half.er * middle_rate
-    ydot = half.re * middle_e + half.rr * middle_rate
+    for i in range(count + 1):
+        # drift
+        x = x1 + v * (h if 0 < i < count else 0.5 * h)
+        if x < rear or x > front:
+            x = rear if x < rear else front
+            v = a = 0.0  # inelastic end stops
+        if x != x1:
+            p1 *= math.pow(x1 / x, n)
+            p2 *= math.pow((length - x1) / (length - x), n)
+            x1 = x
+        if i == count:
+            break
 
-    # drift, first half
-    x1, v, p1, p2 = _drift(x1, v, p1, p2, 0.5 * h, n, c)
+        # spool: exact for a constant command; its middle position stands for the step
+        middle = ee * e + er * ydot
+        ydot = re * e + rr * ydot
+        u = opening(command_v + middle, valve)
+        e = ee * middle + er * ydot
+        ydot = re * middle + rr * ydot
 
-    # flow at fixed volume
-    before = p1 * c.A1 - p2 * c.A2
-    u = opening(command_v + middle_e, p.valve)
-    d1, d2 = disturbances(t_s + 0.5 * h, p)
-    rate = n / g.k * c.c1 * abs(u)
-    rate1 = rate / (c.A1 * x1)
-    rate2 = rate / (c.A2 * (length - x1))
-    if u > 0.0:
-        flow, slope = inflow(p1, g.supply_pa, p.reverse_flow, g)
-        p1 = relax(p1, g.supply_pa, rate1 * flow, rate1 * slope, d1, h)
-        flow, slope = outflow(p2, g.atmosphere_pa, p.reverse_flow, g)
-        p2 = relax(p2, g.atmosphere_pa, -rate2 * flow, -rate2 * slope, d2, h)
-    elif u < 0.0:
-        flow, slope = outflow(p1, g.atmosphere_pa, p.reverse_flow, g)
-        p1 = relax(p1, g.atmosphere_pa, -rate1 * flow, -rate1 * slope, d1, h)
-        flow, slope = inflow(p2, g.supply_pa, p.reverse_flow, g)
-        p2 = relax(p2, g.supply_pa, rate2 * flow, rate2 * slope, d2, h)
-    else:
-        p1 += h * d1
-        p2 += h * d2
+        # flow at fixed volume
+        if disturbed:
+            d1, d2 = disturbances(t_s + (i + 0.5) * h, p)
+        before = p1 * A1 - p2 * A2
+        if u != 0.0:
+            other1, other2 = (supply, atmosphere) if u > 0.0 else (atmosphere, supply)
+            rate1 = rate * abs(u) / (A1 * x1)
+            rate2 = rate * abs(u) / (A2 * (length - x1))
+            if not reverse:
+                rate1 = rate1 if (p1 < other1) == (u > 0.0) else 0.0
+                rate2 = rate2 if (p2 < other2) == (u < 0.0) else 0.0
+            p1 = exchange(p1, other1, rate1, d1, h, g)
+            p2 = exchange(p2, other2, rate2, d2, h, g)
+        else:
+            p1 += h * d1
+            p2 += h * d2
 
-    # velocity and bristles under the mean force
-    force = 0.5 * (before + p1 * c.A1 - p2 * c.A2) - c.rod_force_n - force_ext_n
-    mean, z_new = slide(v, z, v + 0.5 * h * a, force, c.M, h, p.friction)
-    v_new = 2.0 * mean - v
-    if (v_new <= 0.0 and x1 <= c.x_e1) or (v_new >= 0.0 and x1 >= c.x_e1 + c.stroke_m):
-        v = a = 0.0  # the stop carries the load, and the bristles stay as they are
-    else:
-        a = (v_new - v) / h
-        v, z = v_new, z_new
-
-    # drift, second half
-    x1, v_drift, p1, p2 = _drift(x1, v, p1, p2, 0.5 * h, n, c)
-    return PlantState(x1, v_drift, p1, p2, z, y, ydot, a if v_drift == v else 0.0)
-
-
-def _drift(
-    x1: float, v: float, p1: float, p2: float, time_s: float, n: float, c: Cylinder
-) -> tuple[float, float, float, float]:
-    x = x1 + v * time_s
-    front = c.x_e1 + c.stroke_m
-    if x < c.x_e1 or x > front:
-        x = c.x_e1 if x < c.x_e1 else front
-        v = 0.0  # inelastic end stops
-    if x == x1:
-        return x, v, p1, p2
-    return x, v, p1 * (x1 / x) ** n, p2 * ((c.L - x1) / (c.L - x)) ** n
+        # velocity and bristles under the mean force
+        force = 0.5 * (before + p1 * A1 - p2 * A2) - load
+        mean, z_new = slide(v, z, v + 0.5 * h * a, force, M, h, friction)
+        v_new = 2.0 * mean - v
+        if (v_new <= 0.0 and x1 <= rear) or (v_new >= 0.0 and x1 >= front):
+            v = a = 0.0  # the stop carries the load, and the bristles stay as they are
+        else:
+            a = (v_new - v) / h
+            v, z = v_new, z_new
+    return PlantState(x1, v, p1, p2, z, command_v + e, ydot, a)

@@ -13,8 +13,8 @@ from pneud.control.baselines import Law, LawState, act_any
 from pneud.control.baselines import begin as begin_law
 from pneud.control.reference import Sine, sine
 from pneud.control.step import Controller, ControllerState, act, join, observe
+from pneud.physics.gas import signed_flow
 from pneud.physics.valve import opening
-from pneud.plant.chamber import inflow
 from pneud.plant.dynamics import PlantState, advance
 from pneud.plant.parameters import PlantParameters
 from pneud.plant.sensors import quantised
@@ -89,7 +89,7 @@ def run_sine(
 def supply_flow_kg_s(rig: PlantState, p: PlantParameters) -> float:
     """Mass flow out of the supply."""
     u = opening(rig.y, p.valve)
-    flow, _ = inflow(rig.p1 if u > 0.0 else rig.p2, p.gas.supply_pa, False, p.gas)
+    flow = max(0.0, signed_flow(p.gas.supply_pa, rig.p1 if u > 0.0 else rig.p2, p.gas))
     return p.cylinder.c1 * abs(u) * flow / (p.gas.k * p.gas.R * p.gas.temperature_k)
 
 
