@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 from google.protobuf.message import DecodeError
 from mcap.opcode import Opcode
@@ -23,6 +24,17 @@ from pneud.log.framing import (
 )
 from pneud.log.records import LoggedEvent, LoggedTick, unpack, unpack_event
 from pneud.log.schema import EVENTS, FRAMES, METADATA, SCHEMA, SETUP, TICK, TIMING
+
+
+class RawTick(NamedTuple):
+    """The messages of one tick, as they stand in the log."""
+
+    number: int  # counts the records of the loop from 1; a gap is where records were dropped
+    log_time_ns: int  # Unix
+    schema: str  # name of the tick's message, which tells the level of detail
+    tick: bytes
+    frames: bytes
+    timing: bytes
 
 
 class LogReader:
@@ -66,11 +78,29 @@ class LogReader:
 
     def __iter__(self) -> Iterator[LoggedTick]:
         """The ticks in their order. `truncated`, `damage` and `missing` are valid when it ends."""
+        for raw in self.raw():
+            if isinstance(raw, LoggedEvent):
+                continue
+            try:
+                tick = unpack(*raw)
+            except (DecodeError, KeyError, ValueError) as e:
+                self.damaged_at(raw.number, e)
+                return
+            yield tick
+
+    def raw(self) -> Iterator[RawTick | LoggedEvent]:
+        """Ticks as bytes, and events, in the order of the file; otherwise as an iteration over the ticks."""
         self.missing = 0
         waiting: dict[str, bytes] = {}
         current, last = -1, 0
         for topic, schema, message in self._messages():
             if topic == EVENTS:
+                try:
+                    event = unpack_event(message.log_time_ns, message.data)
+                except (DecodeError, ValueError) as e:
+                    self._damaged(f"damaged in an event: {e}")
+                    return
+                yield event
                 continue
             if message.sequence != current:
                 current = message.sequence
@@ -81,26 +111,26 @@ class LogReader:
             if len(waiting) < 3:
                 continue
             try:
-                tick = unpack(
+                raw = RawTick(
                     current, message.log_time_ns, tick_schema, waiting[TICK], waiting[FRAMES], waiting[TIMING]
                 )
-            except (DecodeError, KeyError, ValueError) as e:
-                self._damaged(f"damaged in record {current}: {e}")
+            except KeyError as e:
+                self.damaged_at(current, e)
                 return
             self.missing += max(0, current - last - 1)
             last = current
             waiting = {}
-            yield tick
+            yield raw
+
+    def damaged_at(self, number: int, why: Exception) -> None:
+        """Note that a record cannot be decoded."""
+        self._damaged(f"damaged in record {number}: {why}")
 
     def events(self) -> Iterator[LoggedEvent]:
         """What happened, in words."""
-        for topic, _, message in self._messages():
-            if topic == EVENTS:
-                try:
-                    yield unpack_event(message.log_time_ns, message.data)
-                except (DecodeError, ValueError) as e:
-                    self._damaged(f"damaged in an event: {e}")
-                    return
+        for raw in self.raw():
+            if isinstance(raw, LoggedEvent):
+                yield raw
 
     def _damaged(self, words: str) -> None:
         self.truncated = True

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import struct
 import zlib
+from collections.abc import Iterator
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -66,7 +67,7 @@ def zigzag(n: int) -> bytes:
     return varint(n << 1 if n >= 0 else (-n << 1) - 1)
 
 
-class _TickLayout:
+class TickLayout:
     """A message of fixed length as one `struct`: constant bytes and values by turns."""
 
     def __init__(self, detail: Detail) -> None:
@@ -74,19 +75,21 @@ class _TickLayout:
         self._class = message_class(f"pneud.{name}")
         constants: list[bytes] = []
         codes: list[str] = []
+        names: list[str] = []
         pending = b""
 
-        def walk(fields: list[Field]) -> None:
+        def walk(fields: list[Field], group: str = "") -> None:
             nonlocal pending
             for number, field in enumerate(fields, start=1):
                 if field.type == F.TYPE_MESSAGE:
                     inner = nested[field.of.rpartition(".")[2]]
                     pending += varint(number << 3 | 2) + varint(_size(inner))
-                    walk(inner)
+                    walk(inner, f"{field.name}.")
                 else:
                     wire, code = _CODES[field.type]
                     constants.append(pending + varint(number << 3 | wire))
                     codes.append(code)
+                    names.append(group + field.name)
                     pending = b""
 
         walk(fields[:-1])
@@ -95,10 +98,12 @@ class _TickLayout:
         )
         self._codes = tuple(codes)
         self._constants = tuple(constants)
+        self.names = tuple(names)  # such as estimate.force_n
         self._template: list[bytes | float] = [b""] * (2 * len(codes))
         self._template[::2] = constants
 
     def pack(self, values: tuple[float, ...]) -> bytes:
+        """The message without a request."""
         arguments = self._template.copy()
         arguments[1::2] = values
         try:
@@ -111,6 +116,7 @@ class _TickLayout:
             return self._struct.pack(*arguments)
 
     def unpack(self, data: bytes) -> tuple[Any, ...]:
+        """The values in their order, and the request or None behind them."""
         if len(data) == self._struct.size:
             items = self._struct.unpack(data)
             if items[::2] == self._constants:
@@ -132,6 +138,10 @@ class _TickLayout:
             Request(t.request.kind, tuple(t.request.values)) if t.request.kind else None,
         )
 
+    def parts(self) -> Iterator[tuple[str, bytes, str]]:
+        """Name, constant bytes before it and `struct` code of each value, in their order."""
+        return zip(self.names, self._constants, self._codes, strict=True)
+
 
 def _as_float(value: float) -> float:
     try:
@@ -148,7 +158,7 @@ def _size(fields: list[Field]) -> int:
     )
 
 
-_LAYOUTS = {"pneud.Tick": _TickLayout("compact"), "pneud.FullTick": _TickLayout("full")}
+LAYOUTS = {"pneud.Tick": TickLayout("compact"), "pneud.FullTick": TickLayout("full")}
 
 
 def _request(request: Request) -> bytes:
@@ -163,7 +173,7 @@ class Packer:
     """Packs records at one level of detail."""
 
     def __init__(self, detail: Detail) -> None:
-        self._layout = _LAYOUTS["pneud.Tick" if detail == "compact" else "pneud.FullTick"]
+        self._layout = LAYOUTS["pneud.Tick" if detail == "compact" else "pneud.FullTick"]
         self._ids: dict[int, bytes] = {}
 
     def tick(self, record: Record) -> bytes:
@@ -323,11 +333,10 @@ def unpack(
     Raises:
         google.protobuf.message.DecodeError: not such messages.
     """
-    v = _LAYOUTS[schema].unpack(tick)
-    f = _Frames.FromString(frames)
+    v = LAYOUTS[schema].unpack(tick)
     t_ns = v[0]
-    new = tuple.__new__  # half the time of Frame(…)
     state, present, latched, answer, truth_m, check, request = v[_S:]
+    received, before, sent = unpack_frames(frames, t_ns)
     return LoggedTick(
         number,
         log_time_ns,
@@ -342,9 +351,25 @@ def unpack(
         latched,
         answer,
         check,
+        received,
+        before,
+        sent,
+        unpack_timing(timing),
+        truth_m,
+    )
+
+
+def unpack_frames(data: bytes, t_ns: int) -> tuple[tuple[Frame, ...], int, tuple[Frame, ...]]:
+    """Frames received, how many of them before SYNC left, and those sent, from a message of `/can/frames`."""
+    f = _Frames.FromString(data)
+    new = tuple.__new__  # half the time of Frame(…)
+    return (
         tuple([new(Frame, (t_ns + r.stamp_after_t_ns, r.can_id, r.data)) for r in f.received]),
         f.before,
         tuple([new(Frame, (t_ns + r.stamp_after_t_ns, r.can_id, r.data)) for r in f.sent]),
-        Timing._make(_timing(_Timing.FromString(timing))),
-        truth_m,
     )
+
+
+def unpack_timing(data: bytes) -> Timing:
+    """What a message of `/loop/timing` says."""
+    return Timing._make(_timing(_Timing.FromString(data)))

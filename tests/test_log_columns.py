@@ -1,0 +1,137 @@
+"""Blocks of columns say the same as the ticks one by one."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from log_samples import any_record, noisy, write_log
+from pneud.log import columns
+from pneud.log.columns import AFTER, BEFORE, SENT, blocks
+from pneud.log.header import Detail
+from pneud.log.reader import LogReader, RawTick, read_log
+from pneud.log.records import LoggedEvent, LoggedTick
+from pneud.log.schema import message_class
+from pneud.signals import Record, Request, RequestKind
+
+
+def same(one: Any, other: Any) -> bool:
+    return bool(one == other) or (one != one and other != other)
+
+
+def check(block: columns.Block, ticks: list[LoggedTick]) -> None:
+    place = 0
+    requests = dict(block.requests)
+    for i, tick in enumerate(ticks):
+        assert block.number[i] == tick.number
+        assert block.log_time_ns[i] == tick.log_time_ns
+        assert requests.get(i) == tick.request or same(repr(requests.get(i)), repr(tick.request))
+        for name in block.ticks.dtype.names or ():
+            group, _, field = name.rpartition(".")
+            value = getattr(getattr(tick, group) if group else tick, field)
+            assert same(block.ticks[name][i].item(), value), name
+        assert tuple(block.timing[i].tolist()) == tuple(tick.timing)
+        for order, frame in enumerate((*tick.frames, *tick.sent)):
+            part = BEFORE if order < tick.before else AFTER
+            found = tuple(int(column[place]) for column in block.frames)
+            word = int.from_bytes(frame.data, "little")
+            expected = (i, frame.stamp_ns, frame.can_id, len(frame.data), word)
+            assert found == (*expected, SENT if order >= len(tick.frames) else part)
+            place += 1
+    assert place == len(block.frames.tick)
+
+
+@pytest.mark.parametrize("detail", ["compact", "full"])
+def test_blocks_are_the_ticks(tmp_path: Path, detail: Detail) -> None:
+    records = list(noisy(60))
+    request = Request(int(RequestKind.ARM), (1.0,))
+    records[7] = records[7]._replace(tick=records[7].tick._replace(request=request))
+    write_log(tmp_path / "x.mcap", records, detail)
+    log = read_log(tmp_path / "x.mcap")
+    found = list(blocks(log, 25))
+    ticks = list(log)
+    assert [len(b.number) for b in found] == [25, 25, 10]
+    for number, block in enumerate(found):
+        check(block, ticks[25 * number : 25 * number + 25])
+    assert [b.requests for b in found] == [((7, request),), (), ()]
+    assert [e for b in found for e in b.events] == list(log.events())
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(records=st.lists(any_record(), min_size=1, max_size=4))
+def test_any_record(tmp_path: Path, records: list[Record]) -> None:
+    path = tmp_path / "x.mcap"
+    path.unlink(missing_ok=True)
+    write_log(path, records)
+    log = read_log(path)
+    found, ticks = list(blocks(log)), list(log)
+    if ticks:
+        check(found[0], ticks)
+
+
+def test_messages_in_another_order_of_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tool that wrote the messages anew may leave out zeros and order the fields as it likes."""
+    write_log(tmp_path / "x.mcap", list(noisy(20)))
+    log = read_log(tmp_path / "x.mcap")
+    ticks = list(log)
+
+    def turned(name: str, data: bytes) -> bytes:
+        message = message_class(name).FromString(data)
+        first = type(message)()
+        descriptor = message.DESCRIPTOR.fields[-2 if name == "pneud.FullTick" else -1]
+        rest = type(message)()
+        for field, value in message.ListFields():
+            target = first if field.number == descriptor.number else rest
+            if field.is_repeated:
+                getattr(target, field.name).extend(value)
+            elif field.message_type is not None:
+                getattr(target, field.name).CopyFrom(value)
+            else:
+                setattr(target, field.name, value)
+        joined: bytes = first.SerializeToString() + rest.SerializeToString()
+        return joined
+
+    raws = list(log.raw())
+
+    def every_third(_: LogReader) -> list[RawTick | LoggedEvent]:
+        return [
+            raw._replace(
+                tick=turned("pneud.FullTick", raw.tick),
+                frames=turned("pneud.Frames", raw.frames),
+                timing=turned("pneud.Timing", raw.timing),
+            )
+            if isinstance(raw, RawTick) and raw.number % 3 == 0
+            else raw
+            for raw in raws
+        ]
+
+    monkeypatch.setattr(LogReader, "raw", every_third)
+    (block,) = blocks(log)
+    check(block, ticks)
+
+
+def test_a_damaged_record_ends_the_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_log(tmp_path / "x.mcap", list(noisy(6)))
+    log = read_log(tmp_path / "x.mcap")
+    raws = [raw for raw in log.raw() if isinstance(raw, RawTick)]
+    raws[4] = raws[4]._replace(frames=b"\xff\xff")
+    monkeypatch.setattr(LogReader, "raw", lambda _: raws)
+    found = list(blocks(log, 2))
+    assert [len(b.number) for b in found] == [2, 2]
+    assert log.truncated
+    assert "record 5" in log.damage
+
+
+def test_reals_are_doubles(tmp_path: Path) -> None:
+    write_log(tmp_path / "x.mcap", list(noisy(5)), "compact")
+    (block,) = blocks(read_log(tmp_path / "x.mcap"))
+    force = block.real("estimate.force_n")
+    assert force.dtype == float
+    assert all(math.isfinite(x) for x in force)
+    assert all(a < b for a, b in pairwise(block.ticks["t_ns"].tolist()))
