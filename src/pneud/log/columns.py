@@ -173,7 +173,7 @@ def _timing(messages: Sequence[bytes]) -> Ints:
     return found
 
 
-# index of the tick, place within its part of the message, stamp after t_ns, identifier, length, data, 1 if sent
+# index of the tick, place within its part of the message, stamp after t_ns, identifier, length, data, if sent
 _Rows = list[tuple[Ints, Ints, Ints, Ints, Ints, NDArray[np.uint64], Ints]]
 _NONE = np.zeros(0, dtype=np.int64)
 
