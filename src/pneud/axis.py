@@ -15,6 +15,8 @@ from pneud.safety.checks import Limits
 from pneud.safety.faults import BLOCKS_ARM, NO_SENSORS, F
 from pneud.safety.output import CENTRED, OutputLimits, emit
 from pneud.safety.supervisor import INITIAL, Supervisor, advance, is_engaged, trip
+from pneud.safety.watch import INITIAL as WATCHFUL
+from pneud.safety.watch import Watch, watch
 from pneud.signals import (
     ALL_SOURCES,
     Answer,
@@ -67,6 +69,8 @@ class AxisState(NamedTuple):
     phase_ns: int  # when the phase began
     path: Way
     last_v: float  # last command that left
+    limited: int  # 1 where it was less than the law had asked for
+    watch: Watch
 
 
 class Axis:
@@ -75,7 +79,7 @@ class Axis:
     def __init__(self, parameters: AxisParameters) -> None:
         """An axis that has just been switched on."""
         self.parameters = parameters
-        self.state = AxisState(INITIAL, None, 0, 0, 0, 0, NONE, 0, NO_PATH, 0.0)
+        self.state = AxisState(INITIAL, None, 0, 0, 0, 0, NONE, 0, NO_PATH, 0.0, 0, WATCHFUL)
         self.failure: Exception | None = None  # the first exception in a cycle
 
     def freeze(self) -> AxisState:
@@ -105,7 +109,7 @@ class Axis:
             before = self.state.supervisor
             after = trip(before, bits, kind)
             self.state = self.state._replace(
-                supervisor=after, controller=None, t_ns=t_ns, phase=NONE, last_v=0.0
+                supervisor=after, controller=None, t_ns=t_ns, phase=NONE, last_v=0.0, limited=0
             )
             return Tick(
                 t_ns,
@@ -157,6 +161,10 @@ class Axis:
             read_ns = started_ns = sampled_ns
 
         present |= checks.measured(m, limits) | checks.of_host(m.host)
+        watched, found = watch(
+            state.watch, m, estimate, before.state, engaged, state.last_v, state.limited, limits
+        )
+        present |= found
         if controller is None:
             # sensors that never answer together are not lacking, but there is nothing to arm on
             present |= 0 if present & NO_SENSORS else 1 << F.UNSETTLED
@@ -166,7 +174,7 @@ class Axis:
                 present |= checks.unready(estimate, sampled_ns - started_ns, h)
         phase, phase_ns, path, reference = state.phase, state.phase_ns, state.path, NO_REFERENCE
         if engaged:
-            present |= checks.engaged(m, before.state, before.ticks, h, limits)
+            present |= checks.engaged(m, estimate, before.state, before.ticks, h, limits)
             if phase == JOINING and sampled_ns - phase_ns >= path.T * 1e9:
                 phase, phase_ns = FOLLOWING, phase_ns + round(path.T * 1e9)
             reference = _reference(phase, (sampled_ns - phase_ns) * 1e-9, path, p.reference)
@@ -196,6 +204,8 @@ class Axis:
             controller, answer = act(controller, estimate, reference, p.controller)
             law_v, s, ustar = answer.u_v, answer.s, answer.ustar
             command = emit(law_v, state.last_v, (1 + m.skipped) * h, p.output)
+            if command.saturated:
+                present |= 1 << F.SATURATED
             if command.faults:
                 after = trip(after, command.faults)
                 present |= command.faults
@@ -215,6 +225,8 @@ class Axis:
             phase_ns,
             path,
             command.voltage_v,
+            command.saturated,
+            watched,
         )
         return Tick(
             t_ns,

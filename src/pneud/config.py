@@ -105,12 +105,24 @@ class RealtimeConfig(Section):
 
 
 class FrameConfig(Section):
-    """One message of the DBC and its signals, by role."""
+    """One message of the DBC and its signals, by role.
+
+    `node` is the CANopen identifier of the device that sends it: its EMCY stops the axis, and so does the
+    loss of its heartbeat where `heartbeat_timeout_ms` is given.
+    """
 
     message: str
     signals: dict[str, str] = Field(default_factory=dict)
     counter: str | None = "Counter"
     crc: str | None = "Crc"
+    node: Annotated[int, Field(ge=1, le=127)] | None = None
+    heartbeat_timeout_ms: Annotated[float, Field(ge=1, le=60_000)] | None = None
+
+    @model_validator(mode="after")
+    def _heartbeat_of_a_node(self) -> FrameConfig:
+        if self.heartbeat_timeout_ms is not None and self.node is None:
+            raise ValueError("heartbeat_timeout_ms needs node, the device's CANopen identifier")
+        return self
 
 
 class FramesConfig(Section):
@@ -118,13 +130,13 @@ class FramesConfig(Section):
 
     sync: FrameConfig = FrameConfig(message="SYNC", crc=None)
     encoder: FrameConfig = FrameConfig(
-        message="ENCODER", signals={"position_m": "Position", "status": "Status", "age_s": "Age"}
+        message="ENCODER", signals={"position_m": "Position", "status": "Status", "age_s": "Age"}, node=1
     )
     pressure: FrameConfig = FrameConfig(
-        message="PRESSURE", signals={"p1_pa": "P1", "p2_pa": "P2", "supply_pa": "Supply"}
+        message="PRESSURE", signals={"p1_pa": "P1", "p2_pa": "P2", "supply_pa": "Supply"}, node=2
     )
     valve_status: FrameConfig = FrameConfig(
-        message="VALVE_STATUS", signals={"applied_v": "Applied", "state": "State"}
+        message="VALVE_STATUS", signals={"applied_v": "Applied", "state": "State"}, node=3
     )
     valve_command: FrameConfig = FrameConfig(
         message="VALVE_COMMAND", signals={"voltage_v": "Voltage", "enable": "Enable", "sequence": "Sequence"}
@@ -141,6 +153,7 @@ class BusConfig(Section):
     sensor_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0
     valve_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0
     deadline_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0
+    overload_timeout_ms: Annotated[float, Field(ge=1, le=10_000)] = 1000.0  # every tick after skipped ones
     command_delay_us: Annotated[float, Field(ge=0, le=10_000)] | None = None  # sampling → command acts
     frames: FramesConfig = FramesConfig()
 
@@ -271,6 +284,11 @@ class LimitsConfig(Section):
     supply_max_pa: Pressure
     slew_v_s: Annotated[float, Field(gt=0, le=1e6)]
     innovation_m: Positive = 2e-3  # encoder against prediction; further is a jump of the encoder
+    braking_m_s2: Positive = 10.0  # the deceleration that the axis can be relied on for
+    disagreement_n: Positive = 800.0  # force that pressures and acceleration may leave unexplained
+    saturation_s: Positive = 2.0
+    stuck_force_n: Positive = 200.0  # change of force that a load cannot bear without moving at all
+    stuck_travel_m: Positive = 5e-3  # travel that changes every chamber pressure
     transfer: TransferConfig = TransferConfig()
 
     @model_validator(mode="after")
@@ -377,7 +395,7 @@ class Config(Section):
         if not 0.0 <= x1 <= stroke:
             raise ValueError(f"plant.initial_x1_m = {self.plant.initial_x1_m:g} lies outside the stroke")
         period_ms = 1000.0 / self.loop.rate_hz
-        for key in ("sensor_timeout_ms", "valve_timeout_ms", "deadline_timeout_ms"):
+        for key in ("sensor_timeout_ms", "valve_timeout_ms", "deadline_timeout_ms", "overload_timeout_ms"):
             if getattr(self.bus, key) < 2.0 * period_ms:
                 raise ValueError(
                     f"bus.{key} = {getattr(self.bus, key):g} is shorter than two ticks ({2 * period_ms:g} ms)"

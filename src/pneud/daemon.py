@@ -6,6 +6,7 @@ nothing that formats text.
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import time
@@ -89,6 +90,8 @@ class Loop:
         self.present = 0
         self.refused = 0  # faults that showed only when the axis was asked to arm
         self.recorder_lost = False
+        self.disk_full = False
+        self.config_changed = False
         self._codecs = codecs
         self._recorder = recorder
         self._stop = False
@@ -135,6 +138,7 @@ class Loop:
         count = 0
         idle_ticks = 0
         failed_before = link.tx_failed
+        dropped_before = link.rx_dropped
         foreign_before = foreign_until = 0
         foreign_ticks = max(1, round(FOREIGN_S * o.rate_hz))
         record_ns = -1
@@ -171,12 +175,18 @@ class Loop:
                         time.sleep(max(0.0, (limit_ns - clock()) * 1e-9))
             set_ns = clock()
 
-            flags = host
+            flags = host | inbox.conditions
             if link.down:
                 flags |= Host.LINK_DOWN
+                inbox.bus_restarted()
+                if count % check_ticks == 0:
+                    link.reopen()
             if link.tx_failed != failed_before:
                 failed_before = link.tx_failed
                 flags |= Host.SEND_FAILED
+            if link.rx_dropped != dropped_before:
+                dropped_before = link.rx_dropped
+                flags |= Host.RECEIVE_OVERFLOW
             if step_ns:
                 flags |= Host.CLOCK_STEP
             if inbox.foreign != foreign_before:
@@ -188,6 +198,10 @@ class Loop:
                 self._check()
             if self.recorder_lost:
                 flags |= Host.RECORDER_LOST
+            if self.disk_full:
+                flags |= Host.DISK_FULL
+            if self.config_changed:
+                flags |= Host.CONFIG_CHANGED
             measurement = inbox.measurement(skipped, flags)
             request = self._request(tick, total)
             tick = axis.cycle(measurement, request, t_ns)
@@ -266,7 +280,10 @@ class Loop:
     def _check(self) -> None:
         """Look at what changes slowly: the recorder."""
         if self._recorder and not self.recorder_lost:
-            self.recorder_lost = self.ring.status().error != 0 or _gone(self._recorder)
+            status = self.ring.status()
+            self.disk_full = status.error == errno.ENOSPC
+            self.config_changed = status.config_changed != 0
+            self.recorder_lost = status.error not in (0, errno.ENOSPC) or _gone(self._recorder)
 
 
 def _gone(pid: int) -> bool:

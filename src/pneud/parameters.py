@@ -52,6 +52,15 @@ def motion_of(c: Config) -> MotionFilter:
     return kalman(m.encoder_noise_m, m.force_walk_n_rs, c.cylinder.moving_mass_kg, h, blind_m)
 
 
+def _swings_pa_m_s(c: Config) -> tuple[float, float]:
+    """Fastest change of each chamber's pressure by valve and piston together, times the chamber's length."""
+    g, k = gas_of(c), cylinder_of(c)
+    upstream_pa = max(c.limits.supply_max_pa, c.limits.chamber_max_pa)
+    flow = k.c1 * c.valve.u_max_v * g.gamma_choked * upstream_pa
+    moved = g.k * c.limits.chamber_max_pa * c.limits.speed_m_s
+    return flow / k.A1 + moved, flow / k.A2 + moved
+
+
 def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
     """Everything `Axis` needs.
 
@@ -110,8 +119,18 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
             round(c.bus.sensor_timeout_ms * 1e6),
             round(c.bus.valve_timeout_ms * 1e6),
             round(c.bus.deadline_timeout_ms * 1e6),
+            round(c.bus.overload_timeout_ms * 1e6),
             limits.innovation_m,
             limits.chamber_max_pa * c.cylinder.piston_area_1_m2 / c.cylinder.moving_mass_kg,
+            limits.braking_m_s2,
+            limits.disagreement_n,
+            round(limits.saturation_s * 1e9),
+            limits.stuck_force_n,
+            limits.stuck_travel_m,
+            c.cylinder.stroke_m,
+            c.cylinder.dead_length_1_m,
+            c.cylinder.dead_length_2_m,
+            *_swings_pa_m_s(c),
         ),
         reference=Sine(
             c.reference.effective_centre_m - c.cylinder.dead_length_1_m,

@@ -39,6 +39,14 @@ class Host(IntFlag):
     CLOCK_STEP = 8
     SEND_FAILED = 16
     OTHER_CONTROLLER = 32
+    EMERGENCY = 64
+    HEARTBEAT_LOST = 128
+    BUS_PASSIVE = 256
+    BUS_OFF = 512
+    IDENTIFIER_CLASH = 1024
+    DISK_FULL = 2048
+    CONFIG_CHANGED = 4096
+    RECEIVE_OVERFLOW = 8192
 
 
 class EncoderStatus(IntFlag):

@@ -10,15 +10,30 @@ import math
 from typing import Any, NamedTuple
 
 from pneud.bus.codec import Codec, Codecs
-from pneud.bus.wire import CAN_ERR_FLAG, wire_time_ns
+from pneud.bus.wire import (
+    CAN_ERR_FLAG,
+    ERR_BUS_OFF,
+    ERR_CONTROLLER,
+    ERR_NOT_PASSIVE,
+    ERR_PASSIVE,
+    ERR_RESTARTED,
+    wire_time_ns,
+)
 from pneud.config import BusConfig
-from pneud.signals import ALL_SOURCES, Defect, Frame, Measurement, Source
+from pneud.signals import ALL_SOURCES, Defect, Frame, Host, Measurement, Source
 
 NEVER_NS = 1 << 62  # the age of a source that has not been heard of yet
 
 _CORRUPT, _FROZEN, _LATE = int(Defect.CORRUPT), int(Defect.FROZEN), int(Defect.LATE)
 _EMCY_IDS = range(0x081, 0x100)
 _EMCY_BASE = 0x080
+_HEARTBEATS = range(0x701, 0x780)
+_HEARTBEAT_BASE = 0x700
+_OPERATIONAL, _BOOT = 5, 0  # NMT states in a heartbeat
+_SURPLUS = 8  # frames of one source, more or fewer than SYNC asked for, that are put down to delay and loss
+_EMERGENCY, _HEARTBEAT_LOST = int(Host.EMERGENCY), int(Host.HEARTBEAT_LOST)
+_BUS_PASSIVE, _BUS_OFF = int(Host.BUS_PASSIVE), int(Host.BUS_OFF)
+_CLASH = int(Host.IDENTIFIER_CLASH)
 
 
 class Counts(NamedTuple):
@@ -40,7 +55,7 @@ class Counts(NamedTuple):
 class _Origin:
     """What is known of one source."""
 
-    __slots__ = ("bit", "codec", "corrupt", "counter", "defects", "has_age", "sample_ns", "values")
+    __slots__ = ("bit", "codec", "corrupt", "counter", "defects", "has_age", "sample_ns", "surplus", "values")
 
     def __init__(self, bit: int, codec: Codec, unknown: tuple[float, ...], *, has_age: bool = False) -> None:
         self.bit = bit
@@ -49,6 +64,7 @@ class _Origin:
         self.counter = -1  # the last one seen
         self.corrupt = 0  # frames since then whose counter could not be believed
         self.defects = 0
+        self.surplus = 0  # frames beyond those that SYNC asked for
         self.sample_ns = -NEVER_NS
         self.values: tuple[Any, ...] = unknown
 
@@ -73,7 +89,8 @@ class Inbox:
         self._encoder = _Origin(int(Source.ENCODER), codecs.encoder, (nan, 0, 0.0), has_age=True)
         self._pressure = _Origin(int(Source.PRESSURE), codecs.pressure, (nan, nan, nan))
         self._valve = _Origin(int(Source.VALVE), codecs.valve_status, (nan, 0))
-        self._origins = {o.codec.can_id: o for o in (self._encoder, self._pressure, self._valve)}
+        self._sources = (self._encoder, self._pressure, self._valve)
+        self._origins = {o.codec.can_id: o for o in self._sources}
         self._own = frozenset((codecs.sync.can_id, codecs.valve_command.can_id))
         self._older_s = codecs.older_s
         self._sync = bus.sync
@@ -85,6 +102,15 @@ class Inbox:
         self._fresh = 0
         self._rx = self._lost = self._crc = self._stale = self._late = self._foreign = self._errors = 0
         self._emcy: dict[int, int] = {}
+        frames = (bus.frames.encoder, bus.frames.pressure, bus.frames.valve_status)
+        self._nodes = frozenset(f.node for f in frames if f.node is not None)
+        self._patience_ns = {
+            f.node: round(f.heartbeat_timeout_ms * 1e6)
+            for f in frames
+            if f.node is not None and f.heartbeat_timeout_ms is not None
+        }
+        self._due_ns: dict[int, int] = {}  # when the next heartbeat of each node is due
+        self.conditions = 0  # bits of Host: what nodes and controller report of themselves
 
     @property
     def complete(self) -> bool:
@@ -101,15 +127,29 @@ class Inbox:
         self._t_ns = t_ns
         if self._sync:
             self._not_before_ns = t_ns
+            clash = 0
+            for origin in self._sources:
+                if origin.surplus > -_SURPLUS:
+                    origin.surplus -= 1
+                    if origin.surplus > _SURPLUS:
+                        clash = _CLASH
+            self.conditions = self.conditions & ~_CLASH | clash
+        if self._patience_ns:
+            self._await_heartbeats(t_ns)
+
+    def bus_restarted(self) -> None:
+        """The interface went down: what its controller reported before no longer holds."""
+        self.conditions &= ~(_BUS_PASSIVE | _BUS_OFF)
 
     def feed(self, frame: Frame) -> None:
         """Take one received frame, whatever it is."""
         stamp_ns, can_id, data = frame
         origin = self._origins.get(can_id)
         if origin is None:
-            self._feed_other(can_id, data)
+            self._feed_other(stamp_ns, can_id, data)
             return
         self._rx += 1
+        origin.surplus += 1
         codec = origin.codec
         if not codec.valid(data):
             self._crc += 1
@@ -199,12 +239,47 @@ class Inbox:
             tuple(sorted(self._emcy.items())),
         )
 
-    def _feed_other(self, can_id: int, data: bytes) -> None:
+    def _feed_other(self, stamp_ns: int, can_id: int, data: bytes) -> None:
         if can_id & CAN_ERR_FLAG:
             self._errors += 1
+            self._feed_error(can_id, data)
             return
         self._rx += 1
         if can_id in self._own:
             self._foreign += 1
         elif can_id in _EMCY_IDS and len(data) >= 2:
             self._emcy[can_id - _EMCY_BASE] = int.from_bytes(data[:2], "little")
+            self._find_emergencies()
+        elif can_id in _HEARTBEATS and data:
+            self._feed_heartbeat(stamp_ns, can_id - _HEARTBEAT_BASE, data[0] & 0x7F)
+
+    def _feed_error(self, can_id: int, data: bytes) -> None:
+        """What the CAN controller reports of itself."""
+        if can_id & ERR_RESTARTED:
+            self.conditions &= ~(_BUS_PASSIVE | _BUS_OFF)
+        if can_id & ERR_BUS_OFF:
+            self.conditions |= _BUS_OFF
+        if can_id & ERR_CONTROLLER and len(data) > 1:
+            if data[1] & ERR_PASSIVE:
+                self.conditions |= _BUS_PASSIVE
+            elif data[1] & ERR_NOT_PASSIVE:
+                self.conditions &= ~_BUS_PASSIVE
+
+    def _feed_heartbeat(self, stamp_ns: int, node: int, state: int) -> None:
+        if state == _BOOT and self._emcy.pop(node, 0):
+            self._find_emergencies()
+        if node in self._patience_ns:
+            # one that is not operational is as good as none
+            self._due_ns[node] = stamp_ns + self._patience_ns[node] if state == _OPERATIONAL else -NEVER_NS
+
+    def _await_heartbeats(self, t_ns: int) -> None:
+        late = False
+        for node, patience_ns in self._patience_ns.items():
+            late = late or t_ns > self._due_ns.setdefault(node, t_ns + patience_ns)
+        self._set(_HEARTBEAT_LOST, late)
+
+    def _find_emergencies(self) -> None:
+        self._set(_EMERGENCY, any(self._emcy.get(node, 0) for node in self._nodes))
+
+    def _set(self, condition: int, holds: bool) -> None:
+        self.conditions = self.conditions | condition if holds else self.conditions & ~condition

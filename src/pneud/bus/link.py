@@ -68,6 +68,7 @@ class Link:
         self._descriptors = [carrier.fileno()]
         self._drain = carrier.drain
         self._transmit = carrier.send
+        self._socketcan = carrier if isinstance(carrier, SocketCan) else None
 
     def __enter__(self) -> Link:
         return self
@@ -78,7 +79,7 @@ class Link:
     @property
     def rx_dropped(self) -> int:
         """Frames lost because this link was not drained in time, where the kernel counts them (SocketCAN)."""
-        return self._carrier.dropped if isinstance(self._carrier, SocketCan) else 0
+        return self._socketcan.dropped if self._socketcan is not None else 0
 
     @property
     def peers_dropped(self) -> int:
@@ -147,6 +148,16 @@ class Link:
             return 0
         self.realtime_offset_ns += step
         return step
+
+    def reopen(self) -> bool:
+        """Find the interface of a link that is down again: one that was removed and made anew has its name only.
+
+        An interface that only went down and up needs none of this. It asks the kernel, so not in every tick.
+
+        Returns:
+            Whether the link leads to an interface.
+        """
+        return self._socketcan is None or self._socketcan.bind()
 
     def close(self) -> None:
         """Leave the bus; in a forked copy of the process only the copy's descriptors."""

@@ -43,6 +43,7 @@ class SocketCan:
             SocketCanError: no SocketCAN, no such interface, not up, no permission.
         """
         self._reader = wire.Reader()
+        self._name, self._virtual = interface, virtual
         self._check(interface, virtual)
         try:
             self._socket = socket.socket(
@@ -85,6 +86,18 @@ class SocketCan:
             OSError: it has no room for it, or the interface is down or gone.
         """
         self._socket.send(packet, _SEND_FLAGS)
+
+    def bind(self) -> bool:
+        """Bind to whatever interface now has the name, if there is one that may be used.
+
+        A socket loses its interface when that is removed, and keeps everything else.
+        """
+        try:
+            self._check(self._name, self._virtual)
+            self._socket.bind((self._name,))
+        except (OSError, SocketCanError):
+            return False
+        return True
 
     def close(self) -> None:
         """Leave the bus."""

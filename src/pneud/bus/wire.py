@@ -18,6 +18,10 @@ CAN_FLAGS = CAN_EFF_FLAG | CAN_RTR_FLAG | CAN_ERR_FLAG
 
 PACKET = struct.Struct("=IB3x8s")
 
+# what the controller's report of an error says: bits of the identifier, and of the second byte
+ERR_CONTROLLER, ERR_BUS_OFF, ERR_RESTARTED = 0x004, 0x040, 0x100
+ERR_PASSIVE, ERR_NOT_PASSIVE = 0x30, 0x4C  # passive; warning or active, so passive no longer
+
 FRAME_BITS = 47  # of a standard frame without data, interframe space included
 STUFFING = 1.1
 

@@ -19,10 +19,11 @@ if TYPE_CHECKING:
     from pneud.log.writer import LogWriter
 
 _POLL_S = 0.02
+_LOOK_POLLS = 50  # how often the watched files are looked at
 _NICE = 5
 
 
-def start_recorder(ring: Ring, descriptor: int, header: LogHeader) -> int:
+def start_recorder(ring: Ring, descriptor: int, header: LogHeader, files: tuple[Path, ...] = ()) -> int:
     """Fork the recorder.
 
     It finishes by itself when the ring is closed or this process dies, however it dies.
@@ -31,6 +32,7 @@ def start_recorder(ring: Ring, descriptor: int, header: LogHeader) -> int:
         ring: what to read; nothing may have been put yet.
         descriptor: of the new file, open for writing; closed here.
         header: what the log says about its run.
+        files: what the run began with; it is watched whether they stay as they are.
 
     Returns:
         The child's process id; wait for it after `ring.set_closed()`.
@@ -46,7 +48,7 @@ def start_recorder(ring: Ring, descriptor: int, header: LogHeader) -> int:
     status = 1
     try:
         _leave_the_parents_files(descriptor)
-        status = recorder_main(ring, descriptor, header, parent)
+        status = recorder_main(ring, descriptor, header, parent, files)
     finally:
         os._exit(status)
 
@@ -63,7 +65,9 @@ def _leave_the_parents_files(keep: int) -> None:
     os.close(null)
 
 
-def recorder_main(ring: Ring, descriptor: int, header: LogHeader, parent: int) -> int:
+def recorder_main(
+    ring: Ring, descriptor: int, header: LogHeader, parent: int, files: tuple[Path, ...] = ()
+) -> int:
     """Record until the ring is closed or the parent is gone, then finish the file.
 
     Args:
@@ -71,6 +75,7 @@ def recorder_main(ring: Ring, descriptor: int, header: LogHeader, parent: int) -
         descriptor: of the new file; closed here.
         header: what the log says about its run.
         parent: process id of the loop.
+        files: to be watched.
 
     Returns:
         Exit status: 0, or 1 if records are missing or the file is incomplete.
@@ -83,7 +88,7 @@ def recorder_main(ring: Ring, descriptor: int, header: LogHeader, parent: int) -
         # protobuf and MCAP are loaded here, beside the loop's own start, while the ring keeps what comes
         from pneud.log.writer import LogWriter  # noqa: PLC0415
 
-        return _Recorder(ring, LogWriter(descriptor, header), parent).run()
+        return _Recorder(ring, LogWriter(descriptor, header), parent, files).run()
     except Exception:
         traceback.print_exc(file=sys.stderr)
         ring.set_status(ring.status()._replace(error=RECORDER_FAILED))
@@ -91,7 +96,7 @@ def recorder_main(ring: Ring, descriptor: int, header: LogHeader, parent: int) -
 
 
 class _Recorder:
-    def __init__(self, ring: Ring, writer: LogWriter, parent: int) -> None:
+    def __init__(self, ring: Ring, writer: LogWriter, parent: int, files: tuple[Path, ...]) -> None:
         self._ring = ring
         self._reader: RingReader = ring.reader()
         self._writer = writer
@@ -99,6 +104,8 @@ class _Recorder:
         self._dropped = 0
         self._noted = False
         self._heartbeat = 0
+        self._files = {path: _content(path) for path in files}
+        self._changed = False
 
     def run(self) -> int:
         self._report()
@@ -127,6 +134,8 @@ class _Recorder:
             missed = 0
 
     def _report(self, *, finished: bool = False) -> None:
+        if self._heartbeat % _LOOK_POLLS == 0:
+            self._changed = any(_content(path) != content for path, content in self._files.items())
         self._heartbeat += 1
         w = self._writer
         self._ring.set_status(
@@ -138,5 +147,13 @@ class _Recorder:
                 w.error,
                 int(finished),
                 w.file_bytes,
+                int(self._changed),
             )
         )
+
+
+def _content(path: Path) -> bytes | None:
+    try:
+        return path.read_bytes()
+    except OSError:
+        return None

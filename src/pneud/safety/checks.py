@@ -28,6 +28,14 @@ _HOST = (
     (int(Host.CLOCK_STEP), 1 << F.CLOCK_STEP),
     (int(Host.SEND_FAILED), 1 << F.SEND_FAILED),
     (int(Host.OTHER_CONTROLLER), 1 << F.OTHER_CONTROLLER),
+    (int(Host.EMERGENCY), 1 << F.EMERGENCY),
+    (int(Host.HEARTBEAT_LOST), 1 << F.HEARTBEAT_LOST),
+    (int(Host.BUS_PASSIVE), 1 << F.BUS_PASSIVE),
+    (int(Host.BUS_OFF), 1 << F.BUS_OFF),
+    (int(Host.IDENTIFIER_CLASH), 1 << F.IDENTIFIER_CLASH),
+    (int(Host.DISK_FULL), 1 << F.DISK_FULL),
+    (int(Host.CONFIG_CHANGED), 1 << F.CONFIG_CHANGED),
+    (int(Host.RECEIVE_OVERFLOW), 1 << F.RECEIVE_OVERFLOW),
 )
 
 
@@ -45,8 +53,21 @@ class Limits(NamedTuple):
     sensor_timeout_ns: int
     valve_timeout_ns: int
     deadline_timeout_ns: int
+    overload_ns: int
     innovation_m: float
     acceleration_m_s2: float  # the most that the pressures could give the load
+    braking_m_s2: float
+    disagreement_n: float
+    saturation_ns: int
+    stuck_force_n: float
+    stuck_travel_m: float
+    stroke_m: float
+    dead_length_1_m: float
+    dead_length_2_m: float
+    swing_1_pa_m_s: float  # fastest change of p1 that valve and piston can make, times the chamber's length
+    swing_2_pa_m_s: float
+    disagreement_ns: int = 20_000_000
+    supply_ns: int = 10_000_000
 
 
 def lacking(m: Measurement, limits: Limits) -> int:
@@ -129,11 +150,12 @@ def believed(e: Estimate, reading_interval_s: float, limits: Limits) -> int:
     return bits
 
 
-def engaged(m: Measurement, state: int, ticks: int, h: float, limits: Limits) -> int:
+def engaged(m: Measurement, e: Estimate, state: int, ticks: int, h: float, limits: Limits) -> int:
     """Faults that mean something only while the valve is enabled.
 
     Args:
         m: the measurement.
+        e: the estimate.
         state: of the last tick, an engaged one.
         ticks: in that state.
         h: sample time [s].
@@ -144,8 +166,15 @@ def engaged(m: Measurement, state: int, ticks: int, h: float, limits: Limits) ->
         bits |= 1 << F.DEADLINE
     if ticks * h * 1e9 > limits.valve_timeout_ns and m.valve_state in _DISABLED:
         bits |= 1 << F.VALVE_REBOOTED
-    if state != State.HOMING and not m.encoder_status & _REFERENCED:
-        bits |= 1 << F.ENCODER_LOST_REFERENCE
+    if state != State.HOMING:
+        if not m.encoder_status & _REFERENCED:
+            bits |= 1 << F.ENCODER_LOST_REFERENCE
+        v = e.velocity_m_s
+        braking_m = 0.5 * v * v / limits.braking_m_s2
+        if (v > 0.0 and e.position_m + braking_m > limits.travel_max_m) or (
+            v < 0.0 and e.position_m - braking_m < limits.travel_min_m
+        ):
+            bits |= 1 << F.BRAKING_DISTANCE
     return bits
 
 

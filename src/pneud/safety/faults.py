@@ -14,6 +14,7 @@ class Reaction(Enum):
     """What a fault does; each stronger one includes the weaker."""
 
     WARN = "shown and logged"
+    LIMIT = "limit active"
     NO_ARM = "cannot arm"
     STOP = "controlled stop"
     CENTRE = "centre at once"
@@ -60,20 +61,51 @@ class F(IntEnum):
     UNREACHABLE = 35
     VALVE_ACTIVE = 36
     OTHER_CONTROLLER = 37
+    SATURATED = 38
+    SATURATED_LONG = 39
+    BRAKING_DISTANCE = 40
+    SUPPLY_FALLING = 41
+    FORCE_DISAGREES = 42
+    VALVE_DISAGREES = 43
+    ENCODER_STUCK = 44
+    PRESSURE_STUCK = 45
+    PRESSURE_JUMP = 46
+    SEND_BLOCKED = 47
+    OVERLOADED = 48
+    EMERGENCY = 49
+    HEARTBEAT_LOST = 50
+    BUS_PASSIVE = 51
+    BUS_OFF = 52
+    IDENTIFIER_CLASH = 53
+    DISK_FULL = 54
+    CONFIG_CHANGED = 55
+    RECEIVE_OVERFLOW = 56
 
 
 class Fault(NamedTuple):
-    """One row of the table."""
+    """One row of the table.
+
+    `debounce` names the field of `checks.Limits` for how long it has to last before it counts; without, the
+    first tick counts. `clears` says when it is no longer present, where that is not simply when what is
+    named in `when` is over.
+    """
 
     bit: F
     reaction: Reaction
     when: str
     cure: str
+    debounce: str = ""
+    clears: str = ""
 
     @property
     def name(self) -> str:
         """The name in logs, JSON and on the screen."""
         return self.bit.name.lower()
+
+    @property
+    def latches(self) -> bool:
+        """Whether it holds the axis in FAULT until it is cleared."""
+        return self.reaction in (Reaction.STOP, Reaction.CENTRE)
 
 
 _WIRING = "check the node's power, its wiring and the bus termination"
@@ -82,12 +114,24 @@ _NODE = "power-cycle the node; it repeats itself"
 _TIMING = "check the node's configuration (it has to answer SYNC) and the bus load"
 
 TABLE: tuple[Fault, ...] = (
+    Fault(F.ENCODER_MISSING, Reaction.CENTRE, "no encoder frame", _WIRING, "sensor_timeout_ns"),
     Fault(
-        F.ENCODER_MISSING, Reaction.CENTRE, "no encoder frame for longer than bus.sensor_timeout_ms", _WIRING
+        F.ENCODER_CORRUPT,
+        Reaction.CENTRE,
+        "only encoder frames with a wrong CRC",
+        _NOISE,
+        "sensor_timeout_ns",
     ),
-    Fault(F.ENCODER_CORRUPT, Reaction.CENTRE, "only encoder frames with a wrong CRC for as long", _NOISE),
-    Fault(F.ENCODER_FROZEN, Reaction.CENTRE, "the encoder's counter stands still for as long", _NODE),
-    Fault(F.ENCODER_LATE, Reaction.CENTRE, "only encoder frames sampled before SYNC for as long", _TIMING),
+    Fault(
+        F.ENCODER_FROZEN, Reaction.CENTRE, "the encoder's counter stands still", _NODE, "sensor_timeout_ns"
+    ),
+    Fault(
+        F.ENCODER_LATE,
+        Reaction.CENTRE,
+        "only encoder frames sampled before SYNC",
+        _TIMING,
+        "sensor_timeout_ns",
+    ),
     Fault(
         F.ENCODER_ERROR,
         Reaction.CENTRE,
@@ -98,12 +142,31 @@ TABLE: tuple[Fault, ...] = (
     Fault(
         F.PRESSURE_MISSING,
         Reaction.CENTRE,
-        "no pressure frame for longer than bus.sensor_timeout_ms",
+        "no pressure frame",
         _WIRING,
+        "sensor_timeout_ns",
     ),
-    Fault(F.PRESSURE_CORRUPT, Reaction.CENTRE, "only pressure frames with a wrong CRC for as long", _NOISE),
-    Fault(F.PRESSURE_FROZEN, Reaction.CENTRE, "the pressure node's counter stands still for as long", _NODE),
-    Fault(F.PRESSURE_LATE, Reaction.CENTRE, "only pressure frames sampled before SYNC for as long", _TIMING),
+    Fault(
+        F.PRESSURE_CORRUPT,
+        Reaction.CENTRE,
+        "only pressure frames with a wrong CRC",
+        _NOISE,
+        "sensor_timeout_ns",
+    ),
+    Fault(
+        F.PRESSURE_FROZEN,
+        Reaction.CENTRE,
+        "the pressure node's counter stands still",
+        _NODE,
+        "sensor_timeout_ns",
+    ),
+    Fault(
+        F.PRESSURE_LATE,
+        Reaction.CENTRE,
+        "only pressure frames sampled before SYNC",
+        _TIMING,
+        "sensor_timeout_ns",
+    ),
     Fault(
         F.CHAMBER_PRESSURE,
         Reaction.CENTRE,
@@ -116,10 +179,24 @@ TABLE: tuple[Fault, ...] = (
         "the supply pressure lies outside limits.supply",
         "open the supply; check the regulator and the compressor",
     ),
-    Fault(F.VALVE_MISSING, Reaction.CENTRE, "no valve status for longer than bus.sensor_timeout_ms", _WIRING),
-    Fault(F.VALVE_CORRUPT, Reaction.CENTRE, "only valve status frames with a wrong CRC for as long", _NOISE),
-    Fault(F.VALVE_FROZEN, Reaction.CENTRE, "the valve node's counter stands still for as long", _NODE),
-    Fault(F.VALVE_LATE, Reaction.CENTRE, "only valve status frames sampled before SYNC for as long", _TIMING),
+    Fault(F.VALVE_MISSING, Reaction.CENTRE, "no valve status", _WIRING, "sensor_timeout_ns"),
+    Fault(
+        F.VALVE_CORRUPT,
+        Reaction.CENTRE,
+        "only valve status frames with a wrong CRC",
+        _NOISE,
+        "sensor_timeout_ns",
+    ),
+    Fault(
+        F.VALVE_FROZEN, Reaction.CENTRE, "the valve node's counter stands still", _NODE, "sensor_timeout_ns"
+    ),
+    Fault(
+        F.VALVE_LATE,
+        Reaction.CENTRE,
+        "only valve status frames sampled before SYNC",
+        _TIMING,
+        "sensor_timeout_ns",
+    ),
     Fault(
         F.VALVE_TIMED_OUT,
         Reaction.CENTRE,
@@ -137,6 +214,7 @@ TABLE: tuple[Fault, ...] = (
         Reaction.CENTRE,
         "the valve node is not enabled although the axis is engaged",
         "check the valve node's supply voltage",
+        "valve_timeout_ns",
     ),
     Fault(
         F.TRAVEL,
@@ -166,8 +244,9 @@ TABLE: tuple[Fault, ...] = (
     Fault(
         F.DEADLINE,
         Reaction.CENTRE,
-        "no tick ran for longer than bus.deadline_timeout_ms",
+        "no tick ran while the axis was engaged",
         "see pneud doctor for what delays this machine",
+        "deadline_timeout_ns",
     ),
     Fault(
         F.LINK_DOWN,
@@ -199,13 +278,21 @@ TABLE: tuple[Fault, ...] = (
         Reaction.WARN,
         "the machine's wall clock was set",
         "none needed; log times follow the old clock",
+        clears="with the next tick",
     ),
-    Fault(F.SEND_FAILED, Reaction.WARN, "a frame could not be sent", "check txqueuelen and the bus load"),
+    Fault(
+        F.SEND_FAILED,
+        Reaction.WARN,
+        "a frame could not be sent",
+        "check txqueuelen and the bus load",
+        clears="with the next tick",
+    ),
     Fault(
         F.ENCODER_JUMP,
         Reaction.CENTRE,
         "the encoder is further than limits.innovation_m from where the load can have gone",
         "check the scale, the head and its mounting; home the axis again",
+        clears="as soon as the estimate has followed",
     ),
     Fault(
         F.ENCODER_LOST_REFERENCE,
@@ -237,6 +324,140 @@ TABLE: tuple[Fault, ...] = (
         Reaction.CENTRE,
         "someone else sends SYNC or valve commands on this bus",
         "stop the other program; one axis has one controller",
+        clears="1 s after its last frame",
+    ),
+    Fault(
+        F.SATURATED,
+        Reaction.LIMIT,
+        "the law asks for more than the slew limit or valve.u_max_v allow",
+        "none needed; where it lasts, ask for less speed or acceleration",
+    ),
+    Fault(
+        F.SATURATED_LONG,
+        Reaction.STOP,
+        "the command is limited all the time",
+        "check supply, load and friction; ask for less speed or acceleration",
+        "saturation_ns",
+    ),
+    Fault(
+        F.BRAKING_DISTANCE,
+        Reaction.STOP,
+        "the load could no longer be brought to rest within limits.travel by limits.braking_m_s2",
+        "keep the motion away from the ends of travel, or slower near them",
+    ),
+    Fault(
+        F.SUPPLY_FALLING,
+        Reaction.STOP,
+        "the supply pressure falls so fast that it leaves limits.supply within 0.2 s",
+        "open the supply; look for a burst hose; check the compressor",
+        "supply_ns",
+    ),
+    Fault(
+        F.FORCE_DISAGREES,
+        Reaction.CENTRE,
+        "the encoder's acceleration and the pressures' force differ by more than limits.disagreement_n while"
+        " the axis is engaged",
+        "check what the load runs against, the pressure sensors' scale, and cylinder.moving_mass_kg",
+        "disagreement_ns",
+    ),
+    Fault(
+        F.VALVE_DISAGREES,
+        Reaction.CENTRE,
+        "the valve node, enabled, puts out none of the last three commands (within 0.05 V)",
+        "check the valve node and its DAC; check that nothing else commands it",
+        "valve_timeout_ns",
+    ),
+    Fault(
+        F.ENCODER_STUCK,
+        Reaction.CENTRE,
+        "the position stands still to the last digit while the pressures' force changes by more than"
+        " limits.stuck_force_n (engaged, except while homing)",
+        "check the encoder's coupling and head; see whether the load is jammed",
+        "sensor_timeout_ns",
+    ),
+    Fault(
+        F.PRESSURE_STUCK,
+        Reaction.CENTRE,
+        "a chamber pressure stands still to the last digit while the engaged load moves by more than"
+        " limits.stuck_travel_m",
+        "check the sensor, its hose and the pressure node",
+    ),
+    Fault(
+        F.PRESSURE_JUMP,
+        Reaction.CENTRE,
+        "a chamber pressure has changed by more than valve and piston can change it",
+        "check the sensor's wiring and hose",
+        clears="with the next pressure frame",
+    ),
+    Fault(
+        F.SEND_BLOCKED,
+        Reaction.CENTRE,
+        "frames cannot be sent in any tick, though the interface is up: the transmit queue stays full",
+        "check that another device acknowledges, the termination, the bit rate and txqueuelen",
+        "valve_timeout_ns",
+    ),
+    Fault(
+        F.OVERLOADED,
+        Reaction.STOP,
+        "every tick comes after skipped ones",
+        "lower loop.rate_hz, or see pneud doctor for what takes this machine's time",
+        "overload_ns",
+    ),
+    Fault(
+        F.EMERGENCY,
+        Reaction.STOP,
+        "a node of the axis reports an emergency (CANopen EMCY)",
+        "look the error code up in the node's manual",
+        clears="when the node reports error code 0 or boots",
+    ),
+    Fault(
+        F.HEARTBEAT_LOST,
+        Reaction.STOP,
+        "a node with heartbeat_timeout_ms sends no heartbeat for as long, or is not operational",
+        "check the node's power and wiring; set it operational (NMT start)",
+        clears="with the next heartbeat of an operational node",
+    ),
+    Fault(
+        F.BUS_PASSIVE,
+        Reaction.STOP,
+        "the CAN controller is error-passive",
+        "check wiring, termination, bit rate, and that another device acknowledges",
+        clears="when the controller reports that it is active again, or the interface went down and up",
+    ),
+    Fault(
+        F.BUS_OFF,
+        Reaction.CENTRE,
+        "the CAN controller has left the bus (bus-off)",
+        "check the wiring for a short; without restart-ms: ip link set IF type can restart",
+        clears="when the controller was restarted, or the interface went down and up",
+    ),
+    Fault(
+        F.IDENTIFIER_CLASH,
+        Reaction.CENTRE,
+        "more frames of a source than SYNC asked for: another device uses its identifier",
+        "find the device with the same identifier and give it another",
+        clears="as soon as the surplus has run down, a frame a tick",
+    ),
+    Fault(
+        F.DISK_FULL,
+        Reaction.WARN,
+        "the log's disk was full, so records may be missing",
+        "make room on the disk; it is logged again from then on",
+        clears="with a restart",
+    ),
+    Fault(
+        F.CONFIG_CHANGED,
+        Reaction.WARN,
+        "the configuration file or the DBC has changed since the start",
+        "restart to use it, or put the file back; the running one is in the log",
+        clears="when the file is as it was",
+    ),
+    Fault(
+        F.RECEIVE_OVERFLOW,
+        Reaction.WARN,
+        "the kernel has dropped received frames, because they were not read in time",
+        "see pneud doctor for what delays this machine; check what floods the bus",
+        clears="with the next tick",
     ),
 )
 

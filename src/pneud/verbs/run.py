@@ -100,7 +100,7 @@ def _run(o: RunOptions, loaded: Loaded, link: Link, log_file: Path, descriptor: 
     plant, screen, recorder, truth = 0, 0, 0, None
     reports: list[setup.Report] = []
     try:
-        recorder = start_recorder(ring, descriptor, header)
+        recorder = start_recorder(ring, descriptor, header, (path, dbc))
         if o.virtual:
             memory = truth_memory()
             truth = TruthReader(memory)

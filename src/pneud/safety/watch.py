@@ -1,0 +1,160 @@
+"""Checks that need a memory: what lasts, what stands still, what changes faster than it can.
+
+Their whole memory is one record. A condition of a row with a debounce counts only after it has lasted.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from pneud.safety.checks import Limits
+from pneud.safety.faults import TABLE, F
+from pneud.signals import Estimate, Host, Measurement, Source, State, ValveState
+
+SUPPLY_S = 0.05  # time constant of the slow supply pressure that the new one is compared with
+HORIZON_S = 0.2  # a supply that leaves its limits within this time is falling
+VALVE_V = 0.05  # the valve node may differ so much from a command
+CHAMBER_PA = 20_000.0  # a chamber pressure may jump so far by noise
+
+NAN = float("nan")
+_ENCODER, _PRESSURE, _VALVE = int(Source.ENCODER), int(Source.PRESSURE), int(Source.VALVE)
+_LINK_DOWN, _SEND_FAILED = int(Host.LINK_DOWN), int(Host.SEND_FAILED)
+_ENABLED, _HOMING = int(ValveState.ENABLED), int(State.HOMING)
+_SATURATED_LONG, _SUPPLY_FALLING = 1 << F.SATURATED_LONG, 1 << F.SUPPLY_FALLING
+_FORCE_DISAGREES, _VALVE_DISAGREES = 1 << F.FORCE_DISAGREES, 1 << F.VALVE_DISAGREES
+_ENCODER_STUCK, _PRESSURE_STUCK = 1 << F.ENCODER_STUCK, 1 << F.PRESSURE_STUCK
+_PRESSURE_JUMP = 1 << F.PRESSURE_JUMP
+_SEND_BLOCKED, _OVERLOADED = 1 << F.SEND_BLOCKED, 1 << F.OVERLOADED
+
+# the conditions found here that have to last, and where in Limits stands for how long
+LASTING = (
+    _SATURATED_LONG
+    | _SUPPLY_FALLING
+    | _FORCE_DISAGREES
+    | _VALVE_DISAGREES
+    | _ENCODER_STUCK
+    | _SEND_BLOCKED
+    | _OVERLOADED
+)
+_TIMES = tuple((1 << row.bit, Limits._fields.index(row.debounce)) for row in TABLE if LASTING >> row.bit & 1)
+_NEVER = (-1,) * len(_TIMES)
+_VALVE_PLACE = [bit for bit, _ in _TIMES].index(_VALVE_DISAGREES)
+
+
+class Watch(NamedTuple):
+    """What has to be remembered from tick to tick."""
+
+    since_ns: tuple[int, ...]  # when each lasting condition began, −1 where it does not hold
+    command_v: float  # the last command but one
+    earlier_v: float  # and the one before
+    position_m: float  # the last reading
+    x3_n: float  # the pressures' force when the reading last changed
+    p1_pa: float
+    p2_pa: float
+    pressure_ns: int  # when they were read
+    changed1_m: float  # where the load was when p1 last changed
+    changed2_m: float
+    supply_pa: float  # the slow one
+
+
+INITIAL = Watch(_NEVER, 0.0, 0.0, NAN, NAN, NAN, NAN, 0, NAN, NAN, NAN)
+
+
+def watch(
+    w: Watch, m: Measurement, e: Estimate, state: int, engaged: bool, last_v: float, limited: int, p: Limits
+) -> tuple[Watch, int]:
+    """What this tick shows beside the ones before.
+
+    Args:
+        w: memory.
+        m: the measurement.
+        e: the estimate, NaN where there is none.
+        state: of the last tick.
+        engaged: that state is an engaged one.
+        last_v: the last command that left [V].
+        limited: 1 where the output chain let through less than the law asked for.
+        p: what it is compared with.
+
+    Returns:
+        The new memory, and bits of the fault table.
+    """
+    since, command_v, earlier_v, position_m, x3_n, p1_pa, p2_pa, pressure_ns, at1_m, at2_m, supply_pa = w
+    fresh, t_ns = m.fresh, m.t_ns
+    lasting = bits = 0
+
+    if fresh & _PRESSURE:
+        x = m.position_m
+        if not engaged or m.p1_pa != p1_pa:
+            at1_m = x
+        elif abs(x - at1_m) > p.stuck_travel_m:
+            bits |= _PRESSURE_STUCK
+        if not engaged or m.p2_pa != p2_pa:
+            at2_m = x
+        elif abs(x - at2_m) > p.stuck_travel_m:
+            bits |= _PRESSURE_STUCK
+        elapsed_s = (t_ns - pressure_ns) * 1e-9
+        room1 = p.dead_length_1_m + max(0.0, min(x, p.stroke_m))
+        room2 = p.dead_length_2_m + max(0.0, min(p.stroke_m - x, p.stroke_m))
+        if (
+            abs(m.p1_pa - p1_pa) > CHAMBER_PA + p.swing_1_pa_m_s * elapsed_s / room1
+            or abs(m.p2_pa - p2_pa) > CHAMBER_PA + p.swing_2_pa_m_s * elapsed_s / room2
+        ):
+            bits |= _PRESSURE_JUMP
+        above = m.supply_pa - supply_pa
+        if m.supply_pa + above * (HORIZON_S / SUPPLY_S) < p.supply_min_pa:
+            lasting |= _SUPPLY_FALLING
+        # the first reading, and one that is not finite, are taken as they are
+        supply_pa = (
+            supply_pa + above * min(1.0, elapsed_s / SUPPLY_S) if math.isfinite(above) else m.supply_pa
+        )
+        p1_pa, p2_pa, pressure_ns = m.p1_pa, m.p2_pa, t_ns
+
+    if fresh & _ENCODER and (m.position_m != position_m or not engaged):
+        position_m, x3_n = m.position_m, e.x3_n
+    if engaged:
+        if state != _HOMING and abs(e.x3_n - x3_n) > p.stuck_force_n:
+            lasting |= _ENCODER_STUCK
+        if abs(e.force_n) > p.disagreement_n:
+            lasting |= _FORCE_DISAGREES
+        if limited:
+            lasting |= _SATURATED_LONG
+        if m.valve_state == _ENABLED:
+            if fresh & _VALVE:
+                v = m.applied_v
+                if (
+                    abs(v - last_v) > VALVE_V
+                    and abs(v - command_v) > VALVE_V
+                    and abs(v - earlier_v) > VALVE_V
+                ):
+                    lasting |= _VALVE_DISAGREES
+            elif since[_VALVE_PLACE] >= 0:
+                lasting |= _VALVE_DISAGREES  # nothing has been heard to the contrary
+    if m.skipped:
+        lasting |= _OVERLOADED
+    if m.host & _SEND_FAILED and not m.host & _LINK_DOWN:
+        lasting |= _SEND_BLOCKED
+
+    if lasting:
+        since, found = _lasted(since, lasting, t_ns, p)
+        bits |= found
+    else:
+        since = _NEVER
+    return (
+        Watch(since, last_v, command_v, position_m, x3_n, p1_pa, p2_pa, pressure_ns, at1_m, at2_m, supply_pa),
+        bits,
+    )
+
+
+def _lasted(since: tuple[int, ...], lasting: int, t_ns: int, p: Limits) -> tuple[tuple[int, ...], int]:
+    """Since when each condition has held, and those that have done so for as long as they have to."""
+    begun = []
+    bits = 0
+    for (bit, time), before_ns in zip(_TIMES, since, strict=True):
+        began_ns = -1
+        if lasting & bit:
+            began_ns = before_ns if before_ns >= 0 else t_ns
+            if t_ns - began_ns >= p[time]:
+                bits |= bit
+        begun.append(began_ns)
+    return tuple(begun), bits
