@@ -10,6 +10,7 @@ import pytest
 
 import pneud.axis
 from axis_rig import ARM, CLEAR, ENCODER, PERIOD_NS, PRESSURE, VALVE, Rig, ready, tracking
+from pneud.control import step
 from pneud.control.sliding import SlidingOutput
 from pneud.safety.faults import TABLE, F, Reaction, names
 from pneud.safety.supervisor import is_engaged
@@ -93,6 +94,43 @@ def frozen(can_id: int) -> Provoke:
     return provoke
 
 
+def still(field: str, by: float) -> Provoke:
+    """The value stands still, `by` away from where it was."""
+
+    def provoke(rig: Rig, _: pytest.MonkeyPatch) -> None:
+        kept: list[float] = []
+
+        def keep(m: Measurement) -> Measurement:
+            kept.append(getattr(m, field) + by)
+            kept_value: dict[str, Any] = {field: kept[0]}
+            return m._replace(**kept_value)
+
+        rig.measurement = keep
+
+    return provoke
+
+
+def together(*all_of: Provoke) -> Provoke:
+    def provoke(rig: Rig, patch: pytest.MonkeyPatch) -> None:
+        for one in all_of:
+            one(rig, patch)
+
+    return provoke
+
+
+def falling_supply(rig: Rig, _: pytest.MonkeyPatch) -> None:
+    began_ns = rig.t_ns
+    rig.measurement = lambda m: m._replace(supply_pa=m.supply_pa - 2e-3 * (m.t_ns - began_ns))
+
+
+def overdriven(rig: Rig, patch: pytest.MonkeyPatch) -> None:
+    def act(*args: Any) -> Any:
+        state, answer = step.act(*args)
+        return state, answer._replace(u_v=1e3)
+
+    patch.setattr(pneud.axis, "act", act)
+
+
 def broken(*_: object) -> None:
     raise ZeroDivisionError
 
@@ -130,9 +168,9 @@ SENSORS = [
 CENTRING = [
     *SENSORS,
     Case(F.ENCODER_ERROR, value(encoder_status=REFERENCED | EncoderStatus.ERROR)),
-    Case(F.CHAMBER_PRESSURE, value(p1_pa=1_000_020.0)),
-    Case(F.CHAMBER_PRESSURE, value(p2_pa=89_980.0)),
-    Case(F.CHAMBER_PRESSURE, value(p1_pa=0.0)),
+    Case(F.CHAMBER_PRESSURE, value(p1_pa=1_000_020.0), company=(F.PRESSURE_JUMP,)),
+    Case(F.CHAMBER_PRESSURE, value(p2_pa=89_980.0), company=(F.PRESSURE_JUMP,)),
+    Case(F.CHAMBER_PRESSURE, value(p1_pa=0.0), company=(F.PRESSURE_JUMP,)),
     Case(F.SUPPLY_PRESSURE, value(supply_pa=449_980.0)),
     Case(F.SUPPLY_PRESSURE, value(supply_pa=800_020.0)),
     Case(F.VALVE_TIMED_OUT, value(valve_state=ValveState.TIMED_OUT)),
@@ -141,7 +179,7 @@ CENTRING = [
     Case(F.VALVE_REBOOTED, value(valve_state=ValveState.BOOT), lasting=False),
     Case(F.VALVE_REBOOTED, value(valve_state=ValveState.CENTRED), lasting=False),
     Case(F.TRAVEL, limit(travel_min_m=0.6)),
-    Case(F.TRAVEL, limit(travel_max_m=0.4)),
+    Case(F.TRAVEL, limit(travel_max_m=0.4), company=(F.BRAKING_DISTANCE,)),
     Case(F.OVERSPEED, limit(speed_m_s=1e-9)),
     Case(F.TRACKING_ERROR, limit(tracking_error_m=1e-12), lasting=False),
     Case(F.NOT_FINITE, value(applied_v=math.nan)),
@@ -156,6 +194,16 @@ CENTRING = [
     Case(F.ENCODER_JUMP, moved(position_m=0.0025)),
     Case(F.ENCODER_JUMP, moved(position_m=-0.0025)),
     Case(F.ENCODER_LOST_REFERENCE, value(encoder_status=0), lasting=False),
+    Case(F.FORCE_DISAGREES, limit(disagreement_n=-1.0), 21, lasting=False),
+    Case(F.VALVE_DISAGREES, moved(applied_v=0.2), 51, lasting=False),
+    Case(F.ENCODER_STUCK, together(limit(stuck_force_n=1e-9), still("position_m", 0.0)), 52, lasting=False),
+    Case(F.PRESSURE_STUCK, together(limit(stuck_travel_m=-1.0), still("p1_pa", 20.0)), 2, lasting=False),
+    Case(F.PRESSURE_STUCK, together(limit(stuck_travel_m=-1.0), still("p2_pa", 20.0)), 2, lasting=False),
+    Case(F.PRESSURE_JUMP, moved(p1_pa=60_000.0), lasting=False),
+    Case(F.PRESSURE_JUMP, moved(p2_pa=-60_000.0), lasting=False),
+    Case(F.SEND_BLOCKED, host(Host.SEND_FAILED), 51),
+    Case(F.BUS_OFF, host(Host.BUS_OFF)),
+    Case(F.IDENTIFIER_CLASH, host(Host.IDENTIFIER_CLASH)),
 ]
 
 
@@ -196,9 +244,50 @@ def test_every_row_that_centres_has_a_case() -> None:
 
 
 def test_every_other_row_is_provoked_too() -> None:
-    provoked = {case.fault for case in WARNING} | {case.fault for case in BLOCKING}
-    assert provoked == {f.bit for f in TABLE if f.reaction in (Reaction.WARN, Reaction.NO_ARM)}
-    assert not [f for f in TABLE if f.reaction == Reaction.STOP], "give rows with a controlled stop a test"
+    assert {case.fault for case in STOPPING} == {f.bit for f in TABLE if f.reaction == Reaction.STOP}
+    assert {case.fault for case in BLOCKING} == {f.bit for f in TABLE if f.reaction == Reaction.NO_ARM}
+    # one that is limited has a test of its own
+    provoked = {case.fault for case in WARNING} | {F.SATURATED}
+    assert provoked == {f.bit for f in TABLE if f.reaction in (Reaction.WARN, Reaction.LIMIT)}
+
+
+STOPPING = [
+    Case(F.SATURATED_LONG, together(limit(saturation_ns=5_000_000), overdriven), 7, lasting=False),
+    Case(F.BRAKING_DISTANCE, limit(braking_m_s2=1e-9), lasting=False),
+    Case(F.SUPPLY_FALLING, falling_supply, 27, lasting=False),
+    Case(F.OVERLOADED, limit(overload_ns=0), skipped=1, lasting=False),
+    Case(F.EMERGENCY, host(Host.EMERGENCY)),
+    Case(F.HEARTBEAT_LOST, host(Host.HEARTBEAT_LOST)),
+    Case(F.BUS_PASSIVE, host(Host.BUS_PASSIVE)),
+]
+
+
+@pytest.mark.parametrize("case", STOPPING, ids=ids)
+def test_the_fault_stops_the_load_under_control_and_then_holds_until_it_is_cleared(case: Case) -> None:
+    rig = tracking()
+    with pytest.MonkeyPatch.context() as patch:
+        case.provoke(rig, patch)
+        for _ in range(case.ticks - 1):
+            assert rig.tick().state == State.TRACKING
+        tick = rig.tick(skipped=case.skipped)
+        assert (tick.state, names(tick.latched)) == (State.STOPPING, names(bits(case.fault)))
+    if not case.lasting:
+        rig.measurement = lambda m: m
+    assert rig.until(State.FAULT).latched == bits(case.fault)
+    if case.lasting:
+        assert rig.tick(CLEAR).state == State.FAULT
+    rig.measurement, rig.host = (lambda m: m), 0
+    assert {tick.state for tick in [rig.tick(ARM), *rig.ticks(200)]} == {State.FAULT}
+    cleared = rig.tick(CLEAR)
+    assert (cleared.state, cleared.latched) == (State.DISARMED, 0)
+
+
+def test_a_command_that_is_held_back_is_shown_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = tracking()
+    overdriven(rig, monkeypatch)
+    for tick in rig.ticks(5):
+        assert tick.present == 1 << F.SATURATED
+        assert (tick.state, tick.latched, tick.command.saturated) == (State.TRACKING, 0, 1)
 
 
 def test_a_jump_that_lasts_is_seen_once_and_the_axis_stays_centred() -> None:
@@ -212,6 +301,9 @@ WARNING = [
     Case(F.RECORDER_LOST, host(Host.RECORDER_LOST)),
     Case(F.CLOCK_STEP, host(Host.CLOCK_STEP)),
     Case(F.SEND_FAILED, host(Host.SEND_FAILED)),
+    Case(F.DISK_FULL, host(Host.DISK_FULL)),
+    Case(F.CONFIG_CHANGED, host(Host.CONFIG_CHANGED)),
+    Case(F.RECEIVE_OVERFLOW, host(Host.RECEIVE_OVERFLOW)),
 ]
 
 

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from pneud import resources
 from pneud.bus.codec import load_codecs
 from pneud.bus.inbox import NEVER_NS, Counts, Inbox
-from pneud.bus.wire import wire_time_ns
-from pneud.config import BusConfig
-from pneud.signals import ALL_SOURCES, Defect, Frame, Measurement, Source
+from pneud.bus.wire import CAN_ERR_FLAG, wire_time_ns
+from pneud.config import BusConfig, FrameConfig, FramesConfig
+from pneud.signals import ALL_SOURCES, Defect, Frame, Host, Measurement, Source
 
 BUS = BusConfig()
 FREE = BusConfig(sync=False)
@@ -284,3 +284,147 @@ def test_counters_account_for_every_frame(moves: list[tuple[int, bool]]) -> None
     assert counts.stale == stale
     assert counts.crc == sum(damage for _, damage in moves)
     assert bool(inbox.measurement(0, 0).fresh) is bool(used)
+
+
+def emcy(node: int, code: int) -> Frame:
+    return Frame(MS, 0x080 + node, code.to_bytes(2, "little") + bytes(6))
+
+
+@pytest.mark.parametrize("node", [1, 2, 3])
+def test_an_emergency_of_a_node_of_the_axis_holds_until_it_is_reset(node: int) -> None:
+    inbox = Inbox(CODECS, BUS)
+    inbox.feed(emcy(4, 0x1000))
+    assert inbox.conditions == 0, "node 4 belongs to somebody else"
+    inbox.feed(emcy(node, 0x5000))
+    assert inbox.conditions == Host.EMERGENCY
+    inbox.feed(emcy(node % 3 + 1, 0))
+    assert inbox.conditions == Host.EMERGENCY
+    inbox.feed(emcy(node, 0))
+    assert inbox.conditions == 0
+    inbox.feed(emcy(node, 0x5000))
+    inbox.feed(Frame(MS, 0x700 + node, b"\x05"))
+    assert inbox.conditions == Host.EMERGENCY
+    inbox.feed(Frame(MS, 0x700 + node, b"\x00"))
+    assert inbox.conditions == 0, "it has booted"
+
+
+def test_heartbeats_are_waited_for_only_where_they_are_configured() -> None:
+    inbox = Inbox(CODECS, BUS)
+    for n in range(100):
+        inbox.begin(n * 1000 * MS)
+    assert inbox.conditions == 0
+
+    frames = FramesConfig(
+        pressure=BUS.frames.pressure.model_copy(update={"heartbeat_timeout_ms": 100.0}),
+        valve_status=BUS.frames.valve_status.model_copy(update={"heartbeat_timeout_ms": 200.0}),
+    )
+    inbox = Inbox(CODECS, BUS.model_copy(update={"frames": frames}))
+
+    def lost(ms: int) -> bool:
+        inbox.begin(ms * MS)
+        return inbox.conditions == Host.HEARTBEAT_LOST
+
+    def beat(node: int, ms: int, state: int = 5) -> None:
+        inbox.feed(Frame(ms * MS, 0x700 + node, bytes((state,))))
+
+    assert [lost(1000), lost(1100), lost(1101)] == [False, False, True]
+    beat(2, 1150)
+    assert [lost(1151), lost(1200), lost(1201)] == [False, False, True]
+    beat(3, 1210)
+    beat(1, 1210)
+    assert [lost(1211), lost(1250), lost(1251)] == [False, False, True]
+    beat(2, 1260)
+    assert not lost(1261)
+    for state in (0, 4, 127):
+        beat(3, 1262, state)
+        assert lost(1262), "one that is not operational sends no measurements"
+        beat(3, 1263, 0x80 | 5)  # node guarding toggles the highest bit
+        assert not lost(1263)
+    inbox.feed(Frame(1400 * MS, 0x702, b""))
+    assert lost(1400)
+
+
+def error(can_id: int, second: int = 0) -> Frame:
+    return Frame(MS, CAN_ERR_FLAG | can_id, bytes((0, second, 0, 0, 0, 0, 0, 0)))
+
+
+@pytest.mark.parametrize("passive", [0x10, 0x20, 0x30])
+@pytest.mark.parametrize("better", [0x40, 0x04, 0x08, 0x0C])
+def test_an_error_passive_controller_is_so_until_it_says_otherwise(passive: int, better: int) -> None:
+    inbox = Inbox(CODECS, BUS)
+    inbox.feed(error(0x004, better))
+    inbox.feed(error(0x004, 0x01))  # a receive buffer of its own has overflowed
+    inbox.feed(Frame(MS, CAN_ERR_FLAG | 0x004, b"\x00"))
+    assert inbox.conditions == 0
+    inbox.feed(error(0x004, passive))
+    inbox.feed(error(0x004, 0x03))
+    inbox.feed(error(0x088, passive))  # bus error, protocol violation: says nothing about the state
+    assert inbox.conditions == Host.BUS_PASSIVE
+    inbox.feed(error(0x004, better))
+    assert inbox.conditions == 0
+    assert inbox.counts().error_frames == 7
+
+
+def test_bus_off_ends_with_a_restart() -> None:
+    inbox = Inbox(CODECS, BUS)
+    inbox.feed(error(0x004, 0x30))
+    inbox.feed(error(0x040))
+    assert inbox.conditions == Host.BUS_PASSIVE | Host.BUS_OFF
+    inbox.feed(error(0x100))
+    assert inbox.conditions == 0
+    inbox.feed(error(0x044, 0x30))
+    inbox.feed(emcy(1, 7))
+    inbox.bus_restarted()
+    assert inbox.conditions == Host.EMERGENCY, "a node's emergency outlives the interface"
+
+
+def test_two_devices_with_one_identifier_clash() -> None:
+    inbox = Inbox(CODECS, BUS)
+    count = 0
+    clashed = []
+    for n in range(1, 41):
+        inbox.begin(n * MS)
+        clashed.append(inbox.conditions == Host.IDENTIFIER_CLASH)
+        for _ in range(2 if n < 20 else 1):
+            count += 1
+            inbox.feed(pressure(n * MS + 1, count))
+        inbox.measurement(0, 0)
+    first = clashed.index(True)
+    assert 8 < first < 20
+    assert all(clashed[first:])
+    for n in range(41, 61):
+        inbox.begin(n * MS)
+    assert inbox.conditions == 0
+
+
+def test_frames_that_come_late_or_not_at_all_are_no_clash() -> None:
+    inbox = Inbox(CODECS, BUS)
+    count = 0
+    for n in range(1, 2000):
+        late = n % 3 == 0
+        for _ in range(2 if n % 3 == 1 else 0 if late else 1):  # what is late comes with the next
+            count += 1
+            inbox.feed(pressure(n * MS, count))
+        inbox.begin(n * MS)
+        assert inbox.conditions == 0
+    for n in range(2000, 2100):  # nothing comes at all
+        inbox.begin(n * MS)
+    for n in range(2100, 2200):
+        count += 1
+        inbox.begin(n * MS)
+        inbox.feed(pressure(n * MS + 1, count))
+        assert inbox.conditions == 0
+
+
+def test_devices_that_send_by_themselves_may_send_as_often_as_they_like() -> None:
+    inbox = Inbox(CODECS, FREE)
+    for n in range(100):
+        inbox.begin(n * MS)
+        for k in range(5):
+            inbox.feed(pressure(n * MS + k, 5 * n + k))
+    assert inbox.conditions == 0
+
+
+def test_a_heartbeat_needs_a_node() -> None:
+    with pytest.raises(ValueError, match="heartbeat_timeout_ms needs node"):
+        FrameConfig(message="X", heartbeat_timeout_ms=100.0)

@@ -24,8 +24,19 @@ LIMITS = Limits(
     sensor_timeout_ns=50_000_000,
     valve_timeout_ns=50_000_000,
     deadline_timeout_ns=50_000_000,
+    overload_ns=1_000_000_000,
     innovation_m=0.002,
     acceleration_m_s2=80.0,
+    braking_m_s2=10.0,
+    disagreement_n=800.0,
+    saturation_ns=2_000_000_000,
+    stuck_force_n=200.0,
+    stuck_travel_m=0.005,
+    stroke_m=1.0,
+    dead_length_1_m=0.0132,
+    dead_length_2_m=0.0158,
+    swing_1_pa_m_s=8e6,
+    swing_2_pa_m_s=9e6,
 )
 GOOD = Measurement(
     t_ns=0,
@@ -88,7 +99,7 @@ def test_a_good_measurement_shows_no_fault() -> None:
     assert checks.measured(GOOD, LIMITS) == 0
     assert checks.lacking(GOOD, LIMITS) == 0
     assert checks.believed(STILL, H, LIMITS) == 0
-    assert checks.engaged(GOOD, State.TRACKING, 1000, H, LIMITS) == 0
+    assert checks.engaged(GOOD, STILL, State.TRACKING, 1000, H, LIMITS) == 0
 
 
 @pytest.mark.parametrize(
@@ -139,7 +150,7 @@ def test_status_of_the_encoder(status: int) -> None:
     assert names(checks.measured(GOOD._replace(encoder_status=status), LIMITS)) == expected
 
 
-@pytest.mark.parametrize("host", range(32))
+@pytest.mark.parametrize("host", [0, *(1 << n for n in range(14)), 0x1555, 0x2AAA, 0x3FFF])
 def test_each_flag_of_the_machine_has_its_fault(host: int) -> None:
     assert names(checks.of_host(host)) == sorted(
         (flag.name.lower() for flag in Host if host & flag and flag.name), key=lambda name: F[name.upper()]
@@ -169,23 +180,45 @@ def test_an_estimate_that_is_no_number(field: str, value: float) -> None:
 
 @pytest.mark.parametrize(("skipped", "found"), [(0, []), (49, []), (50, ["deadline"]), (2000, ["deadline"])])
 def test_a_deadline_is_missed_when_ticks_lie_further_apart(skipped: int, found: list[str]) -> None:
-    assert names(checks.engaged(GOOD._replace(skipped=skipped), State.TRACKING, 0, H, LIMITS)) == found
+    assert names(checks.engaged(GOOD._replace(skipped=skipped), STILL, State.TRACKING, 0, H, LIMITS)) == found
 
 
 @pytest.mark.parametrize("state", [ValveState.BOOT, ValveState.CENTRED])
 @pytest.mark.parametrize(("ticks", "found"), [(0, []), (50, []), (51, ["valve_rebooted"])])
 def test_the_valve_node_has_its_time_out_to_be_enabled(state: int, ticks: int, found: list[str]) -> None:
-    assert names(checks.engaged(GOOD._replace(valve_state=state), State.TRACKING, ticks, H, LIMITS)) == found
+    assert (
+        names(checks.engaged(GOOD._replace(valve_state=state), STILL, State.TRACKING, ticks, H, LIMITS))
+        == found
+    )
 
 
 @pytest.mark.parametrize("state", [State.TRACKING, State.MOVING, State.HOLDING, State.STOPPING])
 def test_an_engaged_axis_needs_the_encoders_reference(state: State) -> None:
     lost = GOOD._replace(encoder_status=0)
-    assert names(checks.engaged(lost, state, 0, H, LIMITS)) == ["encoder_lost_reference"]
+    assert names(checks.engaged(lost, STILL, state, 0, H, LIMITS)) == ["encoder_lost_reference"]
 
 
-def test_homing_does_without_the_encoders_reference() -> None:
-    assert checks.engaged(GOOD._replace(encoder_status=0), State.HOMING, 0, H, LIMITS) == 0
+def test_homing_does_without_the_encoders_reference_and_without_the_travel_it_gives() -> None:
+    fast = STILL._replace(position_m=0.97, velocity_m_s=1.0)
+    assert checks.engaged(GOOD._replace(encoder_status=0), fast, State.HOMING, 0, H, LIMITS) == 0
+
+
+@pytest.mark.parametrize("speed", [0.1, 1.0, 2.0])
+def test_the_load_has_to_be_able_to_come_to_rest_within_the_travel(speed: float) -> None:
+    way = 0.5 * speed * speed / 10.0
+    for x, v, found in (
+        (0.98 - way - 1e-9, speed, []),
+        (0.98 - way + 1e-9, speed, ["braking_distance"]),
+        (0.98 - way + 1e-9, -speed, []),
+        (0.02 + way + 1e-9, -speed, []),
+        (0.02 + way - 1e-9, -speed, ["braking_distance"]),
+        (0.02 + way - 1e-9, speed, []),
+        (0.98, 0.0, []),
+        (1.0, 0.0, []),  # beyond the travel it has a fault of its own
+        (0.01, 0.0, []),
+    ):
+        e = STILL._replace(position_m=x, velocity_m_s=v)
+        assert names(checks.engaged(GOOD, e, State.TRACKING, 0, H, LIMITS)) == found, (x, v)
 
 
 @pytest.mark.parametrize(

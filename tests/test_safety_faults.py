@@ -10,6 +10,7 @@ import pytest
 from pydantic import BaseModel
 
 from pneud.config import Config
+from pneud.safety.checks import Limits
 from pneud.safety.document import text
 from pneud.safety.faults import (
     BLOCKS_ARM,
@@ -40,7 +41,10 @@ def test_bits_that_logs_hold_keep_their_meaning() -> None:
         valve_missing valve_corrupt valve_frozen valve_late valve_timed_out valve_fault valve_rebooted
         travel overspeed tracking_error not_finite command_range deadline link_down no_realtime
         recorder_lost internal moving clock_step send_failed encoder_jump encoder_lost_reference unsettled
-        unreachable valve_active
+        unreachable valve_active other_controller saturated saturated_long braking_distance supply_falling
+        force_disagrees valve_disagrees encoder_stuck pressure_stuck pressure_jump send_blocked overloaded
+        emergency heartbeat_lost bus_passive bus_off identifier_clash disk_full config_changed
+        receive_overflow
     """
     names_then = was.split()
     assert list(FAULT_NAMES[: len(names_then)]) == names_then
@@ -49,16 +53,19 @@ def test_bits_that_logs_hold_keep_their_meaning() -> None:
 def test_masks_hold_what_their_reactions_say() -> None:
     assert mask(Reaction.CENTRE) == CENTRES
     assert mask(Reaction.STOP) == STOPS
-    assert (1 << len(F)) - 1 == BLOCKS_ARM | mask(Reaction.WARN)
-    assert BLOCKS_ARM & mask(Reaction.WARN) == 0
+    shown = mask(Reaction.WARN, Reaction.LIMIT)
+    assert (1 << len(F)) - 1 == BLOCKS_ARM | shown
+    assert BLOCKS_ARM & shown == 0
     assert len(names(NO_SENSORS)) == 12
     assert NO_SENSORS & ~CENTRES == 0
 
 
 @pytest.mark.parametrize("fault", TABLE, ids=lambda fault: fault.name)
 def test_a_row_can_stand_in_the_table_of_a_document(fault: Any) -> None:
-    for words in (fault.when, fault.cure):
-        assert words
+    assert fault.when
+    assert fault.cure
+    assert not fault.debounce or fault.debounce in Limits._fields
+    for words in (fault.when, fault.cure, fault.clears):
         assert "|" not in words
         assert "\n" not in words
         assert not words.endswith(".")

@@ -153,7 +153,7 @@ def test_lost_sensors_lead_back_to_waiting_only_where_nothing_is_latched(steps: 
 
 
 def test_warnings_change_nothing(steps: list[Step]) -> None:
-    warnings = mask(Reaction.WARN)
+    warnings = mask(Reaction.WARN, Reaction.LIMIT)
     for s, present, request, at_rest, after in steps[::7]:
         assert advance(s, present | warnings, request, at_rest) == after
 
@@ -200,4 +200,4 @@ def test_the_engaged_states_are_those_of_the_signals() -> None:
 
 def test_every_row_that_holds_the_axis_also_keeps_it_from_arming() -> None:
     for fault in TABLE:
-        assert bool(BLOCKS_ARM >> fault.bit & 1) == (fault.reaction != Reaction.WARN)
+        assert bool(BLOCKS_ARM >> fault.bit & 1) == (fault.reaction not in (Reaction.WARN, Reaction.LIMIT))

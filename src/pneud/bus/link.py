@@ -150,7 +150,7 @@ class Link:
         return step
 
     def reopen(self) -> bool:
-        """Find the interface of a link that is down again: one that was removed and made anew has its name only.
+        """Find the interface of a link that is down again: one made anew has nothing but its name in common.
 
         An interface that only went down and up needs none of this. It asks the kernel, so not in every tick.
 

@@ -68,7 +68,7 @@ class RecorderStatus(NamedTuple):
     error: int  # errno of the last failure, RECORDER_FAILED for any other, 0 for none
     finished: int  # 1 once the file is complete
     file_bytes: int
-    config_changed: int  # 1 where a file that the run began with is no longer as it was
+    config_changed: int = 0  # 1 where a file that the run began with is no longer as it was
 
     @property
     def lost(self) -> int:

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
-from pneud.safety.checks import LEAVING_TICKS, MOVING_M_S, OFF_CENTRE_V, SETTLING_NS, SETTLING_TICKS
+from pneud.safety.checks import (
+    LEAVING_TICKS,
+    MOVING_M_S,
+    OFF_CENTRE_V,
+    SETTLING_NS,
+    SETTLING_TICKS,
+    Limits,
+)
 from pneud.safety.faults import TABLE, Fault, Reaction
 from pneud.safety.output import CEILING_V
 from pneud.safety.supervisor import START_TICKS
+from pneud.safety.watch import CHAMBER_PA
 from pneud.signals import ENGAGED, State
 
 _STATES = {
@@ -23,7 +31,28 @@ _REACTIONS = {
     Reaction.CENTRE: "the valve is centred in the same tick, past the slew limit, and disabled. Cannot arm",
     Reaction.STOP: "the load is brought to rest under control, then the valve is centred. Cannot arm",
     Reaction.NO_ARM: "the axis cannot arm; one that is engaged goes on",
+    Reaction.LIMIT: "the output chain holds the command back; shown and logged, nothing else",
     Reaction.WARN: "shown and logged, nothing else",
+}
+# The state of CiA 402 that a drive would be in
+_CIA_402 = {
+    State.STARTING: "Not ready to switch on",
+    State.WAITING: "Switch on disabled",
+    State.DISARMED: "Ready to switch on",
+    State.TRACKING: "Operation enabled (cyclic synchronous position)",
+    State.MOVING: "Operation enabled (profile position)",
+    State.HOLDING: "Operation enabled",
+    State.HOMING: "Operation enabled (homing)",
+    State.STOPPING: "Quick stop active; with a latched fault Fault reaction active",
+    State.FAULT: "Fault",
+}
+_DEBOUNCES = {
+    "sensor_timeout_ns": "`bus.sensor_timeout_ms`",
+    "valve_timeout_ns": "`bus.valve_timeout_ms`",
+    "deadline_timeout_ns": "`bus.deadline_timeout_ms`",
+    "overload_ns": "`bus.overload_timeout_ms`",
+    "saturation_ns": "`limits.saturation_s`",
+    **{name: f"{1e-6 * ns:g} ms" for name, ns in Limits._field_defaults.items()},
 }
 _TIMEOUTS = (
     (
@@ -66,11 +95,13 @@ needs, outside of pneud and independent of it:
 * a valve node that centres by itself when commands stop. pneud relies on that for its own death: it
   cannot centre a valve when its computer has stopped.
 
-What pneud does see is in the table below. What it cannot see: a position that stands still while the load
-moves (the encoder's counter goes on, its value does not) shows only as `tracking_error`, after the load
-has been driven away from where it should be; a valve that does not do what its node reports shows only in
-what the load then does; a slip of the encoder of less than `limits.innovation_m` at a time shows not at
-all.
+To dump the air takes that hardware valve. pneud only observes what it does, as a supply or a chamber
+pressure that falls; it neither switches nor replaces it.
+
+What pneud does see is in the table below. What it cannot see: a valve that does not do what its node
+reports shows only in what the load then does; a slip of the encoder of less than `limits.innovation_m` at a
+time shows not at all; a pressure sensor that drifts slowly looks like a force on the load; a load that is
+held as hard as it is pushed looks the same as an encoder that stands still.
 
 ## States
 
@@ -86,6 +117,9 @@ Enable 0.
 * *disarm*, and the end of the program, stop the load under control before the valve is centred. After the
   end of the program was asked for, the axis does not arm again.
 
+The column CiA 402 names the state that an electric drive of that profile would be in. A drive has two steps
+more between its states *ready to switch on* and *operation enabled*; here *arm* takes them in one.
+
 Arming does not step: a way with bounded acceleration and jerk (`limits.transfer`) leads from the measured
 position to the reference. A way that would leave `limits.travel` is not begun (`unreachable`). A stop
 that would leave it is made harder than `limits.transfer` instead.
@@ -97,15 +131,19 @@ that would leave it is made harder than `limits.transfer` instead.
 ## Faults
 
 A fault that centres or stops is *latched*: it is shown, and holds the axis in `fault`, until it is
-cleared. The number is the bit in `present` and `latched` of the log; it never changes its meaning.
+cleared: by *clear*, and only once it is no longer present. The number is the bit in `present` and `latched`
+of the log; it never changes its meaning. *For longer than* is how long it has to last before it counts; where
+nothing stands there, a single tick is enough. *Gone* is when it is no longer present; where nothing stands
+there, as soon as what is named under *when* is over.
 
 {table}
 
 Constants: the load moves above {moving:g} m/s; estimates are settled after {settling_ms:g} ms and
 {settling_ticks} ticks; a valve off its centre by more than {off:g} V, or still enabled {leaving} ticks
 after the axis has let go, is active. `encoder_jump` allows, over a gap between two readings, for what
-`limits.chamber_max_pa` on the larger piston area could do to the load in that time. Any exception in a
-tick is `internal`.
+`limits.chamber_max_pa` on the larger piston area could do to the load in that time. `pressure_jump` allows
+{chamber_kpa:g} kPa, and what the open valve and the piston at `limits.speed_m_s` could do to the chamber
+since its last reading. Any exception in a tick is `internal`.
 
 ## The way of a command
 
@@ -127,11 +165,14 @@ the time-out.
 def text() -> str:
     """The document."""
     return _TEXT.format(
-        states=_table(("state", "meaning"), [(f"`{s.label}`", _STATES[s]) for s in State]),
+        states=_table(
+            ("state", "CiA 402", "meaning"), [(f"`{s.label}`", _CIA_402[s], _STATES[s]) for s in State]
+        ),
         engaged=", ".join(f"`{state.label}`" for state in ENGAGED),
         reactions=_table(("reaction", "what happens"), [(r.value, _REACTIONS[r]) for r in Reaction]),
         table=_table(
-            ("bit", "fault", "when", "reaction", "latched", "what to do"), [_row(fault) for fault in TABLE]
+            ("bit", "fault", "when", "for longer than", "reaction", "latched", "gone", "what to do"),
+            [_row(fault) for fault in TABLE],
         ),
         timeouts=_table(("time-out", "who watches", "what follows"), list(_TIMEOUTS)),
         moving=MOVING_M_S,
@@ -140,12 +181,21 @@ def text() -> str:
         off=OFF_CENTRE_V,
         leaving=LEAVING_TICKS,
         ceiling=CEILING_V,
+        chamber_kpa=CHAMBER_PA * 1e-3,
     )
 
 
 def _row(fault: Fault) -> tuple[str, ...]:
-    latched = "yes" if fault.reaction in (Reaction.CENTRE, Reaction.STOP) else "no"
-    return str(int(fault.bit)), f"`{fault.name}`", fault.when, fault.reaction.value, latched, fault.cure
+    return (
+        str(int(fault.bit)),
+        f"`{fault.name}`",
+        fault.when,
+        _DEBOUNCES.get(fault.debounce, ""),
+        fault.reaction.value,
+        "yes" if fault.latches else "no",
+        fault.clears,
+        fault.cure,
+    )
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:

@@ -65,7 +65,7 @@ class Simulation:
             for frame in answers:
                 self.inbox.feed(frame)
             done_ns = answers[-1].stamp_ns if self.inbox.complete else t_ns + self._wait_ns
-            measurement = self.inbox.measurement(0, 0)
+            measurement = self.inbox.measurement(0, self.inbox.conditions)
 
             request = None
             if not self.shut and count >= self._total:
