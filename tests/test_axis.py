@@ -11,8 +11,9 @@ import pytest
 import pneud.axis
 from axis_rig import ARM, CLEAR, DISARM, ENCODER, PERIOD_NS, PRESSURE, SHUTDOWN, Rig, loaded, ready, tracking
 from pneud import parameters
-from pneud.axis import COMING_TO_REST, FOLLOWING, JOINING, SETTLE_NS, Axis
+from pneud.axis import FOLLOWING, Axis
 from pneud.bus.inbox import Inbox
+from pneud.control.plan import COMING_TO_REST, JOINING, SETTLE_NS
 from pneud.control.reference import along, sine, stays, to_rest
 from pneud.control.sliding import SlidingOutput
 from pneud.safety.checks import SETTLING_NS
@@ -30,7 +31,7 @@ def repeated(ticks: list[Tick]) -> list[str]:
 def followed() -> Iterator[tuple[Rig, list[Tick]]]:
     """A run from arming until some time after the join, and its ticks."""
     rig = ready()
-    ticks = [rig.tick(ARM)]
+    ticks = [rig.tick(ARM, 1.0)]
     while rig.axis.state.phase != FOLLOWING:
         ticks.append(rig.tick())
         assert len(ticks) < 3000
@@ -63,7 +64,7 @@ def test_it_can_arm_as_soon_as_the_estimates_have_settled_and_not_before() -> No
     refused = [rig.tick(ARM) for _ in range(SETTLING_NS // PERIOD_NS)]
     assert not any(is_engaged(tick.state) for tick in refused)
     assert names(refused[-1].present) == ["unsettled"]
-    assert rig.tick(ARM).state == State.TRACKING
+    assert rig.tick(ARM, 1.0).state == State.TRACKING
 
 
 def test_engaging_does_not_step(followed: tuple[Rig, list[Tick]]) -> None:
@@ -164,7 +165,7 @@ def test_after_disarm_it_arms_again_when_asked() -> None:
     rig.until(State.DISARMED)
     while rig.tick().present:
         assert rig.count < 5000
-    again = rig.tick(ARM)
+    again = rig.tick(ARM, 1.0)
     assert again.state == State.TRACKING
     assert again.command.s == 0.0
 
@@ -191,14 +192,12 @@ def test_shutdown_asked_in_the_tick_of_an_exception_holds(monkeypatch: pytest.Mo
     assert rig.tick(ARM).state == State.DISARMED
 
 
-@pytest.mark.parametrize("function", ["observe", "act", "emit", "advance", "sine", "along"])
+@pytest.mark.parametrize("function", ["observe", "act", "emit", "advance", "follow"])
 def test_an_exception_anywhere_centres_and_the_first_one_is_kept(
     function: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig = tracking()
     assert rig.axis.state.phase == JOINING
-    if function == "sine":
-        rig.axis.thaw(rig.axis.state._replace(phase=FOLLOWING))
     causes = [ValueError("first"), KeyError("second")]
 
     def fails(*_: object) -> None:
@@ -304,7 +303,7 @@ def test_a_measurement_that_was_no_number_is_forgotten() -> None:
     assert names(rig.tick().present) == ["unsettled"]
     while rig.tick().present:
         assert rig.count < 300
-    assert rig.tick(ARM).state == State.TRACKING
+    assert rig.tick(ARM, 1.0).state == State.TRACKING
 
 
 def test_free_running_sensors_do_not_count_time_twice() -> None:
@@ -338,7 +337,7 @@ def test_a_stop_near_the_end_of_the_travel_stays_within_it() -> None:
     here = rig.tick().reference
     limits = p.limits._replace(travel_max_m=here.position_m + 2.6e-3)
     rig.axis.parameters = p._replace(limits=limits)
-    assert not stays(to_rest(here, p.transfer), 0.0, limits.travel_max_m)
+    assert not stays(to_rest(here, p.motion), 0.0, limits.travel_max_m)
     tick = rig.tick(DISARM)
     assert tick.state == State.STOPPING
     way = rig.axis.state.path

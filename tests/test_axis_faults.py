@@ -232,7 +232,7 @@ def test_the_fault_centres_at_once_and_holds_until_it_is_cleared(case: Case) -> 
             assert rig.tick().present & 1 << case.fault
     rig.frame, rig.measurement, rig.host = (lambda frame: frame), (lambda m: m), 0
 
-    held = [rig.tick(ARM), *rig.ticks(30)]
+    held = [rig.tick(ARM, 1.0), *rig.ticks(30)]
     assert {(t.state, t.latched) for t in held} == {(State.FAULT, tick.latched)}
     cleared = rig.tick(CLEAR)
     assert (cleared.state, cleared.latched) == (State.DISARMED, 0)
@@ -371,7 +371,7 @@ def test_the_fault_keeps_the_axis_from_arming_and_says_so(
 ) -> None:
     rig = ready()
     case.provoke(rig, monkeypatch)
-    tick = rig.tick(ARM)
+    tick = rig.tick(ARM, 1.0)
     assert (tick.state, names(tick.present), tick.latched) == (State.DISARMED, [case.fault.name.lower()], 0)
     assert {t.state for t in rig.ticks(5)} == {State.DISARMED}
 
@@ -385,7 +385,7 @@ def test_what_would_centre_keeps_from_arming_as_well(case: Case, monkeypatch: py
     case.provoke(rig, monkeypatch)
     for _ in range(case.ticks - 1):
         rig.tick()
-    tick = rig.tick(ARM)
+    tick = rig.tick(ARM, 1.0)
     assert not is_engaged(tick.state)
     assert tick.present & 1 << case.fault
 

@@ -22,6 +22,15 @@ ARM, DISARM, CLEAR, SHUTDOWN = (
     RequestKind.CLEAR,
     RequestKind.SHUTDOWN,
 )
+STOP, HOLD, GOTO, JOG = RequestKind.STOP, RequestKind.HOLD, RequestKind.GOTO, RequestKind.JOG
+TRACK, HOME = RequestKind.TRACK, RequestKind.HOME
+STEERED = {
+    HOLD: State.MOVING,
+    GOTO: State.MOVING,
+    JOG: State.MOVING,
+    TRACK: State.TRACKING,
+    HOME: State.HOMING,
+}
 Step = tuple[Supervisor, int, int, bool, Supervisor]
 
 
@@ -79,12 +88,15 @@ def test_all_states_of_the_supervisor_are_reached(steps: list[Step]) -> None:
     assert len(steps) > 20_000
 
 
-def test_only_arm_engages_and_only_from_disarmed_without_faults(steps: list[Step]) -> None:
+def test_only_three_requests_engage_and_only_from_disarmed_without_faults(steps: list[Step]) -> None:
     engaging = [step for step in steps if is_engaged(step[4].state) and not is_engaged(step[0].state)]
-    assert engaging
+    ends_in = {ARM: State.HOLDING, TRACK: State.TRACKING, HOME: State.HOMING}
+    assert {request for _, _, request, _, _ in engaging} == set(ends_in)
     for s, present, request, _, after in engaging:
-        assert (s.state, request, after.state) == (State.DISARMED, ARM, State.TRACKING)
-        assert not present & BLOCKS_ARM
+        assert (s.state, after.state) == (State.DISARMED, ends_in[RequestKind(request)])
+        # who has to home has no reference yet
+        allowed = 1 << F.ENCODER_UNREFERENCED if request == HOME else 0
+        assert not present & BLOCKS_ARM & ~allowed
         assert not s.closing
 
 
@@ -126,24 +138,38 @@ def test_nothing_is_latched_but_in_fault_and_on_the_way_to_it(steps: list[Step])
 
 
 def test_a_fault_found_before_a_stop_ends_in_fault(steps: list[Step]) -> None:
-    for s, present, _, at_rest, after in steps:
+    for s, present, request, at_rest, after in steps:
         if s.state == State.STOPPING and not present & centres():
             latched = s.latched | present & stops()
-            ended = State.FAULT if latched else State.DISARMED
+            centred = s.centring or request in (DISARM, SHUTDOWN)
+            ended = State.FAULT if latched else State.DISARMED if centred else State.HOLDING
             assert (after.state, after.latched) == (ended if at_rest else State.STOPPING, latched)
 
 
 def test_a_stop_fault_and_the_requests_to_end_stop_under_control(steps: list[Step]) -> None:
-    for s, present, request, _, after in steps:
+    for s, present, request, at_rest, after in steps:
         if is_engaged(s.state) and s.state != State.STOPPING and not present & centres():
-            asked = bool(present & stops()) or request in (DISARM, SHUTDOWN)
-            assert after.state == (State.STOPPING if asked else s.state)
+            leaves = bool(present & stops()) or request in (DISARM, SHUTDOWN)
+            if leaves or request == STOP:
+                assert after.state == State.STOPPING
+                assert after.centring == (leaves or s.state == State.HOMING)
+            elif s.state != State.HOMING and request in STEERED:
+                assert after.state == STEERED[RequestKind(request)]
+            else:
+                assert after.state == (State.HOLDING if at_rest else s.state)
+
+
+def test_once_a_stop_is_to_end_centred_it_does(steps: list[Step]) -> None:
+    for s, *_, after in steps:
+        if s.state == after.state == State.STOPPING:
+            assert after.centring >= s.centring
+        assert not after.centring or after.state == State.STOPPING
 
 
 def test_shutdown_is_for_good(steps: list[Step]) -> None:
     for s, _, request, _, after in steps:
         assert after.closing == (s.closing or request == SHUTDOWN)
-        assert not (after.closing and after.state == State.TRACKING and not is_engaged(s.state))
+        assert not (after.closing and is_engaged(after.state) and not is_engaged(s.state))
 
 
 def test_lost_sensors_lead_back_to_waiting_only_where_nothing_is_latched(steps: list[Step]) -> None:
@@ -161,7 +187,7 @@ def test_warnings_change_nothing(steps: list[Step]) -> None:
 def test_what_only_keeps_from_arming_changes_nothing_else(steps: list[Step]) -> None:
     hindrances = mask(Reaction.NO_ARM)
     for s, present, request, at_rest, after in steps[::7]:
-        if request != ARM:
+        if request not in (ARM, TRACK, HOME):
             assert advance(s, present | hindrances, request, at_rest) == after
 
 

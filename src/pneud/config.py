@@ -264,11 +264,20 @@ class ReferenceConfig(Section):
 
 
 class TransferConfig(Section):
-    """Bounds of the motion that joins a reference or comes to rest."""
+    """Bounds of the motion that joins a reference."""
 
     speed_m_s: Positive = 0.3
     acceleration_m_s2: Positive = 2.0
     jerk_m_s3: Positive = 40.0
+
+
+class WayConfig(Section):
+    """Bounds of the motions to a position, at a speed, and to rest."""
+
+    speed_m_s: Positive = 0.5
+    acceleration_m_s2: Positive = 5.0
+    jerk_m_s3: Positive = 100.0
+    margin_m: NonNegative = 1e-3  # positions this close to limits.travel cannot be asked for
 
 
 class LimitsConfig(Section):
@@ -289,7 +298,9 @@ class LimitsConfig(Section):
     saturation_s: Positive = 2.0
     stuck_force_n: Positive = 200.0  # change of force that a load cannot bear without moving at all
     stuck_travel_m: Positive = 5e-3  # travel that changes every chamber pressure
+    stop_then: Literal["hold", "centre"] = "hold"  # after a stop that was asked for
     transfer: TransferConfig = TransferConfig()
+    motion: WayConfig = WayConfig()
 
     @model_validator(mode="after")
     def _ordered(self) -> LimitsConfig:
@@ -390,6 +401,14 @@ class Config(Section):
             raise ValueError(
                 f"gas.supply_pa = {self.gas.supply_pa:g} lies outside limits.supply"
                 f" {self.limits.supply_min_pa:g} … {self.limits.supply_max_pa:g}"
+            )
+        limits = self.limits
+        if 2.0 * limits.motion.margin_m >= limits.travel_max_m - limits.travel_min_m:
+            raise ValueError(f"limits.motion.margin_m = {limits.motion.margin_m:g} leaves no travel")
+        if limits.motion.speed_m_s > limits.speed_m_s:
+            raise ValueError(
+                f"limits.motion.speed_m_s = {limits.motion.speed_m_s:g} must not exceed"
+                f" limits.speed_m_s = {limits.speed_m_s:g}"
             )
         x1 = self.plant.initial_x1_m - self.cylinder.dead_length_1_m
         if not 0.0 <= x1 <= stroke:

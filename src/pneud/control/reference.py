@@ -1,8 +1,11 @@
 """Where the load should be: the tracked motion, and the ways that lead to it and to rest.
 
 A way is a chain of polynomials of degree seven that meet in position, velocity, acceleration and jerk, so
-that the jerk which (14) feeds forward never steps. Durations follow from the bounds in closed form: there is
-no search that could fail.
+that the jerk which (14) feeds forward never steps. Durations follow from the bounds in closed form, or from
+one bisection: there is no search that could fail.
+
+A time-optimal planner (ruckig) would be up to a third faster on short ways, where its jerk steps. It is not
+used: steps of jerk are steps of the command, and a replay would hang on the version of a compiled library.
 """
 
 from __future__ import annotations
@@ -14,6 +17,8 @@ from pneud.signals import Reference
 
 LEAST_S = 0.02  # shortest piece of a way
 ROOM = 1.5  # what a motion already has of acceleration and jerk, times this, cannot be forbidden on its way
+LEAST_CRUISE_S = 1e-9
+HALVINGS = 40
 MAX_HARDENINGS = 10
 SAMPLES = 32
 
@@ -109,6 +114,13 @@ def at(t: float, p: Septic) -> Reference:
     return Reference(x, v / p.T, a / (p.T * p.T), j / (p.T * p.T * p.T))
 
 
+def position(share: float, p: Septic) -> float:
+    """The polynomial's position alone [m], at a share of its time."""
+    _, c0, c1, c2, c3, c4, c5, c6, c7 = p
+    s = share
+    return c0 + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * (c5 + s * (c6 + s * c7))))))
+
+
 def way(*pieces: Septic) -> Way:
     """The way along pieces that meet."""
     return Way(sum(p.T for p in pieces), pieces)
@@ -125,21 +137,90 @@ def along(t: float, w: Way) -> Reference:
 
 def stays(w: Way, low_m: float, high_m: float) -> bool:
     """Whether a way stays between two positions (looked at in SAMPLES + 1 points of each piece)."""
-    return all(
-        low_m <= at(p.T * i / SAMPLES, p).position_m <= high_m for p in w.pieces for i in range(SAMPLES + 1)
-    )
+    return all(low_m <= position(i / SAMPLES, p) <= high_m for p in w.pieces for i in range(SAMPLES + 1))
 
 
-def between_rests(start_m: float, end_m: float, bounds: Bounds) -> Septic:
-    """The shortest polynomial from rest to rest within the bounds."""
-    distance = abs(end_m - start_m)
-    T = max(
-        2.1875 * distance / bounds.speed_m_s,
-        math.sqrt(7.5132 * distance / bounds.acceleration_m_s2),
-        math.pow(52.5 * distance / bounds.jerk_m_s3, 1.0 / 3.0),
+def still(position_m: float) -> Way:
+    """The way that does not move."""
+    return way(septic(LEAST_S, rest(position_m), rest(position_m)))
+
+
+def ramp_s(change_m_s: float, bounds: Bounds) -> float:
+    """Time in which the speed changes by so much within the bounds.
+
+    The velocity is a quintic: its greatest slope is 15/8, its greatest curvature 10/√3.
+    """
+    return max(
+        1.875 * change_m_s / bounds.acceleration_m_s2,
+        math.sqrt(5.7736 * change_m_s / bounds.jerk_m_s3),
         LEAST_S,
     )
-    return septic(T, rest(start_m), rest(end_m))
+
+
+def move(start: Reference, end_m: float, bounds: Bounds) -> Way:
+    """The way from any motion to rest at a position.
+
+    Acceleration and jerk go to zero, then the speed changes to that of the cruise and to zero, all within the
+    bounds as in `to_rest`. A motion too fast to stop in time stops first and comes back; one that is faster
+    than the bounds allow slows down to them if the distance lets it.
+    """
+    x, v, a, j = start
+    pieces = []
+    if a != 0.0 or j != 0.0:
+        ease, eased = _eased(start, bounds)
+        pieces.append(ease)
+        x, v = eased.position_m, eased.velocity_m_s
+    halt_m = 0.5 * v * ramp_s(abs(v), bounds)
+    if v * (end_m - x - halt_m) < 0.0:
+        pieces.append(_ramp(x, v, 0.0, bounds))
+        x, v = x + halt_m, 0.0
+    distance, speed, side = abs(end_m - x), abs(v), math.copysign(1.0, end_m - x)
+    top = _cruise(speed, distance, bounds)
+    if top > 0.0:
+        if top != speed:
+            pieces.append(_ramp(x, side * speed, side * top, bounds))
+        cruise_s = (distance - _covered(speed, top, bounds)) / top
+        last = ramp_s(top, bounds)
+        braking = Reference(end_m - side * 0.5 * top * last, side * top, 0.0, 0.0)
+        if cruise_s > LEAST_CRUISE_S:
+            begin_m = braking.position_m - side * top * cruise_s
+            pieces.append(Septic(cruise_s, begin_m, side * top * cruise_s, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        pieces.append(septic(last, braking, rest(end_m)))
+    return way(*pieces) if pieces else still(end_m)
+
+
+def _ramp(x: float, before: float, after: float, bounds: Bounds) -> Septic:
+    T = ramp_s(abs(after - before), bounds)
+    end = Reference(x + 0.5 * (before + after) * T, after, 0.0, 0.0)
+    return septic(T, Reference(x, before, 0.0, 0.0), end)
+
+
+def _covered(speed: float, top: float, bounds: Bounds) -> float:
+    """Distance that it takes to change from a speed to another, and from that to zero."""
+    change = 0.5 * (speed + top) * ramp_s(abs(top - speed), bounds) if top != speed else 0.0
+    return change + 0.5 * top * ramp_s(top, bounds)
+
+
+def _cruise(speed: float, distance: float, bounds: Bounds) -> float:
+    """The greatest speed on a way of at least the length that stopping takes."""
+    most = bounds.speed_m_s
+    if speed == 0.0:
+        return min(
+            most,
+            math.sqrt(distance * bounds.acceleration_m_s2 / 1.875),
+            math.pow(distance * distance * bounds.jerk_m_s3 / 5.7736, 1.0 / 3.0),
+            distance / LEAST_S,
+        )
+    if _covered(speed, most, bounds) <= distance:
+        return most
+    low, high = speed, max(speed, most)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if _covered(speed, middle, bounds) <= distance:
+            low = middle
+        else:
+            high = middle
+    return low
 
 
 def to_rest(start: Reference, bounds: Bounds) -> Way:
@@ -148,9 +229,25 @@ def to_rest(start: Reference, bounds: Bounds) -> Way:
     First acceleration and jerk go to zero, then the velocity. The bounds on acceleration and jerk are kept,
     or `ROOM` times what the motion began with; its speed may still grow while the acceleration ends.
     """
+    ease, eased = _eased(start, bounds)
+    speed = abs(eased.velocity_m_s)
+    most_a, most_j = _most(start, bounds)
+    T_halt = ramp_s(speed, Bounds(bounds.speed_m_s, most_a, most_j))
+    end = rest(eased.position_m + 0.5 * T_halt * eased.velocity_m_s)
+    return way(ease, septic(T_halt, eased, end))
+
+
+def _most(start: Reference, bounds: Bounds) -> tuple[float, float]:
+    return (
+        max(bounds.acceleration_m_s2, ROOM * abs(start.acceleration_m_s2)),
+        max(bounds.jerk_m_s3, ROOM * abs(start.jerk_m_s3)),
+    )
+
+
+def _eased(start: Reference, bounds: Bounds) -> tuple[Septic, Reference]:
+    """The piece on which acceleration and jerk go to zero, and its end."""
     x, v, a, j = start
-    most_a = max(bounds.acceleration_m_s2, ROOM * abs(a))
-    most_j = max(bounds.jerk_m_s3, ROOM * abs(j))
+    most_a, most_j = _most(start, bounds)
     # the acceleration is a cubic: its jerk stays below |j| + 1.5 |a|/T, itself below |a| + 4/27 |j| T
     longest = 6.75 * (most_a - abs(a)) / abs(j) if j != 0.0 else LEAST_S
     T = max(1.5 * abs(a) / (most_j - abs(j)), min(LEAST_S, longest))
@@ -160,11 +257,7 @@ def to_rest(start: Reference, bounds: Bounds) -> Way:
         0.0,
         0.0,
     )
-    speed = abs(eased.velocity_m_s)
-    # the velocity is a quintic: its greatest slope 15/8, its greatest curvature 10/√3
-    T_halt = max(1.875 * speed / most_a, math.sqrt(5.7736 * speed / most_j), LEAST_S)
-    end = rest(eased.position_m + 0.5 * T_halt * eased.velocity_m_s)
-    return way(septic(T, start, eased), septic(T_halt, eased, end))
+    return septic(T, start, eased), eased
 
 
 def stop(start: Reference, bounds: Bounds, low_m: float, high_m: float) -> Way:
@@ -181,16 +274,16 @@ def stop(start: Reference, bounds: Bounds, low_m: float, high_m: float) -> Way:
     return w
 
 
-def transfer(start_m: float, end: Reference, bounds: Bounds) -> Way:
-    """The way from rest to a motion: from rest to rest, then a run-up, which is a stop run backwards.
+def transfer(start: Reference, end: Reference, bounds: Bounds) -> Way:
+    """The way from one motion to another: to rest somewhere, then a run-up, which is a stop run backwards.
 
-    Bounds as in `between_rests`, then as in `to_rest`.
+    Bounds as in `to_rest`.
     """
     ease, halt = to_rest(_reversed(end), bounds).pieces
     middle = _reversed(at(halt.T, halt))
     run = _reversed(at(0.0, halt))
     return way(
-        between_rests(start_m, middle.position_m, bounds),
+        *move(start, middle.position_m, bounds).pieces,
         septic(halt.T, rest(middle.position_m), run),
         septic(ease.T, run, end),
     )

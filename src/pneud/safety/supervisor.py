@@ -4,14 +4,22 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pneud.safety.faults import BLOCKS_ARM, CENTRES, NO_SENSORS, STOPS
+from pneud.safety.faults import BLOCKS_ARM, CENTRES, NO_SENSORS, STOPS, F
 from pneud.signals import RequestKind, State
 
 START_TICKS = 10  # ticks that the valve is told to centre before anything else
 STARTING, WAITING, DISARMED = int(State.STARTING), int(State.WAITING), int(State.DISARMED)
 TRACKING, STOPPING, FAULT = int(State.TRACKING), int(State.STOPPING), int(State.FAULT)
 ARM, DISARM = int(RequestKind.ARM), int(RequestKind.DISARM)
-CLEAR, SHUTDOWN = int(RequestKind.CLEAR), int(RequestKind.SHUTDOWN)
+CLEAR, SHUTDOWN, STOP = int(RequestKind.CLEAR), int(RequestKind.SHUTDOWN), int(RequestKind.STOP)
+HOLDING, MOVING, HOMING = int(State.HOLDING), int(State.MOVING), int(State.HOMING)
+HOLD, GOTO, JOG = int(RequestKind.HOLD), int(RequestKind.GOTO), int(RequestKind.JOG)
+TRACK, HOME = int(RequestKind.TRACK), int(RequestKind.HOME)
+
+# what a request makes of a disarmed axis, and of an engaged one
+ENGAGES = {ARM: HOLDING, TRACK: TRACKING, HOME: HOMING}
+STEERS = {HOLD: MOVING, GOTO: MOVING, JOG: MOVING, TRACK: TRACKING, HOME: HOMING}
+BLOCKS = {ARM: BLOCKS_ARM, TRACK: BLOCKS_ARM, HOME: BLOCKS_ARM & ~(1 << F.ENCODER_UNREFERENCED)}
 
 
 class Supervisor(NamedTuple):
@@ -21,6 +29,7 @@ class Supervisor(NamedTuple):
     latched: int  # faults that hold the axis until they are cleared
     ticks: int  # in this state
     closing: bool  # shut down: never arms again
+    centring: bool = False  # the stop under way ends with the valve centred, not with holding
 
 
 INITIAL = Supervisor(STARTING, 0, 0, False)
@@ -37,19 +46,28 @@ def advance(s: Supervisor, present: int, request: int, at_rest: bool) -> Supervi
     Args:
         s: state of the last tick.
         present: bits of the faults that hold now.
-        request: a `RequestKind`, 0 for none.
-        at_rest: the reference has come to rest (ends a controlled stop).
+        request: a `RequestKind` that the axis can do, 0 for none. A disarmed axis asked to track arms for it.
+        at_rest: the reference has come to the end of its way.
     """
     closing = s.closing or request == SHUTDOWN
     if is_engaged(s.state):
         if present & CENTRES:
             return Supervisor(FAULT, s.latched | (present & (CENTRES | STOPS)), 0, closing)
         latched = s.latched | (present & STOPS)
-        if s.state != STOPPING and (present & STOPS or request in (DISARM, SHUTDOWN)):
-            return Supervisor(STOPPING, latched, 0, closing)
-        if s.state == STOPPING and at_rest:
-            return Supervisor(FAULT if latched else DISARMED, latched, 0, closing)
-        return Supervisor(s.state, latched, s.ticks + 1, closing)
+        # an axis that has no reference yet cannot hold
+        centring = s.centring or bool(present & STOPS) or request in (DISARM, SHUTDOWN) or s.state == HOMING
+        if s.state == STOPPING:
+            if not at_rest:
+                return Supervisor(STOPPING, latched, s.ticks + 1, closing, centring)
+            return Supervisor(FAULT if latched else DISARMED if centring else HOLDING, latched, 0, closing)
+        if present & STOPS or request in (DISARM, SHUTDOWN, STOP):
+            return Supervisor(STOPPING, latched, 0, closing, centring)
+        goal = s.state
+        if s.state != HOMING and request in STEERS:
+            goal = STEERS[request]
+        elif at_rest:
+            goal = HOLDING
+        return Supervisor(goal, latched, s.ticks + 1 if goal == s.state else 0, closing)
     if s.state == FAULT:
         if request == CLEAR and not present & (CENTRES | STOPS):
             return Supervisor(DISARMED, 0, 0, closing)
@@ -62,8 +80,8 @@ def advance(s: Supervisor, present: int, request: int, at_rest: bool) -> Supervi
         return Supervisor(WAITING, 0, s.ticks + 1 if s.state == WAITING else 0, closing)
     if s.state == WAITING:
         return Supervisor(DISARMED, 0, 0, closing)
-    if request == ARM and not present & BLOCKS_ARM and not closing:
-        return Supervisor(TRACKING, 0, 0, closing)
+    if request in ENGAGES and not present & BLOCKS[request] and not closing:
+        return Supervisor(ENGAGES[request], 0, 0, closing)
     return Supervisor(DISARMED, 0, s.ticks + 1, closing)
 
 

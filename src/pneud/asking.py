@@ -1,0 +1,237 @@
+"""What becomes of a request: the answer, and the way that the reference will go.
+
+Pure: what the axis is and what is asked in, what is to change out. A request that is refused changes nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import zip_longest
+from operator import gt
+from typing import NamedTuple
+
+from pneud.control.plan import FOLLOWING, GOING, JOINING, Plan, Profile, halting, resting
+from pneud.control.reference import (
+    Bounds,
+    Sine,
+    Way,
+    at,
+    move,
+    rest,
+    sine,
+    stays,
+    still,
+    transfer,
+    way,
+)
+from pneud.control.step import Controller
+from pneud.safety.checks import Limits
+from pneud.safety.faults import BLOCKS_ARM, CENTRES, STOPS, F
+from pneud.safety.output import OutputLimits
+from pneud.safety.supervisor import Supervisor, is_engaged
+from pneud.signals import Answer, Estimate, Reference, Request, RequestKind, State
+
+TAKEN, WRONG_STATE, BLOCKED = int(Answer.TAKEN), int(Answer.WRONG_STATE), int(Answer.BLOCKED)
+OUT_OF_TRAVEL, BEYOND_LIMITS = int(Answer.OUT_OF_TRAVEL), int(Answer.BEYOND_LIMITS)
+NOT_REFERENCED, NO_PROFILE = int(Answer.NOT_REFERENCED), int(Answer.NO_PROFILE)
+MALFORMED, CLOSING = int(Answer.MALFORMED), int(Answer.CLOSING)
+ARM, DISARM, CLEAR = int(RequestKind.ARM), int(RequestKind.DISARM), int(RequestKind.CLEAR)
+SHUTDOWN, MARK, STOP = int(RequestKind.SHUTDOWN), int(RequestKind.MARK), int(RequestKind.STOP)
+HOLD, GOTO, JOG = int(RequestKind.HOLD), int(RequestKind.GOTO), int(RequestKind.JOG)
+TRACK = int(RequestKind.TRACK)
+STEERED = (int(State.TRACKING), int(State.MOVING), int(State.HOLDING))  # may be asked to go elsewhere
+
+CONFIGURED, UPLOADED = 0.0, 1.0  # what TRACK asks for
+ARRIVED_M = 1e-9  # no way is shorter
+LONGEST_LEASE = 1e9  # ticks
+HARDENINGS = 3
+REST_M_S, REST_M_S2 = 1e-6, 1e-3  # slower than this is rest
+
+# how many values each request has
+COUNTS = {
+    ARM: (0, 1),
+    DISARM: (0,),
+    CLEAR: (0,),
+    SHUTDOWN: (0,),
+    STOP: (0,),
+    HOLD: (0,),
+    GOTO: (1, 2, 3, 4),
+    JOG: (2,),
+    TRACK: (1,),
+}
+
+
+class AxisParameters(NamedTuple):
+    """All parameters of an axis."""
+
+    controller: Controller
+    output: OutputLimits
+    limits: Limits
+    reference: Sine
+    transfer: Bounds  # of ways that join a reference
+    motion: Bounds  # of all other ways
+    travel_margin_m: float  # how far from the ends of the travel a way to a position stays
+    stop_centres: bool  # after a stop that was asked for
+    join_at_once: bool  # start on the reference without a transfer
+
+
+class Asked(NamedTuple):
+    """What becomes of a request."""
+
+    answer: int
+    kind: int = 0  # what the supervisor is asked; 0 for nothing
+    plan: Plan | None = None  # what the reference does from now on
+    faults: int = 0  # that showed only now
+
+
+NOTHING = Asked(int(Answer.NONE))
+
+
+def ask(
+    request: Request,
+    s: Supervisor,
+    present: int,
+    plan: Plan,
+    profile: Profile,
+    now: Reference,
+    e: Estimate,
+    now_ns: int,
+    p: AxisParameters,
+) -> Asked:
+    """What becomes of a request in this tick.
+
+    Args:
+        request: of the operator.
+        s: the supervisor after the last tick.
+        present: bits of the faults that hold now.
+        plan: what the reference is doing.
+        profile: the uploaded one.
+        now: the reference; not looked at where the axis is not engaged.
+        e: the estimate.
+        now_ns: the instant that both belong to.
+        p: parameters.
+    """
+    kind, values = request
+    if kind == MARK:
+        return Asked(TAKEN)
+    if len(values) not in COUNTS.get(kind, ()) or not all(map(math.isfinite, values)):
+        return Asked(MALFORMED)
+    if kind == SHUTDOWN:
+        return Asked(TAKEN, SHUTDOWN)
+    if kind == ARM:
+        return _arm(values == (1.0,), s, present, e, now_ns, p)
+    if kind == CLEAR:
+        if s.state != State.FAULT:
+            return Asked(WRONG_STATE)
+        return Asked(BLOCKED) if present & (CENTRES | STOPS) else Asked(TAKEN, CLEAR)
+    if kind in (DISARM, STOP):
+        if not is_engaged(s.state):
+            return Asked(WRONG_STATE)
+        return Asked(TAKEN, DISARM if p.stop_centres else kind)
+    if s.state not in STEERED:
+        return Asked(WRONG_STATE)
+    if present & (CENTRES | STOPS):
+        return Asked(BLOCKED)
+    if kind == GOTO:
+        return _goto(values, now, now_ns, p)
+    if kind == JOG and values[0] != 0.0:
+        return _jog(values[0], values[1], plan, now, now_ns, p)
+    if kind == TRACK:
+        return _track(values[0], profile, now, now_ns, p)
+    if s.state == State.HOLDING:
+        return Asked(TAKEN)
+    limits = p.limits
+    return Asked(TAKEN, HOLD, halting(plan, now, now_ns, p.motion, limits.travel_min_m, limits.travel_max_m))
+
+
+def _arm(track: bool, s: Supervisor, present: int, e: Estimate, now_ns: int, p: AxisParameters) -> Asked:
+    if s.state != State.DISARMED:
+        return Asked(WRONG_STATE)
+    if s.closing:
+        return Asked(CLOSING)
+    if present & BLOCKS_ARM:
+        alone = present & BLOCKS_ARM == 1 << F.ENCODER_UNREFERENCED
+        return Asked(NOT_REFERENCED if alone else BLOCKED)
+    here = rest(e.position_m)
+    if not track:
+        return Asked(TAKEN, ARM, resting(e.position_m, now_ns))
+    first = sine(0.0, p.reference)
+    if p.join_at_once:
+        reachable = abs(first.position_m - e.position_m) <= p.limits.tracking_error_m
+        plan = Plan(FOLLOWING, now_ns, still(first.position_m))
+    else:
+        path = transfer(here, first, p.transfer)
+        reachable = stays(path, p.limits.travel_min_m, p.limits.travel_max_m)
+        plan = Plan(JOINING, now_ns, path)
+    return Asked(TAKEN, TRACK, plan) if reachable else Asked(BLOCKED, faults=1 << F.UNREACHABLE)
+
+
+def ends_at_rest(profile: Profile) -> bool:
+    """Whether there is a profile that ends at rest."""
+    if not profile:
+        return False
+    end = at(profile[-1].T, profile[-1])
+    return abs(end.velocity_m_s) <= REST_M_S and abs(end.acceleration_m_s2) <= REST_M_S2
+
+
+def _bounds(wanted: tuple[float, ...], most: Bounds) -> Bounds | int:
+    """Bounds of a way: those asked for, the configured ones for 0; or why not."""
+    chosen = [value or bound for value, bound in zip_longest(wanted, most, fillvalue=0.0)]
+    if min(chosen) <= 0.0:
+        return MALFORMED
+    bounds = Bounds(*chosen)
+    return BEYOND_LIMITS if any(map(gt, bounds, most)) else bounds
+
+
+def _within(bounds: Bounds, now: Reference, end_m: float, p: AxisParameters) -> Way | None:
+    """The way to a position, braked harder where it would leave the travel; None if that is not enough."""
+    limits = p.limits
+    low_m, high_m = limits.travel_min_m, limits.travel_max_m
+    for _ in range(HARDENINGS):
+        path = move(now, end_m, bounds)
+        if stays(way(*path.pieces[:2]), low_m, high_m):  # beyond these it does not turn
+            return path
+        bounds = Bounds(bounds.speed_m_s, 2.0 * bounds.acceleration_m_s2, 4.0 * bounds.jerk_m_s3)
+    return None
+
+
+def _goto(values: tuple[float, ...], now: Reference, now_ns: int, p: AxisParameters) -> Asked:
+    bounds = _bounds(values[1:], p.motion)
+    if isinstance(bounds, int):
+        return Asked(bounds)
+    low_m, high_m = p.limits.travel_min_m + p.travel_margin_m, p.limits.travel_max_m - p.travel_margin_m
+    if not low_m <= values[0] <= high_m:
+        return Asked(OUT_OF_TRAVEL)
+    path = _within(bounds, now, values[0], p)
+    return Asked(TAKEN, GOTO, Plan(GOING, now_ns, path)) if path is not None else Asked(OUT_OF_TRAVEL)
+
+
+def _jog(velocity: float, lease: float, plan: Plan, now: Reference, now_ns: int, p: AxisParameters) -> Asked:
+    """A jog is a way to the end of the travel at its speed: it brakes in time by itself."""
+    if not 1.0 <= lease <= LONGEST_LEASE:
+        return Asked(MALFORMED)
+    if plan.jog_m_s == velocity:
+        return Asked(TAKEN, JOG, plan._replace(lease=int(lease)))
+    if abs(velocity) > p.motion.speed_m_s:
+        return Asked(BEYOND_LIMITS)
+    limits = p.limits
+    end_m = (
+        limits.travel_max_m - p.travel_margin_m if velocity > 0.0 else limits.travel_min_m + p.travel_margin_m
+    )
+    ahead_m = end_m - now.position_m if velocity > 0.0 else now.position_m - end_m
+    path = _within(p.motion._replace(speed_m_s=abs(velocity)), now, end_m, p) if ahead_m > ARRIVED_M else None
+    if path is None:
+        return Asked(OUT_OF_TRAVEL)
+    return Asked(TAKEN, JOG, Plan(GOING, now_ns, path, jog_m_s=velocity, lease=int(lease)))
+
+
+def _track(what: float, profile: Profile, now: Reference, now_ns: int, p: AxisParameters) -> Asked:
+    if what not in (CONFIGURED, UPLOADED):
+        return Asked(MALFORMED)
+    if what == UPLOADED and not ends_at_rest(profile):
+        return Asked(NO_PROFILE)
+    first = at(0.0, profile[0]) if what == UPLOADED else sine(0.0, p.reference)
+    path = transfer(now, first, p.transfer)
+    if not stays(path, p.limits.travel_min_m, p.limits.travel_max_m):
+        return Asked(OUT_OF_TRAVEL)
+    return Asked(TAKEN, TRACK, Plan(JOINING, now_ns, path, uploaded=what == UPLOADED))
