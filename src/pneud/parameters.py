@@ -140,7 +140,11 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
         transfer=Bounds(
             limits.transfer.speed_m_s, limits.transfer.acceleration_m_s2, limits.transfer.jerk_m_s3
         ),
-        motion=Bounds(limits.motion.speed_m_s, limits.motion.acceleration_m_s2, limits.motion.jerk_m_s3),
+        motion=Bounds(
+            min(limits.motion.speed_m_s, limits.speed_m_s),
+            limits.motion.acceleration_m_s2,
+            limits.motion.jerk_m_s3,
+        ),
         travel_margin_m=limits.motion.margin_m,
         stop_centres=limits.stop_then == "centre",
         join_at_once=c.reference.join == "at_once",
