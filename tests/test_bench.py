@@ -25,7 +25,7 @@ from pneud.benchmark.contestants import AbsentError, Track
 from pneud.benchmark.law import Law, LawState, begin, header, law_of, reference, tick
 from pneud.benchmark.report import as_object, in_words
 from pneud.benchmark.sample import Sample, Series, from_object, process_state, ratio_of_turns
-from pneud.benchmark.to_c import TranslationError, Translator
+from pneud.compiled.to_c import TranslationError, Translator
 from pneud.config import ConfigError
 from pneud.loading import Loaded, load
 from pneud.verbs.bench import BenchOptions, Contestant, bench

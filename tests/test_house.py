@@ -113,7 +113,19 @@ def test_every_room_has_a_contract() -> None:
 
 def skeleton(folder: Path, imports: dict[str, str]) -> subprocess.CompletedProcess[str]:
     """Checks the project's contracts against a package of the same shape that has the given imports."""
-    packages = {"physics", "control", "safety", "bus", "rt", "log", "plant", "sim", "verbs", "view"}
+    packages = {
+        "physics",
+        "control",
+        "safety",
+        "bus",
+        "rt",
+        "log",
+        "plant",
+        "compiled",
+        "sim",
+        "verbs",
+        "view",
+    }
     rooms = {room for contract in contracts() for room in named(contract)} | {"cli"}
     root = folder / "pneud"
     files = {f"{room}/__init__.py" if room in packages else f"{room}.py" for room in rooms}
@@ -148,6 +160,7 @@ ALLOWED = {
     "parameters": "from pneud import axis, config\nfrom pneud.control import part",
     "design": "from pneud import chatter, config, parameters\nfrom pneud.control import part",
     "chatter": "from pneud import config, parameters\nfrom pneud.physics import part",
+    "compiled": "from pneud import axis\nfrom pneud.control import part\nfrom pneud.plant import part as p",
     "loading": "from pneud.bus.part import x\nfrom pneud import config, resources",
     "processes": "from pneud.plant import part\nfrom pneud.view import x",
     "replaying": "from pneud.log import part\nfrom pneud import axis, loading",
@@ -155,7 +168,7 @@ ALLOWED = {
     "bus": "from pneud import config, signals",
     "log": "from pneud import signals",
     "plant": "from pneud.physics import part\nfrom pneud.bus import part as b",
-    "sim": "from pneud.plant import part\nfrom pneud import axis",
+    "sim": "from pneud.plant import part\nfrom pneud import axis\nfrom pneud.compiled import part as c",
     "daemon": "from pneud import axis, processes\nfrom pneud.log import part",
     "benchmark": "from pneud import control, loading\nfrom pneud.log import part",
     "verbs": "from pneud import daemon\nfrom pneud.sim import part",
@@ -175,6 +188,7 @@ FORBIDDEN = {
     "summary": "from pneud.log import part",
     "design": "from pneud.sim import part",
     "chatter": "from pneud import design",
+    "compiled": "from pneud import config",
     "loading": "from pneud.plant import part",
     "processes": "from pneud import daemon",
     "rt": "from pneud import signals",

@@ -268,6 +268,7 @@ def _exit(verb: object, *args: object) -> NoReturn:
     """Run a verb and turn what people can do something about into one line and an exit status."""
     from pneud.bus.codec import DatabaseError
     from pneud.bus.link import LinkError
+    from pneud.compiled.build import BuildError
     from pneud.config import ConfigError
     from pneud.log.files import LogError
 
@@ -278,6 +279,8 @@ def _exit(verb: object, *args: object) -> NoReturn:
         _fail(str(e))
     except LinkError as e:
         _fail(str(e), e.exit_code)
+    except BuildError as e:
+        _fail(f"loop.compiled: {e}", MACHINE)
     except MemoryError:
         _fail("not enough memory", MACHINE)
     except KeyboardInterrupt:

@@ -93,6 +93,7 @@ class LoopConfig(Section):
     rate_hz: Annotated[float, Field(ge=10, le=5_000)] = 1000.0
     set_deadline: Annotated[float, Field(ge=0.1, le=0.95)] = 0.8
     spin_us: Annotated[float, Field(ge=0, le=500)] = 0.0
+    compiled: Literal["off", "auto", "required"] = "auto"
 
 
 class RealtimeConfig(Section):

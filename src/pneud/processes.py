@@ -16,7 +16,7 @@ from pneud.bus.codec import Codecs
 from pneud.bus.link import Link, LinkError, open_link
 from pneud.config import Config
 from pneud.log.ring import Ring
-from pneud.plant.node import PlantNode
+from pneud.plant.node import Advance, PlantNode
 from pneud.plant.parameters import PlantParameters
 from pneud.plant.process import serve
 from pneud.plant.truth import TruthWriter
@@ -61,6 +61,7 @@ def fork_plant(
     seed: int,
     truth: mmap.mmap,
     priority: int,
+    advance: Advance,
 ) -> int:
     """The software plant on the same bus.
 
@@ -72,6 +73,7 @@ def fork_plant(
         seed: of the sensors' noise.
         truth: shared memory for the true positions.
         priority: real-time priority to try for, since frames that come late are not what a real bus does.
+        advance: what integrates the plant.
     """
     parent = os.getpid()
 
@@ -87,7 +89,7 @@ def fork_plant(
         setup.die_with_parent(parent)
         inherited.close()
         with open_link(channel, virtual=True) as link:
-            node = PlantNode(p, codecs, seed)
+            node = PlantNode(p, codecs, seed, advance=advance)
             setup.apply(priority, None, False)
             serve(link, node, stop=lambda: stopped, truth=TruthWriter(truth))
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pneud import parameters
-from pneud.axis import Axis
 from pneud.bus.codec import load_codecs
 from pneud.bus.inbox import Inbox
+from pneud.compiled.law import law
 from pneud.config import Config, parse
 from pneud.loading import at_rate
 from pneud.log.fingerprint import numeric_fingerprint
@@ -72,6 +72,7 @@ def replay(log: LogReader, config: Config | None = None) -> Outcome:
     Raises:
         ConfigError: the configuration in the log cannot be used by this version.
         DatabaseError: nor its DBC.
+        BuildError: it requires the compiled law, which cannot be had.
     """
     chosen = config or parse(log.config_text, f"{log.path}:{log.config_name}")
     if chosen.loop.rate_hz != log.rate_hz:
@@ -80,7 +81,8 @@ def replay(log: LogReader, config: Config | None = None) -> Outcome:
         dbc = Path(folder) / (Path(log.dbc_name).name or "log.dbc")
         dbc.write_bytes(log.dbc)
         codecs = load_codecs(chosen.bus, dbc)
-    axis = Axis(parameters.axis_of(chosen, codecs.command_lsb_v))
+    p = parameters.axis_of(chosen, codecs.command_lsb_v)
+    axis = law(chosen.loop.compiled, p).axis(p)
     inbox = Inbox(codecs, chosen.bus)
     command = codecs.valve_command
 

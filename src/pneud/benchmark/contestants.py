@@ -18,6 +18,7 @@ from pneud import resources
 from pneud.benchmark.law import header
 from pneud.benchmark.sample import QUANTITIES, ProcessState, Sample, from_object, process_state
 from pneud.bus import folder
+from pneud.compiled.build import EXACT
 from pneud.loading import Loaded
 from pneud.log.reader import read_log
 from pneud.signals import ALL_SOURCES
@@ -121,11 +122,8 @@ def build(program: Path, axis: Loaded) -> None:
         raise AbsentError("there is no C compiler: apt install gcc libc6-dev")
     source = resources.bench() / "loop.c"
     (program.parent / "law.h").write_text(header(axis))
-    # without contraction it computes what Python does, to the last bit
-    options = ("-O2", "-ffp-contract=off", "-I", program.parent)
-    done = subprocess.run(
-        [compiler, *options, "-o", program, source, "-lm"], capture_output=True, text=True, check=False
-    )
+    command: list[str | Path] = [compiler, *EXACT, "-I", program.parent, "-o", program, source, "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise AbsentError(f"{source} cannot be compiled: {(done.stderr.splitlines() or ['no reason'])[0]}")
 

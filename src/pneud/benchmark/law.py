@@ -11,7 +11,7 @@ import sys
 from typing import NamedTuple
 
 from pneud import parameters
-from pneud.benchmark.to_c import Translator
+from pneud.compiled.to_c import Translator
 from pneud.control.step import Controller, ControllerState, act, join, observe, start
 from pneud.loading import Loaded, load
 from pneud.safety.output import OutputLimits, emit

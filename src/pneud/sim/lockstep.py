@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from pneud import parameters
-from pneud.axis import Axis
 from pneud.bus.inbox import Inbox
+from pneud.compiled.law import INTERPRETED, Law, law
 from pneud.loading import Loaded, load
 from pneud.plant.node import PlantNode
 from pneud.safety.faults import BLOCKS_ARM
@@ -27,17 +27,18 @@ END_TICKS = 20
 class Simulation:
     """One run; iterate over `records`, then look at what is left in the parts."""
 
-    def __init__(self, loaded: Loaded, duration_s: float, seed: int = 0) -> None:
+    def __init__(self, loaded: Loaded, duration_s: float, seed: int = 0, how: Law = INTERPRETED) -> None:
         """A run that has not begun.
 
         Args:
             loaded: the axis.
             duration_s: simulated time until the axis is told to shut down.
             seed: of the sensors' noise.
+            how: axis and plant are computed.
         """
-        self.axis = Axis(parameters.axis_of(loaded.config, loaded.codecs.command_lsb_v))
+        self.axis = how.axis(parameters.axis_of(loaded.config, loaded.codecs.command_lsb_v))
         self.inbox = Inbox(loaded.codecs, loaded.config.bus)
-        self.node = PlantNode(parameters.plant_of(loaded.config), loaded.codecs, seed)
+        self.node = PlantNode(parameters.plant_of(loaded.config), loaded.codecs, seed, advance=how.advance)
         self.shut = False  # the run is over and the axis is coming to rest
         self.tx = 0
         self._codecs = loaded.codecs
@@ -112,5 +113,17 @@ def simulate(config_file: str | Path, duration_s: float = 10.0, seed: int = 0) -
     Raises:
         ConfigError: the configuration cannot be used.
         DatabaseError: its DBC cannot be used.
+        BuildError: it requires the compiled law, which cannot be had.
     """
-    return Simulation(load(config_file), duration_s, seed).records()
+    loaded = load(config_file)
+    return Simulation(loaded, duration_s, seed, law_of(loaded)).records()
+
+
+def law_of(loaded: Loaded) -> Law:
+    """How an axis is to be computed on this machine.
+
+    Raises:
+        BuildError: the compiled law is required and cannot be had.
+    """
+    p = parameters.axis_of(loaded.config, loaded.codecs.command_lsb_v)
+    return law(loaded.config.loop.compiled, p)

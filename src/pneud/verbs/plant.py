@@ -7,6 +7,7 @@ import sys
 
 from pneud import parameters
 from pneud.bus.link import open_link, refuse_if_driven
+from pneud.compiled.law import law
 from pneud.config import ConfigError
 from pneud.loading import bus_name, listening_s, load
 from pneud.plant.node import PlantNode
@@ -22,6 +23,7 @@ def plant(config_file: str, bus: str, seed: int) -> int:
         ConfigError: the configuration or the bus name cannot be used.
         DatabaseError: the DBC cannot be used.
         LinkError: the bus cannot be used, or is no virtual one.
+        BuildError: the compiled law is required and cannot be had.
     """
     axis = load(config_file)
     config = axis.config
@@ -43,7 +45,8 @@ def plant(config_file: str, bus: str, seed: int) -> int:
         refuse_if_driven(link, answers, listening_s(config), "other nodes answer there")
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, stop)
-        node = PlantNode(parameters.plant_of(config), codecs, seed)
+        how = law(config.loop.compiled, parameters.axis_of(config, codecs.command_lsb_v))
+        node = PlantNode(parameters.plant_of(config), codecs, seed, advance=how.advance)
         print(f"plant {config.name} on {link.name}; Ctrl-C stops", file=sys.stderr, flush=True)
         setup.apply(max(0, config.realtime.priority - 10), None, False)
         serve(link, node, stop=lambda: stopped, on_valve_state=say)

@@ -12,6 +12,7 @@ from pneud import parameters
 from pneud.axis import Axis
 from pneud.bus.inbox import Inbox
 from pneud.bus.link import Link, LinkError, open_link, refuse_if_driven
+from pneud.compiled.law import Law, law
 from pneud.config import Config, ConfigError
 from pneud.daemon import Loop, options_of
 from pneud.loading import Loaded, bus_name, listening_s, load
@@ -56,6 +57,7 @@ def run(o: RunOptions) -> int:
         DatabaseError: the DBC cannot be used.
         LinkError: the bus cannot be used.
         LogError: the log cannot be written.
+        BuildError: the compiled law is required and cannot be had.
     """
     if o.arm and ("INVOCATION_ID" in os.environ or "NOTIFY_SOCKET" in os.environ):
         raise ConfigError("--arm is for benches and tests; a service is armed by an operator: pneud arm")
@@ -64,6 +66,10 @@ def run(o: RunOptions) -> int:
     if channel == "auto" and not o.virtual:
         raise ConfigError(f"{axis.path}: bus auto is for virtual runs; name the rig's bus with --bus")
     codecs = axis.codecs
+    p = parameters.axis_of(axis.config, codecs.command_lsb_v)
+    how = law(axis.config.loop.compiled, p)
+    if how.reason:
+        print(f"pneud: the law runs in Python: {how.reason}", file=sys.stderr)
     log_file, descriptor = open_log(o.log, axis.config.name)
     try:
         link = open_link(channel, virtual=o.virtual)
@@ -77,12 +83,13 @@ def run(o: RunOptions) -> int:
     with link:
         if link.note:
             print(f"pneud: {link.note}", file=sys.stderr)
-        return _run(o, axis, link, log_file, descriptor)
+        return _run(o, axis, how.axis(p), how, link, log_file, descriptor)
 
 
-def _run(o: RunOptions, loaded: Loaded, link: Link, log_file: Path, descriptor: int) -> int:
+def _run(
+    o: RunOptions, loaded: Loaded, axis: Axis, how: Law, link: Link, log_file: Path, descriptor: int
+) -> int:
     config, path, text, dbc, codecs = loaded
-    axis = Axis(parameters.axis_of(config, codecs.command_lsb_v))
     ring = Ring.create()
     header = LogHeader(
         name=config.name,
@@ -95,7 +102,7 @@ def _run(o: RunOptions, loaded: Loaded, link: Link, log_file: Path, descriptor: 
         dbc=dbc.read_bytes(),
         fault_names=FAULT_NAMES,
         realtime_offset_ns=link.realtime_offset_ns,
-        extra={"seed": str(o.seed)} if o.virtual else {},
+        extra={"law": how.name, **({"seed": str(o.seed)} if o.virtual else {})},
     )
     plant, screen, recorder, truth = 0, 0, 0, None
     reports: list[setup.Report] = []
@@ -112,6 +119,7 @@ def _run(o: RunOptions, loaded: Loaded, link: Link, log_file: Path, descriptor: 
                 o.seed,
                 memory,
                 max(0, config.realtime.priority - 10),
+                how.advance,
             )
         if not o.headless and sys.stdout.isatty() and not o.json:
             screen = fork_screen(ring, link, config, log_file)

@@ -15,7 +15,7 @@ from pneud.log.header import LogHeader
 from pneud.log.writer import LogWriter
 from pneud.safety.faults import FAULT_NAMES
 from pneud.signals import State
-from pneud.sim.lockstep import Simulation
+from pneud.sim.lockstep import Simulation, law_of
 from pneud.summary import Tracking, in_words, summarise
 
 
@@ -29,11 +29,13 @@ def simulate(config_file: str, output: Path | None, duration_s: float, seed: int
         ConfigError: the configuration cannot be used.
         DatabaseError: the DBC cannot be used.
         LogError: the log cannot be written.
+        BuildError: the compiled law is required and cannot be had.
     """
     if not 0.0 < duration_s <= 1e6:
         raise ConfigError(f"--duration {duration_s:g}: must lie between 0 and 1,000,000 s")
     loaded = load(config_file)
-    run = Simulation(loaded, duration_s, seed)
+    how = law_of(loaded)
+    run = Simulation(loaded, duration_s, seed, how)
     writer, path = None, None
     if output is not None:
         path = log_path(str(output), loaded.config.name)
@@ -50,7 +52,7 @@ def simulate(config_file: str, output: Path | None, duration_s: float, seed: int
                 dbc=loaded.dbc.read_bytes(),
                 fault_names=FAULT_NAMES,
                 realtime_offset_ns=0,
-                extra={"seed": str(seed)},
+                extra={"seed": str(seed), "law": how.name},
             ),
         )
     tracking = Tracking(True)

@@ -1,7 +1,10 @@
-"""Pure functions of this package as C, so that a C program computes what the loop computes, not a copy of it.
+"""Pure functions of this package as C that computes the same to the last bit.
 
 It takes what the law is written in: functions on floats, ints, bools and NamedTuples of them, with `math`,
 `if`, `for`, `while` and tuples. Signatures have types; those of local names follow from their first value.
+
+Where Python would raise (a division by zero, a power that overflows), the C goes on with some number and sets
+`failed_`: what it then returns is void.
 """
 
 from __future__ import annotations
@@ -18,8 +21,28 @@ from typing import Any, NamedTuple, get_args, get_origin, get_type_hints
 HEAD = """\
 #include <math.h>
 
+static int failed_;
+
 static inline double min_(double a, double b) { return b < a ? b : a; }
 static inline double max_(double a, double b) { return b > a ? b : a; }
+static inline long min_int_(long a, long b) { return b < a ? b : a; }
+static inline long max_int_(long a, long b) { return b > a ? b : a; }
+
+static inline double finite_(double x) {
+  if (!isfinite(x)) failed_ = 1;
+  return x;
+}
+
+static inline double over_(double a, double b) {
+  if (b == 0.0) failed_ = 1;
+  return a / b;
+}
+
+static inline long whole_(double x) {
+  if (fabs(x) < 0x1p53) return (long)x;
+  failed_ = 1;
+  return 0;
+}
 """
 _RESERVED = {
     "auto",
@@ -51,6 +74,7 @@ _MATH = {
     "sqrt",
     "tanh",
 }
+
 
 Type = Any
 """float, int (bool is one), a NamedTuple class, or a tuple of types."""
@@ -211,6 +235,12 @@ class _Function:
 
     def _for(self, s: ast.For, depth: int) -> str:
         pad, i = "  " * depth, self._new("i")
+        if isinstance(s.target, ast.Tuple) and isinstance(s.iter, ast.Tuple):
+            if any(isinstance(inner, (ast.Break, ast.Continue)) for inner in ast.walk(s)):
+                raise self._fail(s)
+            # each round may have its own types
+            rounds = (f"{self._assign(s.target, e, pad)}{self._block(s.body, depth)}" for e in s.iter.elts)
+            return "".join(rounds)
         if not isinstance(s.target, ast.Name):
             raise self._fail(s.target)
         match s.iter:
@@ -319,9 +349,9 @@ class _Function:
 
     def _binary(self, a: Typed, op: ast.operator, b: Typed, node: ast.expr) -> Typed:
         if isinstance(op, ast.Div):
-            return Typed(f"((double){a.code} / {b.code})", float)
+            return Typed(f"over_({a.code}, {b.code})", float)
         if isinstance(op, ast.Pow):
-            return Typed(f"pow({a.code}, {b.code})", float)
+            return Typed(f"finite_(pow({a.code}, {b.code}))", float)
         sign = _BINARY.get(type(op))
         if sign is None or {a.type, b.type} - {int, float}:
             raise self._fail(node)
@@ -333,13 +363,22 @@ class _Function:
         parts = []
         for left, op, right in zip(terms, ops, terms[1:], strict=False):
             a = self._expr(left).code
-            if isinstance(op, ast.In) and isinstance(right, ast.Tuple):
-                parts.append("(" + " || ".join(f"{a} == {self._expr(e).code}" for e in right.elts) + ")")
+            if isinstance(op, (ast.In, ast.NotIn)):
+                among = " || ".join(f"{a} == {code}" for code in self._members(right))
+                parts.append(f"{'' if isinstance(op, ast.In) else '!'}({among})")
             elif type(op) in _COMPARE:
                 parts.append(f"{a} {_COMPARE[type(op)]} {self._expr(right).code}")
             else:
                 raise self._fail(node)
         return Typed("(" + " && ".join(parts) + ")", int)
+
+    def _members(self, node: ast.expr) -> list[str]:
+        """The elements of a tuple, written out or a constant of the module."""
+        if isinstance(node, ast.Tuple):
+            return [self._expr(e).code for e in node.elts]
+        if isinstance(node, ast.Name) and isinstance(self._globals.get(node.id), tuple):
+            return [self._t.literal(value) for value in self._globals[node.id]]
+        raise self._fail(node)
 
     def _call(
         self, func: ast.expr, args: list[ast.expr], keywords: list[ast.keyword], node: ast.expr
@@ -370,20 +409,23 @@ class _Function:
         codes = [a.code for a in args]
         name = str(called.__name__)
         if called in (builtins.max, builtins.min):
+            whole = all(a.type is int for a in args)
             code = codes[0]
             for other in codes[1:]:
-                code = f"{name}_({code}, {other})"
-            return Typed(code, float)
+                code = f"{name}_{'int_' if whole else ''}({code}, {other})"
+            return Typed(code, int if whole else float)
         if called is builtins.abs:
             return Typed(f"fabs({codes[0]})" if args[0].type is float else f"labs({codes[0]})", args[0].type)
         if called is builtins.round and len(codes) == 1:
-            return Typed(f"lrint({codes[0]})", int)
+            return Typed(f"whole_(rint({codes[0]}))", int)
+        if called in (math.ceil, math.floor):
+            return Typed(f"whole_({name}({codes[0]}))", int)
         if called is float:
             return Typed(f"((double){codes[0]})", float)
         if called is math.isfinite:
             return Typed(f"(isfinite({codes[0]}) != 0)", int)
         if name in _MATH and getattr(math, name) is called:
-            return Typed(f"{name}({', '.join(codes)})", float)
+            return Typed(f"finite_({name}({', '.join(codes)}))", float)
         raise self._fail(node)
 
 

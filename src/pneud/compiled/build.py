@@ -1,0 +1,128 @@
+"""Building and loading an extension module, once for all runs of a user."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+import sysconfig
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from importlib.machinery import ExtensionFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
+from typing import Any
+
+from pneud.bus.folder import private_folder
+
+EXACT = (
+    "-O2",
+    "-ffp-contract=off",  # no fused operations
+    *(f"-fno-builtin-{name}" for name in ("cos", "exp", "expm1", "log", "log1p", "pow", "sin", "tanh")),
+)
+"""Options with which a compiler keeps every bit: libm is asked for values that it might know better."""
+
+MODULE = "pneud_compiled"
+_PACKAGE = Path(__file__).resolve().parent.parent
+_SOURCES = ("signals.py", "physics", "control", "safety", "plant", "compiled")
+_KEPT = 8  # builds of other interpreters, compilers and versions that stay
+_PATIENCE_S = 60.0
+
+
+class BuildError(Exception):
+    """There is no compiled law; the text is one line for a person."""
+
+
+def cache_folder() -> Path:
+    """Where builds are kept: `$CACHE_DIRECTORY`, else `$XDG_CACHE_HOME/pneud`, else `~/.cache/pneud`.
+
+    Raises:
+        OSError: it cannot be made, or someone else might write to it.
+    """
+    given = os.environ.get("CACHE_DIRECTORY", "").split(":")[0]
+    home = os.environ.get("XDG_CACHE_HOME", "")
+    base = Path(given) if given else Path(home or "~/.cache").expanduser() / "pneud"
+    base.mkdir(parents=True, exist_ok=True)
+    return private_folder(base / "compiled")  # what lies there is run
+
+
+def compiler() -> Path:
+    """The system's C compiler.
+
+    Raises:
+        BuildError: there is none.
+    """
+    for name in ("cc", "gcc", "clang"):
+        found = shutil.which(name)
+        if found is not None:
+            return Path(found).resolve()
+    raise BuildError("there is no C compiler: apt install gcc libc6-dev")
+
+
+def load(functions: Sequence[Callable[..., Any]]) -> list[Callable[..., Any]]:
+    """The compiled versions of pure functions of this package, built if need be.
+
+    What was built is used again as long as the sources of these functions, the compiler, its options and the
+    interpreter are the same.
+
+    Raises:
+        BuildError: it cannot be built or loaded.
+    """
+    cc = compiler()
+    try:
+        folder = cache_folder()
+        library = folder / f"{_key(cc)}.so"
+        if not library.exists():
+            _build(functions, cc, library)
+            for old in sorted(folder.glob("*.so"), key=lambda path: path.stat().st_mtime)[:-_KEPT]:
+                old.unlink(missing_ok=True)
+    except (OSError, RuntimeError) as e:  # RuntimeError: no home
+        raise BuildError(str(e)) from None
+    try:
+        loader = ExtensionFileLoader(MODULE, str(library))
+        spec = spec_from_loader(MODULE, loader)
+        assert spec is not None
+        module = module_from_spec(spec)
+    except ImportError as e:
+        raise BuildError(f"{library} cannot be loaded: {e}") from None
+    names = (name.split(":") for name in module.CLASSES.split())
+    module.bind(tuple(functions), tuple(getattr(import_module(where), name) for where, name in names))
+    return [getattr(module, f"f{i}") for i in range(len(functions))]
+
+
+def _key(cc: Path) -> str:
+    digest = hashlib.sha256()
+    for part in _SOURCES:
+        path = _PACKAGE / part
+        for file in (path,) if path.is_file() else sorted(path.glob("*.py")):
+            digest.update(file.read_bytes())
+    found = cc.stat()
+    words = (*EXACT, sysconfig.get_config_var("SOABI"), str(cc), str(found.st_mtime_ns), str(found.st_size))
+    digest.update(repr(words).encode())
+    return digest.hexdigest()[:24]
+
+
+def _build(functions: Sequence[Callable[..., Any]], cc: Path, library: Path) -> None:
+    # slow to import, and seldom needed
+    from pneud.compiled.extension import Extension  # noqa: PLC0415
+    from pneud.compiled.to_c import TranslationError  # noqa: PLC0415
+
+    include = sysconfig.get_path("include")
+    if not (Path(include) / "Python.h").exists():
+        raise BuildError(f"{include} has no Python.h: apt install python3-dev")
+    source, made = (library.with_suffix(f".{os.getpid()}.{kind}") for kind in ("c", "tmp"))
+    try:
+        source.write_text(Extension(functions, MODULE).source)
+        command: list[str | Path] = [cc, *EXACT, "-shared", "-fPIC", "-I", include, "-o", made, source, "-lm"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=_PATIENCE_S, check=False)
+        if done.returncode:
+            raise BuildError(f"{cc} fails: {(done.stderr.splitlines() or ['it gives no reason'])[0]}")
+        made.replace(library)
+    except TranslationError as e:
+        raise BuildError(str(e)) from None
+    except subprocess.TimeoutExpired:
+        raise BuildError(f"{cc} takes longer than {_PATIENCE_S:g} s") from None
+    finally:
+        source.unlink(missing_ok=True)
+        made.unlink(missing_ok=True)

@@ -1,0 +1,161 @@
+"""C source of an extension module whose functions stand in for pure functions of this package.
+
+They take and return what the originals do, NamedTuples included, so that nothing else has to know of them.
+Whatever the C cannot do exactly as Python does (another type of argument, an integer beyond 64 bits, an
+operation that raises) is left to the original, which is called with the same arguments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, get_args, get_origin, get_type_hints
+
+from pneud.compiled.to_c import Translator, Type, fields_of, plain
+
+_HEAD = """\
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+
+static PyObject *originals_, *classes_;
+
+static inline int take_double(PyObject *o, double *x) {
+  if (!PyFloat_CheckExact(o)) return 0;
+  *x = PyFloat_AS_DOUBLE(o);
+  return 1;
+}
+
+static inline int take_long(PyObject *o, long *x) {
+  int beyond;
+  if (!PyLong_Check(o)) return 0;
+  *x = PyLong_AsLongAndOverflow(o, &beyond);
+  return !beyond;
+}
+
+static inline PyObject *give_double(double x) { return PyFloat_FromDouble(x); }
+static inline PyObject *give_long(long x) { return PyLong_FromLong(x); }
+static inline PyObject *give_bool(long x) { return PyBool_FromLong(x); }
+
+static PyObject *record(PyTypeObject *class, Py_ssize_t count, PyObject *const *members) {
+  PyObject *made = class->tp_alloc(class, count);
+  for (Py_ssize_t i = 0; i < count; i++) {
+    if (!members[i]) Py_CLEAR(made);
+    if (made) PyTuple_SET_ITEM(made, i, members[i]);
+    else Py_XDECREF(members[i]);
+  }
+  return made;
+}
+"""
+_TAIL = """\
+static PyObject *bind(PyObject *self, PyObject *args) {{
+  return PyArg_ParseTuple(args, "O!O!", &PyTuple_Type, &originals_, &PyTuple_Type, &classes_)
+             ? (Py_INCREF(originals_), Py_INCREF(classes_), Py_NewRef(Py_None)) : NULL;
+}}
+
+static PyMethodDef methods[] = {{
+  {{"bind", bind, METH_VARARGS, NULL}},
+{methods}  {{NULL, NULL, 0, NULL}},
+}};
+
+static struct PyModuleDef module = {{
+  PyModuleDef_HEAD_INIT, .m_name = "{name}", .m_size = -1, .m_methods = methods
+}};
+
+PyMODINIT_FUNC PyInit_{name}(void) {{
+  PyObject *made = PyModule_Create(&module);
+  if (made && PyModule_AddStringConstant(made, "CLASSES", "{classes}")) Py_CLEAR(made);
+  return made;
+}}
+"""
+
+
+class Extension:
+    """The module for some functions: `source` is its C.
+
+    Once loaded, `f0`, `f1` … are the functions in their order; `CLASSES` names the NamedTuples that they
+    return ("module:name …"). First of all, `bind` has to be given the originals and these classes.
+    """
+
+    def __init__(self, functions: Sequence[Callable[..., Any]], name: str) -> None:
+        """Translate.
+
+        Args:
+            functions: pure functions; only calls with all arguments by position are fast.
+            name: of the module.
+
+        Raises:
+            TranslationError: one of them does something that has no counterpart in C.
+        """
+        self._classes: list[str] = []
+        self._translator = Translator()
+        self._parts: list[str] = []
+        self._known: set[str] = set()
+        wrappers = [self._wrapper(i, f) for i, f in enumerate(functions)]
+        table = "".join(
+            f'  {{"f{i}", (PyCFunction)(void (*)(void))call_{i}, METH_FASTCALL | METH_KEYWORDS, NULL}},\n'
+            for i in range(len(functions))
+        )
+        tail = _TAIL.format(methods=table, name=name, classes=" ".join(self._classes))
+        self.source = "\n".join([self._translator.text(), _HEAD, *self._parts, *wrappers, tail])
+
+    def _wrapper(self, index: int, f: Callable[..., Any]) -> str:
+        hints = get_type_hints(f)
+        result = hints.pop("return")
+        name = self._translator.function(f)
+        types = [plain(hint) for hint in hints.values()]
+        declared = "".join(f"  {self._translator.type(t)} a{i};\n" for i, t in enumerate(types))
+        taken = " && ".join(f"{self._take(t)}(args[{i}], &a{i})" for i, t in enumerate(types))
+        given = ", ".join(f"a{i}" for i in range(len(types)))
+        return (
+            f"static PyObject *call_{index}(PyObject *self, PyObject *const *args, Py_ssize_t n,"
+            f" PyObject *names) {{\n{declared}  if (!names && n == {len(types)} && {taken}) {{\n"
+            "    failed_ = 0;\n"
+            f"    {self._translator.type(plain(result))} r = {name}({given});\n"
+            f"    if (!failed_) return {self._give(result)}(r);\n"
+            "  }\n"
+            f"  return PyObject_Vectorcall(PyTuple_GET_ITEM(originals_, {index}), args, n, names);\n}}\n"
+        )
+
+    def _take(self, t: Type) -> str:
+        """The C function that reads a Python object of a type."""
+        c = self._translator.type(t)
+        name = f"take_{c}"
+        if t in (float, int) or name in self._known:
+            return name
+        fields = fields_of(t)
+        inner = [
+            f"{self._take(kind)}(PyTuple_GET_ITEM(o, {i}), &x->{field})"
+            for i, (field, kind) in enumerate(fields)
+        ]
+        self._known.add(name)
+        self._parts.append(
+            f"static int {name}(PyObject *o, {c} *x) {{\n  return PyTuple_Check(o) && PyTuple_GET_SIZE(o)"
+            f" == {len(fields)}\n      && {' && '.join(inner)};\n}}\n"
+        )
+        return name
+
+    def _give(self, hint: Any) -> str:
+        """The C function that makes a Python object of a type."""
+        if hint is bool:
+            return "give_bool"
+        t = plain(hint)
+        c = self._translator.type(t)
+        name = f"give_{c}"
+        if t in (float, int) or name in self._known:
+            return name
+        fields = fields_of(t)
+        if get_origin(hint) is tuple:
+            inner, class_ = list(get_args(hint)), "&PyTuple_Type"
+        else:
+            hints = get_type_hints(hint)
+            inner = [hints[field] for field, _ in fields]
+            class_ = f"(PyTypeObject *)PyTuple_GET_ITEM(classes_, {len(self._classes)})"
+            self._classes.append(f"{hint.__module__}:{hint.__name__}")
+        members = ", ".join(
+            f"{self._give(kind)}(x.{field})" for (field, _), kind in zip(fields, inner, strict=True)
+        )
+        self._known.add(name)
+        self._parts.append(
+            f"static PyObject *{name}({c} x) {{\n  PyObject *members[] = {{{members}}};\n"
+            f"  return record({class_}, {len(fields)}, members);\n}}\n"
+        )
+        return name

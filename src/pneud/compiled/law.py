@@ -1,0 +1,116 @@
+"""How an axis is computed: by the functions as they are, or by their compiled versions.
+
+The axis itself stays as it is: the compiled law comes with one whose cycle calls the compiled functions.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from pneud.axis import Axis, AxisParameters
+from pneud.compiled.build import BuildError, load
+from pneud.compiled.rebinding import rebound
+from pneud.control.reference import at, sine
+from pneud.control.step import act, join, observe
+from pneud.plant import dynamics
+from pneud.safety import checks, output, supervisor
+from pneud.signals import ALL_SOURCES, EncoderStatus, Measurement, Request, RequestKind, State, ValveState
+
+FUNCTIONS: tuple[Callable[..., Any], ...] = (
+    observe,
+    act,
+    join,
+    sine,
+    at,
+    checks.lacking,
+    checks.measured,
+    checks.believed,
+    checks.engaged,
+    checks.disengaged,
+    checks.unready,
+    output.emit,
+    supervisor.advance,
+    dynamics.advance,
+)
+SAMPLE_TICKS = 150
+_NOISE_PA = 2e4  # so that the command goes from end to end
+
+
+class Law(NamedTuple):
+    """How axis and plant are computed."""
+
+    axis: Callable[[AxisParameters], Axis]
+    advance: Callable[..., dynamics.PlantState]
+    name: str  # for the log
+    reason: str = ""  # why it is not the compiled one
+
+
+INTERPRETED = Law(Axis, dynamics.advance, "python")
+
+
+def law(mode: str, p: AxisParameters) -> Law:
+    """The law in C where that can be had, else in Python.
+
+    Args:
+        mode: "off", "auto" or "required".
+        p: the axis; a sample of its ticks must come out the same to the bit.
+
+    Raises:
+        BuildError: it is required and cannot be had.
+    """
+    if mode == "off":
+        return INTERPRETED
+    try:
+        made = compiled()
+        if sample(made, p) != sample(INTERPRETED, p):
+            raise BuildError("the compiled law does not compute what Python does")
+    except BuildError as e:
+        if mode == "required":
+            raise
+        return INTERPRETED._replace(reason=str(e))
+    return made
+
+
+def compiled() -> Law:
+    """The law in C, built if need be.
+
+    Raises:
+        BuildError: it cannot be had.
+    """
+    by = dict(zip(FUNCTIONS, load(FUNCTIONS), strict=True))
+    cycle = rebound(Axis._cycle, by)  # type: ignore[arg-type]  # a method is a function of its class
+    return Law(type("CompiledAxis", (Axis,), {"_cycle": cycle}), by[dynamics.advance], "compiled")
+
+
+def sample(one: Law, p: AxisParameters) -> list[str]:
+    """What an axis makes of a made-up run: states and ticks to the last digit.
+
+    It starts, arms, and tracks until the noise or the motion that does not come is too much for it.
+    """
+    axis = one.axis(p)
+    noise = random.Random(1).uniform
+    c, limits = p.controller.cylinder, p.limits
+    centre_m = 0.5 * (limits.travel_min_m + limits.travel_max_m)
+    p2_pa = 0.5 * p.controller.gas.supply_pa
+    p1_pa = (p2_pa * c.A2 + c.rod_force_n) / c.A1
+    period_ns = round(p.controller.h * 1e9)
+    applied_v, found = 0.0, []
+    for i in range(SAMPLE_TICKS):
+        m = Measurement(
+            (i + 1) * period_ns,
+            ALL_SOURCES,
+            centre_m + 1e-6 * round(noise(-2.0, 2.0)),
+            p1_pa + noise(-_NOISE_PA, _NOISE_PA),
+            p2_pa + noise(-_NOISE_PA, _NOISE_PA),
+            p.controller.gas.supply_pa,
+            applied_v,
+            int(EncoderStatus.REFERENCED),
+            int(ValveState.ENABLED if axis.state.supervisor.state == State.TRACKING else ValveState.CENTRED),
+            *(0, 0, 0, 0, 0, 0, 0, 0, 0),
+        )
+        tick = axis.cycle(m, Request(RequestKind.ARM), m.t_ns)
+        applied_v = tick.command.voltage_v
+        found.append(repr((tick, axis.state)))
+    return found

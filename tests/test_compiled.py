@@ -1,0 +1,283 @@
+"""The compiled law: the same as Python's to the last bit, also where Python raises; and life without it."""
+
+from __future__ import annotations
+
+import math
+import random
+import shutil
+import stat
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import pytest
+
+from axis_rig import ARM, CLEAR, DISARM, ENCODER, VALVE, Rig, loaded, ready
+from pneud import parameters
+from pneud.axis import FOLLOWING, Axis
+from pneud.compiled import build
+from pneud.compiled import law as law_module
+from pneud.compiled.build import BuildError, cache_folder, load
+from pneud.compiled.law import FUNCTIONS, INTERPRETED, compiled, law, sample
+from pneud.compiled.rebinding import rebound
+from pneud.compiled.to_c import plain
+from pneud.control.step import observe
+from pneud.loading import load as load_axis
+from pneud.plant import dynamics
+from pneud.safety.output import OutputLimits, emit
+from pneud.safety.supervisor import INITIAL, advance
+from pneud.signals import Frame, State
+from pneud.sim.lockstep import Simulation
+
+WHERE_PYTHON_RAISES = (0.0, -0.0, math.inf, -math.inf, math.nan, 1e300, -1e300, 5e-324)
+PARAMETERS = parameters.axis_of(loaded().config, loaded().codecs.command_lsb_v)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiler() -> None:
+    if shutil.which("cc") is None:
+        pytest.skip("there is no C compiler")
+
+
+def of(function: Callable[..., Any]) -> Callable[..., Any]:
+    return load(FUNCTIONS)[FUNCTIONS.index(function)]
+
+
+def outcome(function: Callable[..., Any], arguments: list[Any]) -> str:
+    try:
+        return repr(function(*arguments))  # which tells -0.0 from 0.0, True from 1, and a record from a tuple
+    except Exception as e:
+        return repr(e)
+
+
+def made_up(hint: Any, r: random.Random, wild: float) -> Any:
+    """A value of a type; a part of the floats are those with which Python may raise."""
+    if hint is bool:
+        return r.random() < 0.5
+    if plain(hint) is float:
+        if r.random() < wild:
+            return r.choice(WHERE_PYTHON_RAISES)
+        return r.random() if r.random() < 0.5 else r.uniform(-1.0, 1.0) * 10.0 ** r.uniform(-6.0, 6.0)
+    if plain(hint) is int:
+        return r.choice((0, 1, 2, 3, 4, 7, 8, -1, 1 << 37, 1 << 62, r.randrange(-(2**65), 2**65)))
+    hints = get_type_hints(hint)
+    return hint(*(made_up(hints[name], r, wild) for name in hint._fields))
+
+
+@pytest.mark.parametrize("index", range(len(FUNCTIONS)))
+def test_compiled_functions_return_and_raise_what_the_originals_do(index: int) -> None:
+    function, made = FUNCTIONS[index], load(FUNCTIONS)[index]
+    hints = [hint for name, hint in get_type_hints(function).items() if name != "return"]
+    r = random.Random(index)
+    for i in range(200):
+        arguments = [made_up(hint, r, (0.0, 0.02, 0.2)[i % 3]) for hint in hints]
+        if function is dynamics.advance:
+            arguments[4] = arguments[3] + 1e-3 * r.random()
+            arguments[5] = arguments[5]._replace(step_s=1e-4)
+        assert outcome(made, arguments) == outcome(function, arguments)
+
+
+def test_whatever_the_c_cannot_do_is_left_to_python() -> None:
+    made, p = of(emit), OutputLimits(5.0, 1e4, 5e-4)
+    assert made(1, 0.0, 1e-3, p) == emit(1, 0.0, 1e-3, p)
+    assert made(law_v=1.0, last_v=0.0, h=1e-3, p=p) == emit(1.0, 0.0, 1e-3, p)
+    with pytest.raises(ZeroDivisionError):
+        made(1.0, 0.0, 1e-3, p._replace(lsb_v=0.0))
+    with pytest.raises(TypeError):
+        made(1.0)
+    with pytest.raises(AttributeError):
+        made(1.0, 0.0, 1e-3, (1.0, 2.0))
+    assert of(advance)(INITIAL, 1 << 70, 0, False) == advance(INITIAL, 1 << 70, 0, False)
+
+
+def silent(can_id: int) -> Callable[[Frame], Frame | None]:
+    return lambda frame: None if frame.can_id == can_id else frame
+
+
+def broken(frame: Frame) -> Frame:
+    return frame._replace(data=frame.data[:-1] + b"\x00") if frame.can_id == ENCODER else frame
+
+
+def with_faults(rig: Rig) -> list[str]:
+    """A run with all that a rig may do to an axis, to the last digit."""
+    found = []
+
+    def ticks(n: int, kind: int = 0, skipped: int = 0) -> None:
+        for i in range(n):
+            tick = rig.tick(kind if i == 0 else 0, skipped=skipped if i == 0 else 0)
+            found.append(repr((tick, rig.axis.freeze())))
+
+    ticks(80)
+    ticks(700, ARM)
+    ticks(5, skipped=3)
+    rig.frame = silent(ENCODER)
+    ticks(20)
+    rig.frame = silent(VALVE)
+    ticks(20)
+    rig.frame = lambda frame: frame
+    rig.measurement = lambda m: m._replace(p1_pa=math.nan)
+    ticks(2)
+    rig.measurement = lambda m: m
+    ticks(100)
+    ticks(100, CLEAR)
+    ticks(100, ARM)
+    rig.frame = broken
+    ticks(80)
+    rig.frame = lambda frame: frame
+    ticks(60)
+    ticks(100, CLEAR)
+    rig.node.force_ext_n = 300.0
+    ticks(300, ARM)
+    ticks(100, DISARM)
+    return found
+
+
+def test_closed_loops_are_the_same_to_the_last_bit() -> None:
+    one, other = Rig(), Rig()
+    other.axis = compiled().axis(PARAMETERS)
+    a, b = with_faults(one), with_faults(other)
+    assert a == b
+    states = {int(line.partition("Supervisor(state=")[2].partition(",")[0]) for line in a}
+    assert states >= {State.DISARMED, State.TRACKING, State.FAULT}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("config", ["virtual.toml", "paper-case1.toml", "paper-case2.toml"])
+def test_simulations_are_the_same_to_the_last_bit(config: str) -> None:
+    axis = load_axis(config)
+    runs = [Simulation(axis, 8.0, 1, how) for how in (INTERPRETED, compiled())]
+    for a, b in zip(runs[0].records(), runs[1].records(), strict=True):
+        assert repr(a) == repr(b)
+    assert runs[0].axis.freeze() == runs[1].axis.freeze()
+    assert runs[1].axis.state.phase_ns > 0
+
+
+def test_a_run_may_go_on_in_the_other() -> None:
+    rig, other = ready(), compiled().axis(PARAMETERS)
+    rig.tick(ARM)
+    rig.ticks(20)
+    other.thaw(rig.axis.freeze())
+    axis = rig.axis
+    expected = rig.tick()
+    assert other.cycle(expected.measurement, None, expected.t_ns) == expected
+    assert other.freeze() == axis.freeze()
+
+
+def test_the_sample_begins_to_track() -> None:
+    assert "Supervisor(state=3" in sample(INTERPRETED, PARAMETERS)[-1]
+    assert law("auto", PARAMETERS).name == law("required", PARAMETERS).name == "compiled"
+
+
+def test_off_is_python() -> None:
+    assert law("off", PARAMETERS) == INTERPRETED
+    assert type(INTERPRETED.axis(PARAMETERS)) is Axis
+
+
+@pytest.fixture
+def elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    monkeypatch.delenv("CACHE_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "pneud" / "compiled"
+
+
+def test_a_machine_without_compiler_computes_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shutil, "which", lambda _: None)
+    found = law("auto", PARAMETERS)
+    assert (found.axis, found.name) == (Axis, "python")
+    assert found.reason == "there is no C compiler: apt install gcc libc6-dev"
+    with pytest.raises(BuildError, match="no C compiler"):
+        law("required", PARAMETERS)
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_what_keeps_it_from_being_built_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as m:
+        m.setattr(shutil, "which", lambda _: "/bin/false")
+        assert law("auto", PARAMETERS).reason.endswith("false fails: it gives no reason")
+    with monkeypatch.context() as m:
+        m.setattr(sysconfig, "get_path", lambda _: "/nowhere")
+        assert law("auto", PARAMETERS).reason == "/nowhere has no Python.h: apt install python3-dev"
+    with monkeypatch.context() as m:
+        m.setattr(build, "_PATIENCE_S", 1e-6)
+        assert "takes longer" in law("auto", PARAMETERS).reason
+
+
+def test_a_cache_that_others_may_write_to_is_not_used(elsewhere: Path) -> None:
+    elsewhere.mkdir(parents=True)
+    elsewhere.chmod(0o777)
+    assert "others may enter it" in law("auto", PARAMETERS).reason
+
+
+def test_a_library_that_does_not_load_is_named(elsewhere: Path) -> None:
+    folder = cache_folder()
+    assert folder == elsewhere
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    (folder / f"{build._key(build.compiler())}.so").write_text("no library")
+    assert "cannot be loaded" in law("auto", PARAMETERS).reason
+
+
+def test_a_law_that_computes_something_else_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    def off_by_one_bit(*arguments: Any) -> Any:
+        state, estimate = observe(*arguments)
+        return state, estimate._replace(x3_n=math.nextafter(estimate.x3_n, math.inf))
+
+    real = load(FUNCTIONS)
+    real[FUNCTIONS.index(observe)] = off_by_one_bit
+    monkeypatch.setattr(law_module, "load", lambda _: real)
+    assert law("auto", PARAMETERS).reason == "the compiled law does not compute what Python does"
+
+
+@pytest.mark.slow
+def test_what_was_built_is_used_again(elsewhere: Path) -> None:
+    load(FUNCTIONS)
+    (library,) = elsewhere.iterdir()
+    before = library.stat().st_mtime_ns
+    again = [sys.executable, "-c", "from pneud.compiled.law import compiled; print(compiled().name)"]
+    assert subprocess.run(again, capture_output=True, text=True, check=True).stdout == "compiled\n"
+    assert [path.stat().st_mtime_ns for path in elsewhere.iterdir()] == [before]
+
+
+def innermost(x: float) -> float:
+    return 2.0 * x
+
+
+def middle(x: float) -> float:
+    return innermost(x) + 1.0
+
+
+def outer(x: float) -> float:
+    return middle(x) + innermost(x)
+
+
+def test_a_rebound_function_calls_something_else_at_any_depth_and_the_original_does_not() -> None:
+    for function in (innermost, middle, outer):
+        function.__module__ = "pneud.made_up"
+    copy = rebound(outer, {innermost: lambda _: 100.0})  # type: ignore[arg-type]
+    assert (copy(1.0), outer(1.0)) == (201.0, 5.0)
+
+
+def test_the_axis_of_a_compiled_law_calls_no_original(monkeypatch: pytest.MonkeyPatch) -> None:
+    called = []
+
+    def counting(name: str, made: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any) -> Any:
+            called.append(name)
+            return made(*arguments)
+
+        return call
+
+    real = load(FUNCTIONS)
+    named = [counting(f"{f.__module__}.{f.__name__}", c) for f, c in zip(FUNCTIONS, real, strict=True)]
+    monkeypatch.setattr(law_module, "load", lambda _: named)
+    rig = Rig()
+    rig.axis = compiled().axis(PARAMETERS)
+    rig.until(State.DISARMED)
+    rig.ticks(60)
+    rig.tick(ARM)
+    while rig.axis.state.phase != FOLLOWING:
+        rig.tick()
+    rig.tick()
+    assert set(called) == {f"{f.__module__}.{f.__name__}" for f in FUNCTIONS if f is not dynamics.advance}
