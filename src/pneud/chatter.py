@@ -112,7 +112,8 @@ def responses(c: Config, g: Slopes, channel: int) -> tuple[float, float, float, 
     lead = lead_s(delay, valve) if law.predict else 0.0
     before, after = spool_transition(delay, valve), spool_transition(h - delay, valve)
     over_half = spool_transition(0.5 * lead, valve)
-    p = motion_of(c)._replace(blind_m=0.0)
+    # noise stays within what is answered slowly
+    p = motion_of(c)._replace(blind_m=0.0, more_alpha=0.0, more_beta=0.0, more_gamma=0.0)
     smoothing = 1.0 - math.exp(-law.force_rate_bandwidth_rad_s * h)
     composite = 1.0 if law.law == "composite" else 0.0
 

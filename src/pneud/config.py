@@ -181,6 +181,9 @@ class ObserverConfig(Section):
         return self
 
 
+MOST_PUSH_RATIO = 2.5  # two filters so far apart have a Lyapunov function in common
+
+
 class MotionConfig(Section):
     """The [x, v, F] filter: a bandwidth, or the noise that its Kalman gains follow from."""
 
@@ -188,12 +191,20 @@ class MotionConfig(Section):
     encoder_noise_m: Positive | None = None
     force_walk_n_rs: Positive | None = None  # what the unmatched force gains in a second [N/√s]
     encoder_resolution_m: NonNegative = 0.0  # readings within half a step of the prediction change nothing
+    push_bandwidth_rad_s: Annotated[float, Field(gt=0, le=5_000)] | None = None  # for innovations
+    push_beyond_m: NonNegative = 0.0  # that exceed half a step by more than this
 
     @model_validator(mode="after")
     def _one_way(self) -> MotionConfig:
         noise = (self.encoder_noise_m, self.force_walk_n_rs)
         if (self.bandwidth_rad_s is None) == (None in noise) or (noise.count(None) == 1):
             raise ValueError("give either bandwidth_rad_s, or encoder_noise_m and force_walk_n_rs")
+        slow, fast = self.bandwidth_rad_s, self.push_bandwidth_rad_s
+        if fast is not None and (slow is None or not slow <= fast <= MOST_PUSH_RATIO * slow):
+            raise ValueError(
+                "push_bandwidth_rad_s needs bandwidth_rad_s, and lies between it and "
+                f"{MOST_PUSH_RATIO:g} times it"
+            )
         return self
 
 

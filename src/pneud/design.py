@@ -18,6 +18,7 @@ from pneud.physics.cylinder import F0
 MISMATCH = 0.1  # assumed relative error of the model's F0 and F1: orifice, gas temperature, heat exchange
 REACHING_MARGIN = 2.0
 FILTER_PER_BANDWIDTH = 4.5  # motion filter over loop; less costs phase, more costs noise
+PUSH_PER_FILTER = 1.9  # where pushes are answered faster
 FORCE_RATE_PER_BANDWIDTH = 8.0
 FASTEST_FILTER = 0.5  # ω h above which a sampled triple pole no longer filters
 PROBE_FORCE_N = 1.0
@@ -169,9 +170,12 @@ def designed(c: Config, omega_rad_s: float, error_m: float, alpha: float) -> Con
     gain = max(disturbance_rate(c), 1.0)  # a reference at rest still has a model that drifts
     law = c.control
     rate = min(FORCE_RATE_PER_BANDWIDTH * omega_rad_s, 1.0 / h) if law.estimate_force else 0.0
+    slow = min(FILTER_PER_BANDWIDTH * omega_rad_s, FASTEST_FILTER / h)
+    fast = None if law.motion.push_bandwidth_rad_s is None else rounded(PUSH_PER_FILTER * slow)
     motion = law.motion.model_copy(
         update={
-            "bandwidth_rad_s": rounded(min(FILTER_PER_BANDWIDTH * omega_rad_s, FASTEST_FILTER / h)),
+            "bandwidth_rad_s": rounded(slow),
+            "push_bandwidth_rad_s": fast,
             "encoder_noise_m": None,
             "force_walk_n_rs": None,
         }

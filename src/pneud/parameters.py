@@ -8,7 +8,7 @@ from pneud.axis import AxisParameters
 from pneud.config import BusConfig, Config, cylinder_of, friction_of, gas_of, plant_of, valve_of
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.homogeneous import feedback
-from pneud.control.motion import MotionFilter, kalman, triple_pole
+from pneud.control.motion import MotionFilter, kalman, quickened, triple_pole
 from pneud.control.reference import Bounds, Sine
 from pneud.control.sliding import Sliding
 from pneud.control.step import Controller
@@ -46,10 +46,13 @@ def motion_of(c: Config) -> MotionFilter:
     """The motion filter's gains."""
     m, h = c.control.motion, 1.0 / c.loop.rate_hz
     blind_m = 0.5 * m.encoder_resolution_m
-    if m.bandwidth_rad_s is not None:
-        return triple_pole(m.bandwidth_rad_s, h, blind_m)
-    assert m.encoder_noise_m is not None and m.force_walk_n_rs is not None
-    return kalman(m.encoder_noise_m, m.force_walk_n_rs, c.cylinder.moving_mass_kg, h, blind_m)
+    if m.bandwidth_rad_s is None:
+        assert m.encoder_noise_m is not None and m.force_walk_n_rs is not None
+        return kalman(m.encoder_noise_m, m.force_walk_n_rs, c.cylinder.moving_mass_kg, h, blind_m)
+    found = triple_pole(m.bandwidth_rad_s, h, blind_m)
+    if m.push_bandwidth_rad_s is None:
+        return found
+    return quickened(found, triple_pole(m.push_bandwidth_rad_s, h), m.push_beyond_m)
 
 
 def _swings_pa_m_s(c: Config) -> tuple[float, float]:

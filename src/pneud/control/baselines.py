@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from pneud.control.motion import MotionFilter
+from pneud.control.motion import MotionFilter, beyond
 from pneud.control.prediction import Motion, Rates, ahead
 from pneud.control.step import Controller, ControllerState, act, errors, outlook
 from pneud.physics.friction import friction_force
@@ -82,8 +82,8 @@ def begin(e: Estimate) -> LawState:
 
 def reading(e: Estimate, p: MotionFilter) -> float:
     """The encoder's reading [m] that the estimate has been corrected with."""
-    r = e.innovation_m - max(-p.blind_m, min(p.blind_m, e.innovation_m))
-    return e.position_m - p.alpha * r + e.innovation_m
+    r, more = beyond(e.innovation_m, p)
+    return e.position_m - (p.alpha * r + p.more_alpha * more) + e.innovation_m
 
 
 def command(Z: float, state: ControllerState, p: Controller) -> tuple[float, bool]:

@@ -20,6 +20,10 @@ class MotionFilter(NamedTuple):
     beta: float
     gamma: float
     blind_m: float  # half of the encoder's resolution, within which a reading says nothing new
+    noise_m: float = 0.0  # what noise explains; beyond it, this is added to the gains:
+    more_alpha: float = 0.0
+    more_beta: float = 0.0
+    more_gamma: float = 0.0
 
 
 class MotionState(NamedTuple):
@@ -38,6 +42,30 @@ def triple_pole(omega_rad_s: float, h: float, blind_m: float = 0.0) -> MotionFil
     q = math.exp(-omega_rad_s * h)
     p = 1.0 - q
     return MotionFilter(1.0 - q * q * q, 1.5 * (1.0 + q) * p * p, p * p * p, blind_m)
+
+
+def quickened(p: MotionFilter, fast: MotionFilter, noise_m: float) -> MotionFilter:
+    """A filter that takes what an innovation has beyond `noise_m` with the gains of a faster one.
+
+    A push shows itself as innovations that noise does not explain. The correction is continuous, and lies
+    between those of the two filters; each mixture of them is stable if they have a Lyapunov function in
+    common, as two triple poles up to 2.5 times apart have.
+
+    Args:
+        p: for what lies within.
+        fast: for what lies beyond.
+        noise_m: the bound, counted from the edge of the blind band [m].
+    """
+    return MotionFilter(
+        p.alpha,
+        p.beta,
+        p.gamma,
+        p.blind_m,
+        noise_m,
+        fast.alpha - p.alpha,
+        fast.beta - p.beta,
+        fast.gamma - p.gamma,
+    )
 
 
 def kalman(
@@ -117,12 +145,18 @@ def correct(state: MotionState, position_m: float, M: float, h: float, p: Motion
     """
     interval = max(h, state.unread_s)
     innovation = position_m - state.x
-    r = innovation - max(-p.blind_m, min(p.blind_m, innovation))
+    r, more = beyond(innovation, p)
     return MotionState(
-        state.x + p.alpha * r,
-        state.v + p.beta * r / interval,
-        state.F - M * p.gamma * r / (interval * interval),
+        state.x + (p.alpha * r + p.more_alpha * more),
+        state.v + (p.beta * r + p.more_beta * more) / interval,
+        state.F - M * (p.gamma * r + p.more_gamma * more) / (interval * interval),
         state.x3,
         innovation,
         0.0,
     )
+
+
+def beyond(innovation_m: float, p: MotionFilter) -> tuple[float, float]:
+    """What an innovation has beyond the blind band, and of that beyond the noise [m]."""
+    r = innovation_m - max(-p.blind_m, min(p.blind_m, innovation_m))
+    return r, r - max(-p.noise_m, min(p.noise_m, r))

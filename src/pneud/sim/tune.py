@@ -18,7 +18,16 @@ from pneud.sim.tuned import ADRC3, ADRC4, COMPOSITE, EXTENDED_TUNED, ISMC, PID_F
 
 Gains = dict[str, float]
 STARTS: dict[str, Gains] = {
-    PID_FF: {"kp": 1600.0, "ki": 20000.0, "kd": 80.0, "kf": 150.0, "reach": 0.02, "hold": 0.03, "bw": 316.0},
+    PID_FF: {
+        "kp": 1600.0,
+        "ki": 20000.0,
+        "kd": 80.0,
+        "kf": 150.0,
+        "reach": 0.02,
+        "hold": 0.03,
+        "bw": 316.0,
+        "push": 600.0,
+    },
     ADRC4: {"k1": 64000.0, "k2": 4800.0, "k3": 120.0, "reach": 0.02, "hold": 0.03, "eso": 400.0},
     ADRC3: {
         "k1": 64000.0,
@@ -27,9 +36,19 @@ STARTS: dict[str, Gains] = {
         "reach": 0.02,
         "hold": 0.03,
         "bw": 316.0,
+        "push": 600.0,
         "rate": 580.0,
     },
-    ISMC: {"k1": 64000.0, "k2": 4800.0, "k3": 120.0, "alpha": 0.9, "eta": 20.0, "hold": 0.03, "bw": 316.0},
+    ISMC: {
+        "k1": 64000.0,
+        "k2": 4800.0,
+        "k3": 120.0,
+        "alpha": 0.9,
+        "eta": 20.0,
+        "hold": 0.03,
+        "bw": 316.0,
+        "push": 600.0,
+    },
     COMPOSITE: {
         "k1": 64000.0,
         "k2": 4800.0,
@@ -38,6 +57,7 @@ STARTS: dict[str, Gains] = {
         "eta": 20.0,
         "hold": 0.03,
         "bw": 316.0,
+        "push": 600.0,
         "L": 2400.0,
     },
     EXTENDED_TUNED: {
@@ -49,6 +69,7 @@ STARTS: dict[str, Gains] = {
         "L": 2400.0,
         "hold": 0.034,
         "bw": 316.0,
+        "push": 600.0,
         "rate": 580.0,
     },
 }

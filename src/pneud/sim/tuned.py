@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from pneud.control.baselines import ADRC, PID, SLIDING, Adrc, Law, Pid, quadruple_pole
 from pneud.control.homogeneous import feedback
-from pneud.control.motion import triple_pole
+from pneud.control.motion import quickened, triple_pole
 from pneud.control.step import Controller
 
 NO_PID = Pid(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -17,6 +17,8 @@ AS_CONFIGURED = Law(SLIDING, 1.0, NO_PID, NO_ADRC)
 PID_FF, ADRC4, ADRC3, ISMC, COMPOSITE = "PID + FF", "ADRC, ESO 4", "ADRC, ESO 3", "ISMC", "composite"
 ISMC_PAPER, COMPOSITE_PAPER = "ISMC, paper's gains", "composite, paper's gains"
 EXTENDED, EXTENDED_TUNED = "extended composite", "extended, tuned alike"
+
+MOST_PUSH_RATIO = 2.5  # of the motion filter's two bandwidths, as for the configuration
 
 GAINS: dict[str, dict[str, float]] = {
     PID_FF: {
@@ -27,16 +29,18 @@ GAINS: dict[str, dict[str, float]] = {
         "reach": 0.007962,
         "hold": 0.002916,
         "bw": 497.2,
+        "push": 994.4,
     },
     ADRC4: {"k1": 651800.0, "k2": 16300.0, "k3": 299.8, "reach": 0.01222, "hold": 0.08291, "eso": 203.4},
     ADRC3: {
-        "k1": 404700.0,
-        "k2": 11470.0,
-        "k3": 101.6,
-        "reach": 0.1452,
-        "hold": 0.00678,
-        "bw": 505.0,
-        "rate": 226.1,
+        "k1": 564400.0,
+        "k2": 14270.0,
+        "k3": 121.5,
+        "reach": 0.02515,
+        "hold": 0.01903,
+        "bw": 373.7,
+        "push": 373.7,
+        "rate": 991.8,
     },
     ISMC: {
         "k1": 92010.0,
@@ -46,6 +50,7 @@ GAINS: dict[str, dict[str, float]] = {
         "eta": 3.8,
         "hold": 0.008954,
         "bw": 160.1,
+        "push": 160.1,
     },
     COMPOSITE: {
         "k1": 79720.0,
@@ -55,18 +60,20 @@ GAINS: dict[str, dict[str, float]] = {
         "eta": 81.21,
         "hold": 0.01101,
         "bw": 995.4,
+        "push": 995.4,
         "L": 941.7,
     },
     EXTENDED_TUNED: {
-        "k1": 92380.0,
-        "k2": 5850.0,
-        "k3": 169.1,
-        "alpha": 0.8837,
-        "eta": 0.3868,
-        "L": 1914.0,
-        "hold": 0.0687,
-        "bw": 344.7,
-        "rate": 535.8,
+        "k1": 111500.0,
+        "k2": 7883.0,
+        "k3": 162.6,
+        "alpha": 0.8956,
+        "eta": 0.2175,
+        "L": 1909.0,
+        "hold": 0.07267,
+        "bw": 277.1,
+        "push": 692.8,
+        "rate": 566.2,
     },
 }
 
@@ -102,7 +109,9 @@ def setting(name: str, base: Controller, gains: Mapping[str, float] | None = Non
     s = s._replace(hold_v=g["hold"])
     base = base._replace(sliding=s)
     if "bw" in g:
-        base = base._replace(motion=triple_pole(g["bw"], h, base.motion.blind_m))
+        slow = triple_pole(g["bw"], h, base.motion.blind_m)
+        fast = triple_pole(max(1.0, min(MOST_PUSH_RATIO, g["push"] / g["bw"])) * g["bw"], h)
+        base = base._replace(motion=quickened(slow, fast, base.motion.noise_m))
     if "rate" in g:
         base = base._replace(force_rate_gain=1.0 - math.exp(-g["rate"] * h))
     if "L" in g:
