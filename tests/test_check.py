@@ -26,6 +26,7 @@ BROKEN = [
         "travel_min_m = 0.99",
         "must lie below travel_max_m",
     ),
+    ("filters too far apart", "push_bandwidth_rad_s = 600.0", "push_bandwidth_rad_s = 900.0", "2.5 times it"),
     ("NaN", "moving_mass_kg = 15.0", "moving_mass_kg = nan", "cylinder.moving_mass_kg = nan"),
     ("missing key", "moving_mass_kg = 15.0", "", "cylinder.moving_mass_kg: missing"),
     ("wrong type", "moving_mass_kg = 15.0", 'moving_mass_kg = "heavy"', "cylinder.moving_mass_kg = 'heavy'"),
