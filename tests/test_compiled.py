@@ -29,7 +29,7 @@ from pneud.loading import load as load_axis
 from pneud.plant import dynamics
 from pneud.safety.output import OutputLimits, emit
 from pneud.safety.supervisor import INITIAL, advance
-from pneud.signals import Frame, State
+from pneud.signals import Frame, RequestKind, State
 from pneud.sim.lockstep import Simulation
 
 WHERE_PYTHON_RAISES = (0.0, -0.0, math.inf, -math.inf, math.nan, 1e300, -1e300, 5e-324)
@@ -105,13 +105,13 @@ def with_faults(rig: Rig) -> list[str]:
     """A run with all that a rig may do to an axis, to the last digit."""
     found = []
 
-    def ticks(n: int, kind: int = 0, skipped: int = 0) -> None:
+    def ticks(n: int, kind: int = 0, *values: float, skipped: int = 0) -> None:
         for i in range(n):
-            tick = rig.tick(kind if i == 0 else 0, skipped=skipped if i == 0 else 0)
+            tick = rig.tick(*(kind, *values) if i == 0 else (0,), skipped=skipped if i == 0 else 0)
             found.append(repr((tick, rig.axis.freeze())))
 
     ticks(80)
-    ticks(700, ARM)
+    ticks(700, ARM, 1.0)
     ticks(5, skipped=3)
     rig.frame = silent(ENCODER)
     ticks(20)
@@ -130,7 +130,10 @@ def with_faults(rig: Rig) -> list[str]:
     ticks(60)
     ticks(100, CLEAR)
     rig.node.force_ext_n = 300.0
-    ticks(300, ARM)
+    ticks(100, ARM)
+    ticks(200, RequestKind.GOTO, 0.48, 0.0, 0.0, 0.0)
+    ticks(100, RequestKind.STOP)
+    ticks(200, RequestKind.JOG, 0.05, 100.0)
     ticks(100, DISARM)
     return found
 
@@ -141,7 +144,14 @@ def test_closed_loops_are_the_same_to_the_last_bit() -> None:
     a, b = with_faults(one), with_faults(other)
     assert a == b
     states = {int(line.partition("Supervisor(state=")[2].partition(",")[0]) for line in a}
-    assert states >= {State.DISARMED, State.TRACKING, State.FAULT}
+    assert states >= {
+        State.DISARMED,
+        State.TRACKING,
+        State.HOLDING,
+        State.MOVING,
+        State.STOPPING,
+        State.FAULT,
+    }
 
 
 @pytest.mark.slow
@@ -157,7 +167,7 @@ def test_simulations_are_the_same_to_the_last_bit(config: str) -> None:
 
 def test_a_run_may_go_on_in_the_other() -> None:
     rig, other = ready(), compiled().axis(PARAMETERS)
-    rig.tick(ARM)
+    rig.tick(ARM, 1.0)
     rig.ticks(20)
     other.thaw(rig.axis.freeze())
     axis = rig.axis
@@ -276,7 +286,7 @@ def test_the_axis_of_a_compiled_law_calls_no_original(monkeypatch: pytest.Monkey
     rig.axis = compiled().axis(PARAMETERS)
     rig.until(State.DISARMED)
     rig.ticks(60)
-    rig.tick(ARM)
+    rig.tick(ARM, 1.0)
     while rig.axis.state.phase != FOLLOWING:
         rig.tick()
     rig.tick()

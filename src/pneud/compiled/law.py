@@ -110,7 +110,7 @@ def sample(one: Law, p: AxisParameters) -> list[str]:
             int(ValveState.ENABLED if axis.state.supervisor.state == State.TRACKING else ValveState.CENTRED),
             *(0, 0, 0, 0, 0, 0, 0, 0, 0),
         )
-        tick = axis.cycle(m, Request(RequestKind.ARM), m.t_ns)
+        tick = axis.cycle(m, Request(RequestKind.ARM, (1.0,)), m.t_ns)
         applied_v = tick.command.voltage_v
         found.append(repr((tick, axis.state)))
     return found

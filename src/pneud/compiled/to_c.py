@@ -310,6 +310,10 @@ class _Function:
                 whole = self._expr(value)
                 field, inner_type = fields_of(whole.type)[index]
                 return Typed(f"{whole.code}.{field}", inner_type)
+            case ast.Subscript(value=ast.Name(id=name), slice=key) if isinstance(
+                table := self._globals.get(name), dict
+            ):
+                return self._looked_up(table, self._expr(key))
             case ast.UnaryOp(op=ast.USub() | ast.UAdd() as op, operand=operand):
                 inner = self._expr(operand)
                 return Typed(f"({'-' if isinstance(op, ast.USub) else '+'}{inner.code})", inner.type)
@@ -372,11 +376,18 @@ class _Function:
                 raise self._fail(node)
         return Typed("(" + " && ".join(parts) + ")", int)
 
+    def _looked_up(self, table: dict[Any, Any], key: Typed) -> Typed:
+        """An element of a constant dictionary of numbers."""
+        code = "(failed_ = 1, 0)"
+        for known, value in table.items():
+            code = f"({key.code} == {self._t.literal(known)} ? {self._t.literal(value)} : {code})"
+        return Typed(code, int if all(isinstance(value, int) for value in table.values()) else float)
+
     def _members(self, node: ast.expr) -> list[str]:
         """The elements of a tuple, written out or a constant of the module."""
         if isinstance(node, ast.Tuple):
             return [self._expr(e).code for e in node.elts]
-        if isinstance(node, ast.Name) and isinstance(self._globals.get(node.id), tuple):
+        if isinstance(node, ast.Name) and isinstance(self._globals.get(node.id), (tuple, dict)):
             return [self._t.literal(value) for value in self._globals[node.id]]
         raise self._fail(node)
 
@@ -387,8 +398,10 @@ class _Function:
             called = eval(compile(ast.Expression(func), "<function>", "eval"), self._globals)
         except (NameError, AttributeError):
             raise self._fail(node) from None
-        if isinstance(called, types.BuiltinFunctionType) or called in (float, int):
+        if isinstance(called, types.BuiltinFunctionType) or called in (float, int, bool):
             return self._builtin(called, [self._expr(a) for a in args], node)
+        if not (isinstance(called, types.FunctionType) or hasattr(called, "_fields")):
+            raise self._fail(node)
         is_record = isinstance(called, type) and hasattr(called, "_fields")
         wanted = inspect.signature(called).parameters
         hints = get_type_hints(called)
@@ -420,6 +433,8 @@ class _Function:
             return Typed(f"whole_(rint({codes[0]}))", int)
         if called in (math.ceil, math.floor):
             return Typed(f"whole_({name}({codes[0]}))", int)
+        if called is bool:
+            return Typed(f"({codes[0]} != 0)", int)
         if called is float:
             return Typed(f"((double){codes[0]})", float)
         if called is math.isfinite:
