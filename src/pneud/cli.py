@@ -179,6 +179,31 @@ def replay(
 
 
 @app.command()
+def report(
+    logs: Annotated[list[str], typer.Argument(metavar="LOG…", help="Logs; several are compared.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="The page (.html).")],
+    png: Annotated[
+        bool, typer.Option("--png", help="Write the figures as PNG beside the page, too.")
+    ] = False,
+    reference: Annotated[
+        Path | None,
+        typer.Option("--reference", metavar="FILE", help="What 'pneud bench --json' printed here."),
+    ] = None,
+    begin: Annotated[
+        float | None, typer.Option("--from", metavar="S", help="Begin so long after the first tick.")
+    ] = None,
+    end: Annotated[
+        float | None, typer.Option("--to", metavar="S", help="End so long after the first tick.")
+    ] = None,
+) -> None:
+    """Logs as one page of figures and tables that needs nothing beside it."""
+    from pneud.verbs.report import ReportOptions
+    from pneud.verbs.report import report as verb
+
+    _exit(verb, ReportOptions(logs, output, png, reference, begin, end))
+
+
+@app.command()
 def recover(
     log: Annotated[str, typer.Argument(metavar="LOG", help="Log that was cut short.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help="The mended log.")],

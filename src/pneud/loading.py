@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,7 +10,7 @@ from pydantic import ValidationError
 
 from pneud import resources
 from pneud.bus.codec import Codecs, DatabaseError, load_codecs
-from pneud.config import Config, ConfigError, check_channel, explain, load_with_text
+from pneud.config import BusConfig, Config, ConfigError, check_channel, explain, load_with_text
 
 SYNC_COUNTERS = 240  # SYNC counts 1 … 240
 
@@ -45,6 +46,23 @@ def load(config_file: str | Path, rate_hz: float | None = None) -> Loaded:
     codecs = load_codecs(config.bus, dbc)
     _check_ranges(config, codecs, dbc)
     return Loaded(config, path, text, dbc, codecs)
+
+
+def codecs_of(bus: BusConfig, name: str, dbc: bytes) -> Codecs:
+    """The codecs for a DBC that is not in a file of its own, such as a log's.
+
+    Args:
+        bus: which messages play which roles.
+        name: what to call the DBC in errors.
+        dbc: its bytes.
+
+    Raises:
+        DatabaseError: the DBC cannot be used.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / (Path(name).name or "log.dbc")
+        file.write_bytes(dbc)
+        return load_codecs(bus, file)
 
 
 def _check_ranges(config: Config, codecs: Codecs, dbc: Path) -> None:

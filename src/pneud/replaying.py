@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 from pneud import parameters
-from pneud.bus.codec import load_codecs
 from pneud.bus.inbox import Inbox
 from pneud.compiled.law import law
 from pneud.config import Config, parse
-from pneud.loading import at_rate
+from pneud.loading import at_rate, codecs_of
 from pneud.log.fingerprint import numeric_fingerprint
 from pneud.log.reader import LogReader
 from pneud.log.records import LoggedTick, crc_of
@@ -77,10 +74,7 @@ def replay(log: LogReader, config: Config | None = None) -> Outcome:
     chosen = config or parse(log.config_text, f"{log.path}:{log.config_name}")
     if chosen.loop.rate_hz != log.rate_hz:
         chosen = at_rate(chosen, log.rate_hz)
-    with tempfile.TemporaryDirectory() as folder:
-        dbc = Path(folder) / (Path(log.dbc_name).name or "log.dbc")
-        dbc.write_bytes(log.dbc)
-        codecs = load_codecs(chosen.bus, dbc)
+    codecs = codecs_of(chosen.bus, log.dbc_name, log.dbc)
     p = parameters.axis_of(chosen, codecs.command_lsb_v)
     axis = law(chosen.loop.compiled, p).axis(p)
     inbox = Inbox(codecs, chosen.bus)

@@ -46,8 +46,18 @@ def columns(buckets: Sequence[Sequence[int]]) -> dict[int, float]:
     return found
 
 
-def svg(histograms: Mapping[str, Sequence[Sequence[int]]]) -> str:
-    """The picture: lateness [µs] across, share of all wake-ups in a column up."""
+def svg(
+    histograms: Mapping[str, Sequence[Sequence[int]]],
+    across: str = "µs after the ideal grid",
+    colours: Mapping[str, str] = _COLOURS,
+) -> str:
+    """The picture: durations [µs] across, share of all of them in a column up.
+
+    Args:
+        histograms: buckets (least, greatest [ns], count) by name.
+        across: what the durations are.
+        colours: by name.
+    """
     shares = {name: columns(buckets) for name, buckets in histograms.items() if buckets}
     if not shares:
         return "<p>nothing was measured</p>"
@@ -62,7 +72,7 @@ def svg(histograms: Mapping[str, Sequence[Sequence[int]]]) -> str:
     def y(share: float) -> float:
         return _TOP + (bottom - _TOP) * math.log10(share) / lowest if lowest else _TOP
 
-    parts = [f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="histograms of lateness">']
+    parts = [f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="histograms, {across}">']
     for decade in range(first, last + 1):
         at = x(decade * _PER_DECADE)
         parts.append(f'<path d="M{at:.1f} {_TOP}V{bottom}" stroke="#ddd"/>')
@@ -74,16 +84,17 @@ def svg(histograms: Mapping[str, Sequence[Sequence[int]]]) -> str:
             f'<text x="{_LEFT - 6}" y="{at + 4:.1f}" text-anchor="end">{100 * 10.0**power:g} %</text>'
         )
     for row, (name, found) in enumerate(shares.items()):
-        colour = _COLOURS.get(name, "#cc79a7")
+        colour = colours.get(name, "#cc79a7")
         parts.append(
             f'<path d="{_steps(found, x, y, bottom)}" fill="none" stroke="{colour}" stroke-width="1.8"/>'
         )
         at = _TOP + 16 + 18 * row
         parts.append(
-            f'<text x="{_WIDTH - _RIGHT - 8}" y="{at}" text-anchor="end" fill="{colour}">{name}</text>'
+            f'<text x="{_WIDTH - _RIGHT - 8}" y="{at}" text-anchor="end" fill="{colour}">'
+            f"{html.escape(name)}</text>"
         )
     middle = (_LEFT + _WIDTH - _RIGHT) / 2
-    parts.append(f'<text x="{middle}" y="{_HEIGHT - 8}" text-anchor="middle">µs after the ideal grid</text>')
+    parts.append(f'<text x="{middle}" y="{_HEIGHT - 8}" text-anchor="middle">{across}</text>')
     return "\n".join([*parts, "</svg>"])
 
 

@@ -57,7 +57,8 @@ class Codec:
     `valid`: the message's length and, where it has one, the right checksum. `decode` yields floats in SI
     units, and ints for numbers without a dimension. `encode` takes the values in the order of the role,
     then `counter`; it rounds half to even, leaves reserved bits zero and raises ValueError for what the
-    signal cannot carry. `counter_mask` is 0 without a counter.
+    signal cannot carry. `counter_mask` is 0 without a counter. The rest is for those who
+    judge many frames at once: where counter and age lie, and whether the last byte is a checksum.
     """
 
     can_id: int
@@ -67,6 +68,9 @@ class Codec:
     decode: Callable[[bytes], tuple[Any, ...]]
     counter: Callable[[bytes], int]
     valid: Callable[[bytes], bool]
+    counter_field: Field | None
+    age_field: Field | None
+    crc: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +169,15 @@ class _Loader:
             frame.crc is not None,
         )
         mask = 0 if counter is None else (1 << counter.length) - 1
-        return Codec(message.frame_id, message.length, mask, *functions)
+        return Codec(
+            message.frame_id,
+            message.length,
+            mask,
+            *functions,
+            counter_field=counter,
+            age_field=fields.get("age_s"),
+            crc=frame.crc is not None,
+        )
 
     def _message(self, role: str, frame: FrameConfig) -> Message:
         name = frame.message

@@ -126,7 +126,7 @@ def _struct(placed: list[tuple[str, Field]], body: int) -> tuple[struct.Struct, 
     return struct.Struct(text + "x" * (body - at)), [name for _, _, name, _ in sorted(spans)]
 
 
-def _shift(f: Field, length: int) -> int:
+def shift(f: Field, length: int) -> int:
     """How far the least significant bit lies above that of the frame taken as one integer."""
     if not f.big_endian:
         return f.start
@@ -136,7 +136,7 @@ def _shift(f: Field, length: int) -> int:
 
 def _extract(f: Field, length: int) -> str:
     word = "m" if f.big_endian else "n"
-    text = f"({word} >> {_shift(f, length)} & {(1 << f.length) - 1})"
+    text = f"({word} >> {shift(f, length)} & {(1 << f.length) - 1})"
     if f.signed:
         sign = 1 << (f.length - 1)
         text = f"(({text} ^ {sign}) - {sign})"
@@ -206,7 +206,7 @@ def _encode_source(
     else:
         for word, big in (("n", False), ("m", True)):
             parts = [
-                f"({raw[name]} & {(1 << f.length) - 1}) << {_shift(f, body)}"
+                f"({raw[name]} & {(1 << f.length) - 1}) << {shift(f, body)}"
                 for name, f in placed
                 if f.big_endian is big
             ]

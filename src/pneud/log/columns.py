@@ -55,6 +55,20 @@ class Block(NamedTuple):
         """A field of the ticks as doubles."""
         return np.asarray(self.ticks[name], dtype=np.float64)
 
+    def part(self, begin: int, end: int) -> Block:
+        """Some of the ticks, with all of the events."""
+        kept = (self.frames.tick >= begin) & (self.frames.tick < end)
+        frames = FrameColumns._make(column[kept] for column in self.frames)
+        return Block(
+            self.number[begin:end],
+            self.log_time_ns[begin:end],
+            self.ticks[begin:end],
+            self.timing[begin:end],
+            frames._replace(tick=frames.tick - begin),
+            tuple((index - begin, request) for index, request in self.requests if begin <= index < end),
+            self.events,
+        )
+
 
 def blocks(log: LogReader, ticks: int = BLOCK) -> Iterator[Block]:
     """The log from its start.

@@ -1,0 +1,1 @@
+"""A log as figures, tables and one page."""
