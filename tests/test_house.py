@@ -123,6 +123,7 @@ def skeleton(folder: Path, imports: dict[str, str]) -> subprocess.CompletedProce
         "plant",
         "compiled",
         "sim",
+        "reporting",
         "verbs",
         "view",
     }
@@ -164,6 +165,7 @@ ALLOWED = {
     "loading": "from pneud.bus.part import x\nfrom pneud import config, resources",
     "processes": "from pneud.plant import part\nfrom pneud.view import x",
     "replaying": "from pneud.log import part\nfrom pneud import axis, loading",
+    "reporting": "from pneud.log import part\nfrom pneud import loading",
     "summary": "from pneud.bus import part\nfrom pneud.rt import part as r",
     "bus": "from pneud import config, signals",
     "log": "from pneud import signals",
@@ -185,6 +187,7 @@ FORBIDDEN = {
     "bus": "from pneud.control import part",
     "parameters": "from pneud.bus import part",
     "replaying": "from pneud import daemon",
+    "reporting": "from pneud import replaying",
     "summary": "from pneud.log import part",
     "design": "from pneud.sim import part",
     "chatter": "from pneud import design",

@@ -158,8 +158,15 @@ def test_health_counts_as_the_inbox_does(mangled_log: Any, size: int) -> None:
 
 
 @pytest.fixture(scope="module")
-def run(mangled_log: Any) -> Run:
-    return gather(read_log(mangled_log[0]))
+def calm_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("logs") / "calm.mcap"
+    simulated(path, 1.0)
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(calm_log: Path) -> Run:
+    return gather(read_log(calm_log))
 
 
 def test_a_run(run: Run) -> None:
@@ -174,8 +181,8 @@ def test_a_run(run: Run) -> None:
     assert 0.0 < np.nanmax(np.abs(error)) < 1.0
 
 
-def test_a_window(mangled_log: Any) -> None:
-    part = gather(read_log(mangled_log[0]), Window(0.5, 0.75))
+def test_a_window(calm_log: Path) -> None:
+    part = gather(read_log(calm_log), Window(0.5, 0.75))
     assert part.ticks == 250
     assert part.series.t_s[0] == 0.5
     assert [State(span.value - 1).label for span in part.states] == ["tracking"]
@@ -196,7 +203,10 @@ def test_the_page_needs_nothing_beside_it(run: Run) -> None:
     (one,) = data["runs"]
     assert set(one["columns"]) == set(COLUMNS)
     assert "piston_area_1_m2" in text
-    assert "emergency 0x2310 of node 1" in text
+
+
+def test_emergencies_are_named(mangled_log: Any) -> None:
+    assert "emergency 0x2310 of node 1" in page([gather(read_log(mangled_log[0]))])
 
 
 def test_text_from_a_log_cannot_become_markup(run: Run) -> None:
@@ -215,7 +225,7 @@ def test_text_from_a_log_cannot_become_markup(run: Run) -> None:
 def test_several_logs_begin_where_they_were_engaged(run: Run) -> None:
     text = page([run, run])
     data = data_of(text)
-    assert [r["name"] for r in data["runs"]] == ["mangled (1)", "mangled (2)"]
+    assert [r["name"] for r in data["runs"]] == ["calm (1)", "calm (2)"]
     assert data["aligned"]
     assert data["runs"][0]["marks"][0][0] == 0.0
 
