@@ -163,7 +163,7 @@ def test_the_plant_killed_means_centre_and_a_named_fault(axis: Path, tmp_path: P
     log = tmp_path / "run.mcap"
     with background("--virtual", "--config", axis, "--headless", "--json", "--log", log) as daemon:
         eventually(lambda: log.exists() and log.stat().st_size > 200_000)
-        kill(children(daemon.pid)[1])
+        kill(children(daemon.pid)[2])
         out, _ = daemon.communicate(timeout=30)
         assert daemon.returncode == 1
         s = json.loads(out)

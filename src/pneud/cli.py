@@ -28,6 +28,10 @@ BusOption = Annotated[
     str | None, typer.Option("--bus", metavar="BUS", help="auto, socketcan:IF or unixcan:NAME.")
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
+SocketOption = Annotated[
+    str | None,
+    typer.Option("--socket", metavar="PATH", help="The daemon's socket."),
+]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of the plant's noise.")]
 
 
@@ -58,6 +62,7 @@ def daemon(
         str | None, typer.Option("--log", metavar="PATH", help="Log file (.mcap) or folder.")
     ] = None,
     seed: SeedOption = 0,
+    socket: SocketOption = None,
     version: Annotated[  # noqa: ARG001
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
@@ -76,6 +81,7 @@ def daemon(
             ("--json", json),
             ("--log", log),
             ("--seed", seed),
+            ("--socket", socket),
         )
         if value
     ]
@@ -109,6 +115,7 @@ def daemon(
             json=json,
             log=log,
             seed=seed,
+            socket=socket,
         ),
     )
 
@@ -284,6 +291,105 @@ def bench(
     _exit(verb, BenchOptions(config or "virtual.toml", bus, pairs, rate_seconds, output, json))
 
 
+NEGATIVE = {"ignore_unknown_options": True}  # numbers with a minus sign are no options
+
+
+@app.command()
+def status(socket: SocketOption = None, json: JsonOption = False) -> None:
+    """How the axis of the running daemon is: state, faults with cures, position, pressures, timing, log."""
+    from pneud.verbs.operate import status as verb
+
+    _exit(verb, socket, json)
+
+
+@app.command()
+def arm(socket: SocketOption = None, json: JsonOption = False) -> None:
+    """Engage the axis and hold where it is."""
+    _ask(socket, json, "arm")
+
+
+@app.command()
+def disarm(socket: SocketOption = None, json: JsonOption = False) -> None:
+    """Stop the axis and centre its valve; needs no lease, as stop."""
+    _ask(socket, json, "disarm")
+
+
+@app.command()
+def stop(socket: SocketOption = None, json: JsonOption = False) -> None:
+    """Stop the axis, whoever commands it."""
+    _ask(socket, json, "stop")
+
+
+@app.command()
+def clear(socket: SocketOption = None, json: JsonOption = False) -> None:
+    """Clear latched faults whose causes are gone."""
+    _ask(socket, json, "clear")
+
+
+@app.command()
+def home(socket: SocketOption = None, json: JsonOption = False) -> None:
+    """Find the encoder's reference."""
+    _ask(socket, json, "home")
+
+
+@app.command()
+def hold(socket: SocketOption = None, json: JsonOption = False) -> None:
+    """Come to rest and hold there."""
+    _ask(socket, json, "hold")
+
+
+@app.command(context_settings=NEGATIVE)
+def goto(
+    x: Annotated[float, typer.Argument(metavar="MM", help="Position in the stroke coordinate [mm].")],
+    speed: Annotated[float | None, typer.Option("--speed", metavar="MM_S", help="At most.")] = None,
+    accel: Annotated[float | None, typer.Option("--accel", metavar="MM_S2", help="At most.")] = None,
+    jerk: Annotated[float | None, typer.Option("--jerk", metavar="MM_S3", help="At most.")] = None,
+    socket: SocketOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Go to a position and hold there; a later one redirects it in motion."""
+    given = (("speed_mm_s", speed), ("acceleration_mm_s2", accel), ("jerk_mm_s3", jerk))
+    fields = {name: value for name, value in given if value is not None}
+    if not all(0.0 < value <= 1e9 for value in fields.values()) or not abs(x) <= 1e6:
+        _fail("goto: MM is a position, --speed, --accel and --jerk are positive numbers")
+    _ask(socket, json, "goto", x_mm=x, **fields)
+
+
+@app.command(context_settings=NEGATIVE)
+def jog(
+    velocity: Annotated[float, typer.Argument(metavar="MM_S", help="Signed speed [mm/s].")],
+    duration: Annotated[
+        float | None, typer.Option("--for", metavar="S", help="Default: until Ctrl-C.")
+    ] = None,
+    socket: SocketOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Move for as long as this command runs, then hold."""
+    if not abs(velocity) <= 1e6 or (duration is not None and not 0.0 < duration < 1e6):
+        _fail("jog: MM_S is a speed, --for a positive number of seconds")
+    from pneud.verbs.operate import jog as verb
+
+    _exit(verb, socket, json, velocity, duration)
+
+
+@app.command()
+def mark(
+    text: Annotated[str, typer.Argument(metavar="TEXT", help="For the log.")],
+    socket: SocketOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Leave a remark in the log."""
+    if not 0 < len(text) <= 200:
+        _fail("mark: TEXT has 1 to 200 characters")
+    _ask(socket, json, "mark", text=text)
+
+
+def _ask(socket: str | None, json: bool, verb: str, **fields: object) -> NoReturn:
+    from pneud.verbs.operate import ask
+
+    _exit(lambda: ask(socket, json, verb, **fields))
+
+
 def _fail(text: str, status: int = USAGE) -> NoReturn:
     typer.echo(f"pneud: {text}", err=True)
     raise typer.Exit(status)
@@ -295,6 +401,7 @@ def _exit(verb: object, *args: object) -> NoReturn:
     from pneud.bus.link import LinkError
     from pneud.compiled.build import BuildError
     from pneud.config import ConfigError
+    from pneud.console.place import PlaceError
     from pneud.log.files import LogError
 
     assert callable(verb)
@@ -302,7 +409,7 @@ def _exit(verb: object, *args: object) -> NoReturn:
         status = verb(*args)
     except (ConfigError, DatabaseError, LogError) as e:
         _fail(str(e))
-    except LinkError as e:
+    except (LinkError, PlaceError) as e:
         _fail(str(e), e.exit_code)
     except BuildError as e:
         _fail(f"loop.compiled: {e}", MACHINE)

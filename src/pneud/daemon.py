@@ -17,6 +17,7 @@ from pneud.bus.codec import Codecs
 from pneud.bus.inbox import Inbox
 from pneud.bus.link import Link
 from pneud.config import Config
+from pneud.console.handoff import LoopEnd
 from pneud.log.ring import Ring
 from pneud.plant.truth import TruthReader
 from pneud.rt.histogram import Histogram
@@ -60,6 +61,7 @@ class Loop:
         options: Options,
         truth: TruthReader | None = None,
         recorder: int = 0,
+        console: LoopEnd | None = None,
     ) -> None:
         """A loop that is ready to run.
 
@@ -72,6 +74,7 @@ class Loop:
             options: how the run goes.
             truth: true positions of a software plant.
             recorder: process id of the recorder, 0 for none.
+            console: where operators' requests come from.
         """
         self.axis = axis
         self.inbox = inbox
@@ -92,6 +95,8 @@ class Loop:
         self.recorder_lost = False
         self.disk_full = False
         self.config_changed = False
+        self.operated = False  # an operator has asked something of the axis
+        self._console = console
         self._codecs = codecs
         self._recorder = recorder
         self._stop = False
@@ -123,7 +128,7 @@ class Loop:
             raise
 
     def _run(self) -> None:
-        o, link, inbox, axis = self.options, self.link, self.inbox, self.axis
+        o, link, inbox, axis, console = self.options, self.link, self.inbox, self.axis, self._console
         period_ns, ring, clock = self.period_ns, self.ring, time.monotonic_ns
         pacer = Pacer(period_ns, round(o.spin_us * 1e3))
         wait_ns = round(period_ns * o.set_deadline)
@@ -204,6 +209,10 @@ class Loop:
                 flags |= Host.CONFIG_CHANGED
             measurement = inbox.measurement(skipped, flags)
             request = self._request(tick, total)
+            asked = False
+            if request is None and console is not None:
+                request = console.take()
+                asked = request is not None
             tick = axis.cycle(measurement, request, t_ns)
             cycle_ns = clock()
             command = tick.command
@@ -235,10 +244,13 @@ class Loop:
                 )
             )
             record_ns = clock() - end_ns
+            if asked and console is not None:
+                self.operated = True
+                console.answer(tick)
 
             count += 1
             self._count = count
-            if request is not None and request.kind == RequestKind.ARM:
+            if request is not None and not asked and request.kind == RequestKind.ARM:
                 # what shows only now would show again; anything else may pass, and arming is tried again
                 self.refused = 0 if is_engaged(tick.state) else tick.present & BLOCKS_ARM
                 self._armed = is_engaged(tick.state) or bool(tick.present & 1 << F.UNREACHABLE)
@@ -259,7 +271,12 @@ class Loop:
                 idle_ticks += 1
                 if self._shut and idle_ticks >= END_TICKS:
                     break
-                if o.end_on_fault and tick.state == State.FAULT and idle_ticks >= fault_ticks:
+                if (
+                    o.end_on_fault
+                    and not self.operated  # whoever commands is there to clear it
+                    and tick.state == State.FAULT
+                    and idle_ticks >= fault_ticks
+                ):
                     break
         self._notifier.stopping()
 

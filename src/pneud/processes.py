@@ -5,6 +5,7 @@ from __future__ import annotations
 import mmap
 import os
 import signal
+import socket
 import sys
 import time
 import traceback
@@ -15,6 +16,9 @@ from typing import NoReturn
 from pneud.bus.codec import Codecs
 from pneud.bus.link import Link, LinkError, open_link
 from pneud.config import Config
+from pneud.console.desk import Run
+from pneud.console.process import serve as serve_console
+from pneud.log.recorder import leave_the_parents_files
 from pneud.log.ring import Ring
 from pneud.plant.node import Advance, PlantNode
 from pneud.plant.parameters import PlantParameters
@@ -94,6 +98,24 @@ def fork_plant(
             serve(link, node, stop=lambda: stopped, truth=TruthWriter(truth))
 
     return fork(main)
+
+
+def fork_console(
+    listener: socket.socket, loop: socket.socket, words: socket.socket, run: Run, ring: Ring
+) -> int:
+    """The operator's console; the sockets are the child's from here on."""
+    parent = os.getpid()
+
+    def main() -> None:
+        # a Ctrl-C reaches the whole group; the console leaves with the loop
+        setup.ignore_terminal_signals()
+        leave_the_parents_files(*(listener.fileno(), loop.fileno(), words.fileno()), ring.descriptor)
+        serve_console(listener, loop, words, run, ring, parent)
+
+    child = fork(main)
+    for end in (listener, loop, words):
+        end.close()
+    return child
 
 
 def fork_screen(ring: Ring, inherited: Link, config: Config, log_file: Path) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import socket
 import sys
 import time
 import traceback
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pneud.log.header import LogHeader
+from pneud.log.messages import Listener, Message
 from pneud.log.ring import RECORDER_FAILED, RecorderStatus, Ring, RingReader
 from pneud.signals import Record
 
@@ -21,9 +23,16 @@ if TYPE_CHECKING:
 _POLL_S = 0.02
 _LOOK_POLLS = 50  # how often the watched files are looked at
 _NICE = 5
+_ERROR = 4  # a `Level`; their module is heavy to load
 
 
-def start_recorder(ring: Ring, descriptor: int, header: LogHeader, files: tuple[Path, ...] = ()) -> int:
+def start_recorder(
+    ring: Ring,
+    descriptor: int,
+    header: LogHeader,
+    files: tuple[Path, ...] = (),
+    words: socket.socket | None = None,
+) -> int:
     """Fork the recorder.
 
     It finishes by itself when the ring is closed or this process dies, however it dies.
@@ -33,6 +42,7 @@ def start_recorder(ring: Ring, descriptor: int, header: LogHeader, files: tuple[
         descriptor: of the new file, open for writing; closed here.
         header: what the log says about its run.
         files: what the run began with; it is watched whether they stay as they are.
+        words: the recorder's end of `messages.pair`; closed here.
 
     Returns:
         The child's process id; wait for it after `ring.set_closed()`.
@@ -44,19 +54,21 @@ def start_recorder(ring: Ring, descriptor: int, header: LogHeader, files: tuple[
     child = os.fork()
     if child:
         os.close(descriptor)
+        if words is not None:
+            words.close()
         return child
     status = 1
     try:
-        _leave_the_parents_files(descriptor)
-        status = recorder_main(ring, descriptor, header, parent, files)
+        leave_the_parents_files(descriptor, *([words.fileno()] if words is not None else []))
+        status = recorder_main(ring, descriptor, header, parent, files, words)
     finally:
         os._exit(status)
 
 
-def _leave_the_parents_files(keep: int) -> None:
+def leave_the_parents_files(*keep: int) -> None:
     """Close what the fork inherited: a socket held open here would seem alive after its owner's death."""
     for name in sorted(entry.name for entry in Path("/proc/self/fd").iterdir()):
-        if int(name) > 2 and int(name) != keep:
+        if int(name) > 2 and int(name) not in keep:
             with contextlib.suppress(OSError):
                 os.close(int(name))
     null = os.open(os.devnull, os.O_RDWR)
@@ -66,7 +78,12 @@ def _leave_the_parents_files(keep: int) -> None:
 
 
 def recorder_main(
-    ring: Ring, descriptor: int, header: LogHeader, parent: int, files: tuple[Path, ...] = ()
+    ring: Ring,
+    descriptor: int,
+    header: LogHeader,
+    parent: int,
+    files: tuple[Path, ...] = (),
+    words: socket.socket | None = None,
 ) -> int:
     """Record until the ring is closed or the parent is gone, then finish the file.
 
@@ -76,6 +93,7 @@ def recorder_main(
         header: what the log says about its run.
         parent: process id of the loop.
         files: to be watched.
+        words: where other processes' words for the log come from.
 
     Returns:
         Exit status: 0, or 1 if records are missing or the file is incomplete.
@@ -88,7 +106,8 @@ def recorder_main(
         # protobuf and MCAP are loaded here, beside the loop's own start, while the ring keeps what comes
         from pneud.log.writer import LogWriter  # noqa: PLC0415
 
-        return _Recorder(ring, LogWriter(descriptor, header), parent, files).run()
+        listener = Listener(words) if words is not None else None
+        return _Recorder(ring, LogWriter(descriptor, header), parent, files, listener).run()
     except Exception:
         traceback.print_exc(file=sys.stderr)
         ring.set_status(ring.status()._replace(error=RECORDER_FAILED))
@@ -96,11 +115,19 @@ def recorder_main(
 
 
 class _Recorder:
-    def __init__(self, ring: Ring, writer: LogWriter, parent: int, files: tuple[Path, ...]) -> None:
+    def __init__(
+        self,
+        ring: Ring,
+        writer: LogWriter,
+        parent: int,
+        files: tuple[Path, ...],
+        listener: Listener | None,
+    ) -> None:
         self._ring = ring
         self._reader: RingReader = ring.reader()
         self._writer = writer
         self._parent = parent
+        self._listener = listener
         self._dropped = 0
         self._noted = False
         self._heartbeat = 0
@@ -111,10 +138,15 @@ class _Recorder:
         self._report()
         while not self._ring.closed and os.getppid() == self._parent:
             self._take(self._reader.poll())
+            self._listen()
+            if self._listener is not None and self._listener.gone:
+                self._listener = None
+                self._say_that_the_console_is_gone()
             self._writer.attend()
             self._report()
             time.sleep(_POLL_S)
         self._take(self._reader.drain())
+        self._listen()
         complete = self._writer.close()
         self._report(finished=complete)
         status = self._ring.status()
@@ -132,6 +164,18 @@ class _Recorder:
         for record in records:
             self._writer.write(record, missed)
             missed = 0
+
+    def _listen(self) -> None:
+        if self._listener is not None:
+            for message in self._listener.poll():
+                self._writer.say(message)
+
+    def _say_that_the_console_is_gone(self) -> None:
+        if self._ring.closed or os.getppid() != self._parent:
+            return
+        words = "the console is gone; control goes on, but takes no requests until it is restarted"
+        self._writer.say(Message(time.monotonic_ns(), _ERROR, "console", words))
+        print(f"pneud: {words}", file=sys.stderr, flush=True)
 
     def _report(self, *, finished: bool = False) -> None:
         if self._heartbeat % _LOOK_POLLS == 0:

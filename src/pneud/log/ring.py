@@ -9,6 +9,9 @@ needed.
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
+import hashlib
 import json
 import mmap
 import os
@@ -57,6 +60,8 @@ _F = _TRUTH + 1
 
 RECORDER_FAILED = -1
 
+_SEAL_FUTURE_WRITE = 0x10  # what maps or opens the memory from now on can only read
+
 
 class RecorderStatus(NamedTuple):
     """What the recorder says of itself."""
@@ -88,6 +93,8 @@ class Ring:
 
     def __init__(self, memory: mmap.mmap, slots: int, slot_bytes: int) -> None:
         self._memory = memory
+        self.descriptor = -1
+        """Of the memory, where this process made it."""
         self._words = memoryview(memory).cast("Q")
         self._signed = memoryview(memory).cast("q")
         self.slots = slots
@@ -119,15 +126,54 @@ class Ring:
             OSError: no memory for it.
         """
         size = _HEAD_BYTES + slots * slot_bytes
-        descriptor = os.memfd_create("pneud-ring", os.MFD_CLOEXEC)
+        descriptor = os.memfd_create("pneud-ring", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
         try:
             os.posix_fallocate(descriptor, 0, size)
             memory = mmap.mmap(descriptor, size, mmap.MAP_SHARED | mmap.MAP_POPULATE)
-        finally:
+            os.fchmod(descriptor, 0o400)
+            fcntl.fcntl(descriptor, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW)
+            with contextlib.suppress(OSError):  # Linux before 5.1 has but the mode to go by
+                fcntl.fcntl(descriptor, fcntl.F_ADD_SEALS, _SEAL_FUTURE_WRITE)
+        except OSError:
             os.close(descriptor)
+            raise
         for page in range(0, size, mmap.PAGESIZE):
             memory[page] = 0
-        return cls(memory, slots, slot_bytes)
+        ring = cls(memory, slots, slot_bytes)
+        ring.descriptor = descriptor
+        return ring
+
+    @classmethod
+    def attach(cls, descriptor: int, slots: int, slot_bytes: int) -> Ring:
+        """The ring of another process, for reading only.
+
+        Args:
+            descriptor: as the other's `open_for_reading` gave it; closed here.
+            slots: as the other's.
+            slot_bytes: as the other's.
+
+        Raises:
+            OSError: not such memory.
+            ValueError: it has another size.
+        """
+        try:
+            size = _HEAD_BYTES + slots * slot_bytes
+            return cls(mmap.mmap(descriptor, size, mmap.MAP_SHARED, mmap.PROT_READ), slots, slot_bytes)
+        finally:
+            os.close(descriptor)
+
+    def open_for_reading(self) -> int:
+        """A descriptor of the memory to give to a process that is to `attach`.
+
+        Raises:
+            OSError: no more descriptors.
+        """
+        return os.open(f"/proc/self/fd/{self.descriptor}", os.O_RDONLY | os.O_CLOEXEC)
+
+    @staticmethod
+    def layout() -> str:
+        """A name of what lies where; only rings with the same one can read each other."""
+        return hashlib.sha256(f"{_HEAD_BYTES} {_PREFIX.format} {_BODY} {_FRAME}".encode()).hexdigest()[:16]
 
     def put(self, record: Record) -> None:
         """Hand one record over; never raises, never waits. The oldest goes where no reader keeps up."""

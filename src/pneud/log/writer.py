@@ -17,6 +17,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 from pneud.log.events import EventSource
 from pneud.log.fingerprint import numeric_fingerprint, versions
 from pneud.log.header import LogHeader
+from pneud.log.messages import Message
 from pneud.log.records import LoggedEvent, Packer, pack_event
 from pneud.log.schema import EVENTS, FRAMES, METADATA, SCHEMA, SETUP, TICK, TIMING, Level, topics
 from pneud.signals import Record
@@ -213,6 +214,11 @@ class LogWriter:
             self._add_event(event)
         if self._chunk_bytes > CHUNK_BYTES:
             self.flush()
+
+    def say(self, message: Message) -> None:
+        """Add an event that another process tells of."""
+        t_ns, level, name, words = message
+        self._add_event(LoggedEvent(t_ns + self._header.realtime_offset_ns, Level(level), name, words))
 
     def _message(self, t_ns: int, level: Level, words: str) -> None:
         for event in self._events.message(t_ns, level, "log", words):

@@ -14,20 +14,24 @@ from pneud.bus.inbox import Inbox
 from pneud.bus.link import Link, LinkError, open_link, refuse_if_driven
 from pneud.compiled.law import Law, law
 from pneud.config import Config, ConfigError
+from pneud.console import handoff, place
+from pneud.console.desk import Run
 from pneud.daemon import Loop, options_of
 from pneud.loading import Loaded, bus_name, listening_s, load
+from pneud.log import messages
 from pneud.log.files import open_log
 from pneud.log.header import LogHeader
 from pneud.log.recorder import start_recorder
 from pneud.log.ring import Ring
 from pneud.plant.truth import TruthReader, truth_memory
-from pneud.processes import end, end_screen, fork_plant, fork_screen, wait
+from pneud.processes import end, end_screen, fork_console, fork_plant, fork_screen, wait
 from pneud.rt import setup
 from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES, names
 from pneud.signals import State
 from pneud.summary import in_words, summarise
 
 RECORDER_PATIENCE_S = 15.0
+CONSOLE_PATIENCE_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +48,7 @@ class RunOptions:
     json: bool
     log: str | None
     seed: int
+    socket: str | None
 
 
 def run(o: RunOptions) -> int:
@@ -58,6 +63,7 @@ def run(o: RunOptions) -> int:
         LinkError: the bus cannot be used.
         LogError: the log cannot be written.
         BuildError: the compiled law is required and cannot be had.
+        PlaceError: the console's socket cannot be made.
     """
     if o.arm and ("INVOCATION_ID" in os.environ or "NOTIFY_SOCKET" in os.environ):
         raise ConfigError("--arm is for benches and tests; a service is armed by an operator: pneud arm")
@@ -76,18 +82,29 @@ def run(o: RunOptions) -> int:
         if channel != "auto":
             own = (codecs.sync.can_id, codecs.valve_command.can_id)
             refuse_if_driven(link, own, listening_s(axis.config))
-    except LinkError:
+        socket = place.bind(axis.config.name, o.socket, virtual=o.virtual)
+    except (LinkError, place.PlaceError):
         os.close(descriptor)
         log_file.unlink(missing_ok=True)
         raise
     with link:
         if link.note:
             print(f"pneud: {link.note}", file=sys.stderr)
-        return _run(o, axis, how.axis(p), how, link, log_file, descriptor)
+        try:
+            return _run(o, axis, how.axis(p), how, link, socket, log_file, descriptor)
+        finally:
+            socket.path.unlink(missing_ok=True)
 
 
 def _run(
-    o: RunOptions, loaded: Loaded, axis: Axis, how: Law, link: Link, log_file: Path, descriptor: int
+    o: RunOptions,
+    loaded: Loaded,
+    axis: Axis,
+    how: Law,
+    link: Link,
+    socket: place.Place,
+    log_file: Path,
+    descriptor: int,
 ) -> int:
     config, path, text, dbc, codecs = loaded
     ring = Ring.create()
@@ -104,10 +121,20 @@ def _run(
         realtime_offset_ns=link.realtime_offset_ns,
         extra={"law": how.name, **({"seed": str(o.seed)} if o.virtual else {})},
     )
-    plant, screen, recorder, truth = 0, 0, 0, None
+    plant, screen, recorder, console, truth = 0, 0, 0, 0, None
     reports: list[setup.Report] = []
     try:
-        recorder = start_recorder(ring, descriptor, header, (path, dbc))
+        words, heard = messages.pair()
+        asking, taking = handoff.pair()
+        recorder = start_recorder(ring, descriptor, header, (path, dbc), heard)
+        # before the others, who must not hold its sockets open
+        console = fork_console(
+            socket.listener,
+            asking,
+            words,
+            Run(config, path.absolute(), text, link.name, link.note, str(log_file)),
+            ring,
+        )
         if o.virtual:
             memory = truth_memory()
             truth = TruthReader(memory)
@@ -141,6 +168,7 @@ def _run(
             ),
             truth,
             recorder,
+            handoff.LoopEnd(taking),
         )
         loop.handle_signals()
         loop.run()
@@ -150,6 +178,8 @@ def _run(
             end_screen(screen)
         if plant:
             end(plant, 2.0)
+        if console and not wait(console, CONSOLE_PATIENCE_S):
+            end(console, 0.0)
         finished = wait(recorder, RECORDER_PATIENCE_S) if recorder else True
     return _report(o, config, loop, ring, log_file, reports, finished)
 
@@ -201,7 +231,7 @@ def _report(
         if not o.json:
             print(f"pneud: stopped by {', '.join(names(loop.ever_latched))}", file=sys.stderr)
         return 1
-    if not wanted or loop.state == State.TRACKING:
+    if not wanted or loop.operated or loop.state == State.TRACKING:
         return 0
     reasons = names(loop.refused | (loop.present & BLOCKS_ARM))
     print(f"pneud: never armed: {', '.join(reasons) or 'the run was too short'}", file=sys.stderr)

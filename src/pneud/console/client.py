@@ -1,0 +1,110 @@
+"""A client of the console: one request at a time, each with its reply."""
+
+from __future__ import annotations
+
+import array
+import contextlib
+import json
+import os
+import socket
+from typing import Any
+
+from pneud.console.place import PlaceError, find
+from pneud.console.protocol import VERSION, line
+
+_PATIENCE_S = 5.0
+
+
+class RefusedError(Exception):
+    """The answer is no; the text is one line for a person, `error` what the console said."""
+
+    def __init__(self, error: dict[str, Any]) -> None:
+        super().__init__(str(error.get("message", error)))
+        self.error = error
+        self.kind = str(error.get("type"))
+
+
+class Client:
+    """A connection to a running daemon."""
+
+    def __init__(self, socket_path: str | None = None) -> None:
+        """Connect.
+
+        Args:
+            socket_path: `--socket`; None looks where daemons put theirs.
+
+        Raises:
+            PlaceError: there is no daemon, or several, or it may not be talked to.
+        """
+        self._connection = find(socket_path)
+        self._connection.settimeout(_PATIENCE_S)
+        self._received = b""
+        self._number = 0
+        self._descriptors: list[int] = []
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Hang up, which gives a lease back."""
+        self._connection.close()
+        for descriptor in self._descriptors:
+            os.close(descriptor)
+        self._descriptors.clear()
+
+    def ask(self, verb: str, **fields: Any) -> dict[str, Any]:
+        """Ask, and wait for the reply.
+
+        Returns:
+            The reply's fields.
+
+        Raises:
+            RefusedError: it is not done.
+            PlaceError: the daemon has gone, or does not answer.
+        """
+        self._number += 1
+        number = self._number
+        with contextlib.suppress(OSError):  # a refusal may lie there to be read
+            self._connection.sendall(line({"v": VERSION, "id": number, "verb": verb, **fields}))
+        while True:
+            reply: dict[str, Any] = json.loads(self._line())
+            if reply.get("ok"):
+                if reply.pop("id") != number:
+                    continue
+                for key in ("v", "ok"):
+                    del reply[key]
+                return reply
+            if reply.get("id") in (number, None):
+                raise RefusedError(reply["error"])
+
+    def attach(self) -> tuple[dict[str, Any], int]:
+        """The fields of `attach`, and the descriptor, which is the caller's to close.
+
+        Raises:
+            RefusedError: the daemon gives none.
+            PlaceError: the daemon has gone, or does not answer.
+        """
+        fields = self.ask("attach")
+        return fields, self._descriptors.pop()
+
+    def _line(self) -> bytes:
+        while b"\n" not in self._received:
+            try:
+                data, ancillary, _, _ = self._connection.recvmsg(65_536, socket.CMSG_SPACE(4))
+            except TimeoutError:
+                raise PlaceError("the daemon's console does not answer") from None
+            except OSError:
+                data, ancillary = b"", []
+            if not data:
+                raise PlaceError("the daemon's console has hung up")
+            for level, kind, content in ancillary:
+                if level == socket.SOL_SOCKET and kind == socket.SCM_RIGHTS:
+                    numbers = array.array("i")
+                    numbers.frombytes(content[: len(content) - len(content) % numbers.itemsize])
+                    self._descriptors.extend(numbers)
+            self._received += data
+        found, _, self._received = self._received.partition(b"\n")
+        return found

@@ -1,0 +1,42 @@
+"""The console's process: serves until the loop is gone."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+
+from pneud.console.desk import AxisDesk, Run
+from pneud.console.server import Server
+from pneud.console.watch import Watch
+from pneud.log.messages import Teller
+from pneud.log.ring import Ring
+
+_STEP_S = 0.02
+_WATCH_S = 0.1  # the ring keeps some seconds
+
+
+def serve(
+    listener: socket.socket, loop: socket.socket, words: socket.socket, run: Run, ring: Ring, parent: int
+) -> None:
+    """Serve until the ring is closed or the parent is gone.
+
+    Args:
+        listener: bound and listening.
+        loop: the console's end of the hand-off.
+        words: the teller's end to the recorder.
+        run: what runs.
+        ring: where its records are.
+        parent: process id of the loop.
+    """
+    teller = Teller(words, "console")
+    watch = Watch(ring)
+    server = Server(listener, loop, AxisDesk(run, ring, watch), teller.say)
+    due_s = 0.0
+    while not (ring.closed or server.over) and os.getppid() == parent:
+        now_s = time.monotonic()
+        if now_s >= due_s:
+            watch.poll()
+            due_s = now_s + _WATCH_S
+        server.step(_STEP_S)
+    server.close()

@@ -1,0 +1,221 @@
+"""What operators' clients and the console say to each other: one JSON object a line, with a version.
+
+Lengths are millimetres in the stroke coordinate, times seconds. A request that these models let through is
+well formed; whether it may be done is for the console and the axis to say.
+"""
+
+from __future__ import annotations
+
+import json
+from enum import StrEnum
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import from_json
+
+VERSION = 1
+MAX_LINE = 16 * 1024  # bytes, its end included
+MAX_PIECES = 32  # of a profile in one line
+
+
+class Error(StrEnum):
+    """Why a request was not done; the axis's own refusals have the names of `Answer` in lower case."""
+
+    MALFORMED = "malformed"  # not one JSON object in UTF-8
+    TOO_LONG = "too_long"
+    VERSION = "version"
+    UNKNOWN_VERB = "unknown_verb"
+    INVALID = "invalid"  # a field is missing, surplus, or out of bounds
+    READ_ONLY = "read_only"
+    BUSY = "busy"  # another client commands
+    FULL = "full"  # too many requests wait
+    DISPLACED = "displaced"  # too many clients, or a stop came first
+    SILENT = "silent"  # the loop does not answer
+    LATE = "late"  # the loop came to it too late and has not done it
+    CONFIGURATION = "configuration"  # the file cannot be used
+    OUT_OF_TRAVEL = "out_of_travel"
+    BEYOND_LIMITS = "beyond_limits"
+
+
+class ProtocolError(Exception):
+    """A request that is not done, with the type and the words for the client."""
+
+    def __init__(self, kind: str, message: str, number: int | None = None, **more: Any) -> None:
+        super().__init__(message)
+        self.kind = str(kind)
+        self.message = message
+        self.number = number
+        self.more = more
+
+
+Number = Annotated[int, Field(ge=0, le=2**31 - 1)]
+Millimetres = Annotated[float, Field(ge=-1e6, le=1e6)]
+Rate = Annotated[float, Field(gt=0, le=1e9)]
+
+
+class Message(BaseModel):
+    """What all requests have."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+    v: Literal[1]
+    id: Number
+
+
+class Status(Message):
+    """How the axis is."""
+
+    verb: Literal["status"]
+
+
+class Attach(Message):
+    """The memory in which the loop leaves its records, for reading."""
+
+    verb: Literal["attach"]
+
+
+class Observe(Message):
+    """Never command from this connection."""
+
+    verb: Literal["observe"]
+
+
+class Arm(Message):
+    """Engage and hold."""
+
+    verb: Literal["arm"]
+
+
+class Disarm(Message):
+    """Stop, then centre."""
+
+    verb: Literal["disarm"]
+
+
+class Stop(Message):
+    """Stop."""
+
+    verb: Literal["stop"]
+
+
+class Clear(Message):
+    """Clear what is latched."""
+
+    verb: Literal["clear"]
+
+
+class Hold(Message):
+    """Come to rest and hold."""
+
+    verb: Literal["hold"]
+
+
+class Home(Message):
+    """Find the reference."""
+
+    verb: Literal["home"]
+
+
+class Goto(Message):
+    """Go to a position; bounds that are not given are the configured ones."""
+
+    verb: Literal["goto"]
+    x_mm: Millimetres
+    speed_mm_s: Rate | None = None
+    acceleration_mm_s2: Rate | None = None
+    jerk_mm_s3: Rate | None = None
+
+
+class Jog(Message):
+    """Move at a speed for as long as the lease is renewed."""
+
+    verb: Literal["jog"]
+    velocity_mm_s: Millimetres
+    lease_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.3
+
+
+class Track(Message):
+    """Follow the configured reference, or the uploaded profile."""
+
+    verb: Literal["track"]
+    what: Literal["reference", "profile"]
+
+
+class Upload(Message):
+    """Pieces of a profile: duration [s], then eight coefficients of powers of time, metres."""
+
+    verb: Literal["upload"]
+    first: bool  # empties the profile that is there
+    pieces: Annotated[
+        list[Annotated[list[float], Field(min_length=9, max_length=9)]],
+        Field(min_length=1, max_length=MAX_PIECES),
+    ]
+
+
+class Mark(Message):
+    """A remark for the log."""
+
+    verb: Literal["mark"]
+    text: Annotated[str, Field(min_length=1, max_length=200)]
+
+
+Request = (
+    Status | Attach | Observe | Arm | Disarm | Stop | Clear | Hold | Home | Goto | Jog | Track | Upload
+    | Mark
+)  # fmt: skip
+VERBS: dict[str, type[Request]] = {
+    kind.model_fields["verb"].annotation.__args__[0]: kind for kind in Request.__args__
+}
+
+
+def parse(line: bytes) -> Request:
+    """The request in a line.
+
+    Raises:
+        ProtocolError: there is none; with the request's number where that could be read.
+    """
+    try:
+        found = from_json(line, allow_inf_nan=False)
+    except ValueError as e:
+        raise ProtocolError(Error.MALFORMED, f"not JSON: {_one_line(str(e))}") from None
+    if not isinstance(found, dict):
+        raise ProtocolError(Error.MALFORMED, "a request is one JSON object")
+    number = found.get("id")
+    if type(number) is not int or not 0 <= number < 2**31:
+        number = None
+    version = found.get("v")
+    if type(version) is not int or version != VERSION:
+        raise ProtocolError(
+            Error.VERSION, f"this console speaks version {VERSION}: give v = {VERSION}", number
+        )
+    verb = found.get("verb")
+    kind = VERBS.get(verb) if isinstance(verb, str) else None
+    if kind is None:
+        raise ProtocolError(Error.UNKNOWN_VERB, f"verb is one of {', '.join(VERBS)}", number)
+    try:
+        return kind.model_validate(found)
+    except ValidationError as e:
+        first = e.errors(include_url=False, include_input=False)[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise ProtocolError(Error.INVALID, _one_line(f"{where}: {first['msg']}"), number) from None
+
+
+def reply(number: int | None, **fields: Any) -> bytes:
+    """The line that says that a request was done."""
+    return line({"v": VERSION, "id": number, "ok": True, **fields})
+
+
+def refusal(error: ProtocolError) -> bytes:
+    """The line that says that a request was not done, and why."""
+    told = {"type": error.kind, "message": error.message, **error.more}
+    return line({"v": VERSION, "id": error.number, "ok": False, "error": told})
+
+
+def line(what: dict[str, Any]) -> bytes:
+    """An object as a line; it must not hold a number that is not finite."""
+    return json.dumps(what, allow_nan=False, separators=(",", ":")).encode() + b"\n"
+
+
+def _one_line(text: str) -> str:
+    """Short and printable, whatever a client made it quote."""
+    return "".join(c if c.isprintable() else "?" for c in text[:200])

@@ -1,0 +1,495 @@
+"""The socket's server: many clients, one that commands, and one request at a time on its way to the loop.
+
+Nothing a client does or leaves undone holds up another one, or the loop: what comes is bounded and paced, who
+does not read is dropped, who comes when all places are taken gets that of the longest idle.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import selectors
+import socket
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+from pneud.console import handoff, protocol
+from pneud.console.lease import LEASE_S, Lease
+from pneud.console.peer import GROUP, Peer, commanding_group, may_command, peer_of
+from pneud.console.protocol import Error, ProtocolError
+from pneud.signals import Answer, Request, RequestKind, State
+
+INFO, WARNING = 2, 3  # levels of the log's events
+
+_MOTION = (
+    *(RequestKind.ARM, RequestKind.DISARM, RequestKind.STOP, RequestKind.HOLD),
+    *(RequestKind.HOME, RequestKind.GOTO, RequestKind.TRACK),
+)
+_CHUNK = 16 * 1024
+_ACCEPTS = 16  # new clients in a turn
+_QUIET_S = 1.0  # between two words for the log about the same client's mistakes
+
+
+class Bounds(NamedTuple):
+    """What clients may use up."""
+
+    clients: int = 32
+    rate_hz: float = 100.0  # requests a second of one client, when it has used up the burst
+    burst: float = 200.0
+    jobs: int = 64  # that wait for the loop
+    unsent_bytes: int = 256 * 1024
+    unsent_s: float = 5.0  # after which who does not read is dropped
+    silent_s: float = 1.0  # after which the loop counts as silent
+    lease_s: float = LEASE_S
+
+
+BOUNDS = Bounds()
+
+
+class Plan(NamedTuple):
+    """What a request comes to."""
+
+    words: str  # for the log
+    requests: tuple[Request, ...]  # one after the other; the first refusal ends it
+    urgent: bool = False  # needs no lease, goes first and takes the lease
+    free: bool = False  # needs no lease
+    done: Callable[[], dict[str, Any]] | None = None  # called when all are taken; fields for the reply
+
+
+class Desk(Protocol):
+    """What the server asks about the axis."""
+
+    def status(self) -> dict[str, Any]:
+        """The fields of the reply to `status`."""
+
+    def attach(self) -> tuple[dict[str, Any], int]:
+        """The fields of the reply to `attach`, and the descriptor that goes with it."""
+
+    def plan(self, message: protocol.Request) -> Plan:
+        """What to ask of the loop.
+
+        Raises:
+            ProtocolError: what is asked for cannot be done.
+        """
+
+    def refused(self, answer: int, words: str, outcome: handoff.Outcome) -> ProtocolError:
+        """What to tell a client about the axis's refusal."""
+
+
+class _Client:
+    def __init__(self, connection: socket.socket, peer: Peer, read_only: bool, now_s: float, burst: float):
+        self.connection = connection
+        self.peer = peer
+        self.read_only = read_only
+        self.received = bytearray()
+        self.unsent = bytearray()
+        self.tokens = burst
+        self.paced_s = self.active_s = self.sent_s = now_s
+        self.interest = selectors.EVENT_READ
+        self.ended = False  # sends what is left, then goes
+        self.mistakes = 0  # not yet in the log
+        self.quiet_until_s = 0.0
+
+    def next_line(self) -> bytes | None:
+        """The next line that is complete.
+
+        Raises:
+            ProtocolError: it is, or is going to be, too long.
+        """
+        end = self.received.find(b"\n", 0, protocol.MAX_LINE)
+        if end < 0:
+            if len(self.received) >= protocol.MAX_LINE:
+                raise ProtocolError(
+                    Error.TOO_LONG, f"a line has at most {protocol.MAX_LINE} bytes; the connection ends here"
+                )
+            return None
+        found = bytes(self.received[:end])
+        del self.received[: end + 1]
+        return found
+
+
+class _Job:
+    """A plan under way; its client may have gone (None) meanwhile."""
+
+    def __init__(self, client: _Client | None, number: int | None, plan: Plan, label: str) -> None:
+        self.client = client
+        self.number = number
+        self.plan = plan
+        self.label = label
+        self.next = 0
+        self.ended = False  # its client has been told that it is not done
+
+
+class Server:
+    """The console's server; `step` is one turn."""
+
+    def __init__(
+        self,
+        listener: socket.socket,
+        loop: socket.socket,
+        desk: Desk,
+        say: Callable[[int, str], None],
+        bounds: Bounds = BOUNDS,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """A server that is ready to take its turns.
+
+        Args:
+            listener: bound and listening; closed by `close`.
+            loop: the console's end of the hand-off; closed by `close`.
+            desk: knows the axis.
+            say: level and words for the log.
+            bounds: what clients may use up.
+            clock: seconds.
+        """
+        self.over = False  # the loop is gone
+        self._listener = listener
+        self._loop = loop
+        self._desk = desk
+        self._say = say
+        self._bounds = bounds
+        self._clock = clock
+        self._group = commanding_group()
+        self._clients: set[_Client] = set()
+        self._lease: Lease[_Client] = Lease(bounds.lease_s)
+        self._jobs: deque[_Job] = deque()
+        self._flight: tuple[int, _Job, float] | None = None  # number, whose, given up at
+        self._number = 0
+        self._jogging: _Client | None = None
+        self._jog_words = ""
+        self._selector = selectors.DefaultSelector()
+        listener.setblocking(False)
+        loop.setblocking(False)
+        self._selector.register(listener, selectors.EVENT_READ)
+        self._selector.register(loop, selectors.EVENT_READ)
+
+    def step(self, timeout_s: float) -> None:
+        """Wait for something to do, for so long at most, and do it."""
+        for key, events in self._selector.select(timeout_s):
+            if key.fileobj is self._listener:
+                self._accept()
+            elif key.fileobj is self._loop:
+                self._hear()
+            elif key.data in self._clients:
+                if events & selectors.EVENT_WRITE:
+                    self._flush(key.data)
+                if events & selectors.EVENT_READ:
+                    self._receive(key.data)
+        now_s = self._clock()
+        if self._flight is not None and now_s > self._flight[2]:
+            self._give_up(self._flight[1])
+        for client in list(self._clients):
+            self._serve(client, now_s)
+        self._hand_over()
+
+    def close(self) -> None:
+        """Leave all clients."""
+        for client in list(self._clients):
+            self._drop(client)
+        self._selector.close()
+        self._listener.close()
+        self._loop.close()
+
+    # clients
+
+    def _accept(self) -> None:
+        for _ in range(_ACCEPTS):
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:  # none left, or no more descriptors
+                return
+            connection.setblocking(False)
+            try:
+                peer = peer_of(connection)
+            except OSError:
+                connection.close()
+                continue
+            if len(self._clients) >= self._bounds.clients:
+                self._displace_one()
+            now_s = self._clock()
+            read_only = not may_command(peer, self._group)
+            client = _Client(connection, peer, read_only, now_s, self._bounds.burst)
+            self._clients.add(client)
+            self._selector.register(connection, client.interest, client)
+
+    def _displace_one(self) -> None:
+        holder = self._lease.holder(self._clock())
+        idle = min((c for c in self._clients if c is not holder), key=lambda c: c.active_s)
+        self._send(idle, protocol.refusal(ProtocolError(Error.DISPLACED, "too many clients; yours was idle")))
+        self._drop(idle)
+
+    def _drop(self, client: _Client) -> None:
+        if client not in self._clients:
+            return
+        self._clients.discard(client)
+        if client.interest:
+            self._selector.unregister(client.connection)
+        client.connection.close()
+        self._report_mistakes(client)
+        self._lease.drop(client)
+        for job in self._jobs:
+            if job.client is client:
+                job.client = None
+        # what is still to come of a client that has gone is not done, but for a stop
+        self._jobs = deque(j for j in self._jobs if j.client is not None or j.plan.urgent or j.number is None)
+        if self._jogging is client:
+            self._stop_jog(f"{client.peer.label} has gone while jogging")
+
+    def _receive(self, client: _Client) -> None:
+        try:
+            data = client.connection.recv(_CHUNK)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(client)
+        elif not client.ended:
+            client.received += data
+            client.active_s = self._clock()
+
+    def _serve(self, client: _Client, now_s: float) -> None:
+        """Take the lines that have come, at the pace that is due to a client."""
+        b = self._bounds
+        client.tokens = min(b.burst, client.tokens + (now_s - client.paced_s) * b.rate_hz)
+        client.paced_s = now_s
+        if client.mistakes and now_s >= client.quiet_until_s:
+            self._report_mistakes(client)
+        waiting = False
+        while not client.ended and not client.unsent:
+            waiting = b"\n" in client.received or len(client.received) >= protocol.MAX_LINE
+            if not waiting or client.tokens < 1.0:
+                break
+            try:
+                line = client.next_line()
+            except ProtocolError as e:
+                self._refuse(client, e)
+                client.ended = True
+                break
+            if line is not None and line.strip():
+                client.tokens -= 1.0
+                self._take(client, line)
+                if client not in self._clients:
+                    return
+        if client.unsent and now_s - client.sent_s > b.unsent_s:
+            self._say(WARNING, f"{client.peer.label}: dropped, does not read its replies")
+            self._drop(client)
+            return
+        if client.ended and not client.unsent:
+            self._drop(client)
+            return
+        wanted = selectors.EVENT_WRITE if client.unsent else 0 if waiting else selectors.EVENT_READ
+        if wanted != client.interest:
+            if not client.interest:
+                self._selector.register(client.connection, wanted, client)
+            elif not wanted:
+                self._selector.unregister(client.connection)
+            else:
+                self._selector.modify(client.connection, wanted, client)
+            client.interest = wanted
+
+    def _send(self, client: _Client | None, data: bytes) -> None:
+        if client is None or client not in self._clients:
+            return
+        if not client.unsent:
+            client.sent_s = self._clock()
+        client.unsent += data
+        self._flush(client)
+        if len(client.unsent) > self._bounds.unsent_bytes:
+            client.ended = True
+            client.unsent.clear()
+
+    def _flush(self, client: _Client) -> None:
+        try:
+            while client.unsent:
+                sent = client.connection.send(client.unsent)
+                del client.unsent[:sent]
+                client.sent_s = self._clock()
+        except BlockingIOError:
+            return
+        except OSError:
+            client.ended = True
+            client.unsent.clear()
+
+    def _refuse(self, client: _Client, error: ProtocolError, words: str = "") -> None:
+        """Tell a client, and the log: commands one by one, mere mistakes once a second."""
+        if words:
+            self._say(WARNING, f"{client.peer.label}: {words} → {error.kind}")
+        else:
+            client.mistakes += 1
+            now_s = self._clock()
+            if now_s >= client.quiet_until_s:
+                client.quiet_until_s = now_s + _QUIET_S
+                client.mistakes -= 1
+                self._say(WARNING, f"{client.peer.label}: refused: {error.kind}: {error.message}")
+        self._send(client, protocol.refusal(error))
+
+    def _report_mistakes(self, client: _Client) -> None:
+        if client.mistakes:
+            self._say(WARNING, f"{client.peer.label}: refused {client.mistakes} more")
+            client.mistakes = 0
+
+    # requests
+
+    def _take(self, client: _Client, line: bytes) -> None:
+        try:
+            message = protocol.parse(line)
+        except ProtocolError as e:
+            self._refuse(client, e)
+            return
+        number = message.id
+        match message:
+            case protocol.Status():
+                lease = self._lease_fields()
+                self._send(client, protocol.reply(number, **self._desk.status(), lease=lease))
+            case protocol.Observe():
+                client.read_only = True
+                self._send(client, protocol.reply(number))
+            case protocol.Attach():
+                self._attach(client, number)
+            case _:
+                self._command(client, message)
+
+    def _lease_fields(self) -> dict[str, Any] | None:
+        now_s = self._clock()
+        holder = self._lease.holder(now_s)
+        if holder is None:
+            return None
+        left_s = round(self._lease.left_s(now_s), 3)
+        return {"uid": holder.peer.uid, "pid": holder.peer.pid, "left_s": left_s}
+
+    def _attach(self, client: _Client, number: int) -> None:
+        """Reply with a descriptor, which goes with the first byte of the line."""
+        fields, descriptor = self._desk.attach()
+        line = protocol.reply(number, **fields)
+        try:
+            sent = socket.send_fds(client.connection, [line], [descriptor])
+        except OSError:
+            client.ended = True
+            return
+        finally:
+            os.close(descriptor)
+        if sent < len(line):
+            self._send(client, line[sent:])
+
+    def _command(self, client: _Client, message: protocol.Request) -> None:
+        number = message.id
+        words: str = message.verb
+        try:
+            if client.read_only:
+                raise ProtocolError(Error.READ_ONLY, _why_read_only(client.peer))
+            plan = self._desk.plan(message)
+            words = plan.words
+            now_s = self._clock()
+            if not plan.free and not self._lease.take(client, now_s, by_force=plan.urgent):
+                holder = self._lease.holder(now_s)
+                assert holder is not None
+                raise ProtocolError(
+                    Error.BUSY,
+                    f"{holder.peer.label} commands, for {self._lease.left_s(now_s):.1f} s more",
+                    uid=holder.peer.uid,
+                    pid=holder.peer.pid,
+                )
+            if plan.urgent:
+                self._displace_jobs()
+            if not plan.requests:  # nothing changes
+                self._send(client, protocol.reply(number, **(plan.done() if plan.done is not None else {})))
+                return
+            if len(self._jobs) >= self._bounds.jobs:
+                raise ProtocolError(Error.FULL, "too many requests wait for the loop")
+        except ProtocolError as e:
+            e.number = number
+            self._refuse(client, e, words)
+            return
+        job = _Job(client, number, plan, client.peer.label)
+        if plan.urgent:
+            self._jobs.appendleft(job)
+        else:
+            self._jobs.append(job)
+
+    def _displace_jobs(self) -> None:
+        """A stop goes first: what still waits, and the rest of what is under way, is not done."""
+        under_way = self._flight[1] if self._flight is not None else None
+        waiting, self._jobs = self._jobs, deque()
+        for job in waiting:
+            last = job is under_way and job.next + 1 == len(job.plan.requests)
+            if job.plan.urgent or job.plan.free or last:
+                self._jobs.append(job)
+            else:
+                self._end(job, ProtocolError(Error.DISPLACED, "a stop came first"))
+
+    def _stop_jog(self, label: str) -> None:
+        self._jogging = None
+        self._jog_words = ""
+        hold = Plan("hold", (Request(RequestKind.HOLD),))
+        self._jobs.append(_Job(None, None, hold, label))
+
+    # the loop
+
+    def _hand_over(self) -> None:
+        """Send the next request, if none is under way."""
+        while self._flight is None and self._jobs and not self.over:
+            job = self._jobs[0]
+            self._number = (self._number + 1) & 0xFFFF_FFFF
+            self._flight = (self._number, job, self._clock() + self._bounds.silent_s)
+            if not handoff.send(self._loop, self._number, job.plan.requests[job.next]):
+                self._give_up(job)
+
+    def _hear(self) -> None:
+        try:
+            outcome = handoff.receive(self._loop)
+        except EOFError:
+            self.over = True
+            self._selector.unregister(self._loop)
+            return
+        if outcome is None or self._flight is None or self._flight[0] != outcome.number:
+            return  # the answer to a request that was given up
+        job = self._flight[1]
+        self._flight = None
+        if job.ended:
+            return
+        if outcome.answer == Answer.TAKEN:
+            job.next += 1
+            if job.next == len(job.plan.requests):
+                self._forget(job)
+                self._done(job, outcome)
+            return
+        self._forget(job)
+        if outcome.answer == handoff.LATE:
+            self._end(job, ProtocolError(Error.LATE, "the loop came to it too late; it has not been done"))
+        else:
+            self._end(job, self._desk.refused(outcome.answer, job.plan.words, outcome))
+
+    def _give_up(self, job: _Job) -> None:
+        self._flight = None
+        self._forget(job)
+        self._end(job, ProtocolError(Error.SILENT, "the loop does not answer; it may have been done or not"))
+
+    def _forget(self, job: _Job) -> None:
+        with contextlib.suppress(ValueError):
+            self._jobs.remove(job)
+
+    def _done(self, job: _Job, outcome: handoff.Outcome) -> None:
+        more = job.plan.done() if job.plan.done is not None else {}
+        kind = job.plan.requests[0].kind
+        if kind != RequestKind.JOG or job.plan.words != self._jog_words:
+            self._say(INFO, f"{job.label}: {job.plan.words} → taken")
+        if kind == RequestKind.JOG:
+            self._jogging, self._jog_words = job.client, job.plan.words  # renewing it is no other command
+            if job.client is None:
+                self._stop_jog(f"{job.label} has gone while jogging")
+        elif kind in _MOTION:
+            self._jogging, self._jog_words = None, ""
+        self._send(job.client, protocol.reply(job.number, **more, state=State(outcome.state).label))
+
+    def _end(self, job: _Job, error: ProtocolError) -> None:
+        job.ended = True
+        error.number = job.number
+        self._say(WARNING, f"{job.label}: {job.plan.words} → {error.kind}")
+        self._send(job.client, protocol.refusal(error))
+
+
+def _why_read_only(peer: Peer) -> str:
+    return f"may only look: uid {peer.uid} is not in the group {GROUP}, or has asked for no more"

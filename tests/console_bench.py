@@ -1,0 +1,116 @@
+"""A console with a loop's end that tests answer from."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from log_samples import tick_at
+from pneud import resources
+from pneud.config import load_config
+from pneud.console import handoff
+from pneud.console.desk import AxisDesk, Run
+from pneud.console.server import BOUNDS, Bounds, Server
+from pneud.console.watch import Watch
+from pneud.log.ring import Ring
+from pneud.signals import Answer, Request, State
+
+CONFIG = resources.configs() / "virtual.toml"
+
+
+class Bench:
+    """The console, its clients and its loop, all in one thread; time passes only where a test says so."""
+
+    def __init__(self, folder: Path, bounds: Bounds = BOUNDS, config: Path = CONFIG) -> None:
+        self.now_s = 1000.0
+        self.path = folder / "console.sock"
+        listener = socket.socket(socket.AF_UNIX)
+        listener.bind(str(self.path))
+        listener.listen(128)
+        ours, loops = handoff.pair()
+        self.loop_socket = loops
+        self.loop = handoff.LoopEnd(loops)
+        self.ring = Ring.create(slots=64)
+        self.watch = Watch(self.ring)
+        run = Run(load_config(config), config, config.read_text(), "unixcan:x", "", "/tmp/x.mcap")
+        self.said: list[str] = []
+        self.server = Server(
+            listener,
+            ours,
+            AxisDesk(run, self.ring, self.watch),
+            lambda _, words: self.said.append(words),
+            bounds,
+            lambda: self.now_s,
+        )
+        self.requests: list[Request] = []  # that the loop has taken
+        self.answer: Callable[[Request], int | None] = lambda _: Answer.TAKEN  # None: it does not answer
+        self.state = State.HOLDING
+        self.present = 0
+        self.clients: list[socket.socket] = []
+
+    def connect(self) -> socket.socket:
+        client = socket.socket(socket.AF_UNIX)
+        client.connect(str(self.path))
+        client.settimeout(0.0)
+        self.clients.append(client)
+        return client
+
+    def turn(self, turns: int = 6) -> None:
+        for _ in range(turns):
+            self.server.step(0.0)
+            request = self.loop.take()
+            if request is not None:
+                self.requests.append(request)
+                answer = self.answer(request)
+                if answer is not None:
+                    tick = tick_at(1)._replace(answer=answer, state=int(self.state), present=self.present)
+                    self.loop.answer(tick)
+
+    def tell(self, client: socket.socket, *lines: bytes | dict[str, Any]) -> list[dict[str, Any]]:
+        """Send lines, let the console work, and read its replies."""
+        for line in lines:
+            client.sendall(line if isinstance(line, bytes) else json.dumps(line).encode() + b"\n")
+        self.turn()
+        return self.replies(client)
+
+    @staticmethod
+    def replies(client: socket.socket) -> list[dict[str, Any]]:
+        received = b""
+        try:
+            while data := client.recv(1 << 20):
+                received += data
+        except (BlockingIOError, ConnectionResetError):
+            pass
+        return [json.loads(line) for line in received.splitlines()]
+
+    def ask(self, client: socket.socket, verb: str, **fields: Any) -> dict[str, Any]:
+        """One request and its one reply."""
+        (reply,) = self.tell(client, message(verb, **fields))
+        return reply
+
+    def error(self, client: socket.socket, verb: str, **fields: Any) -> str:
+        """The type of the refusal."""
+        reply = self.ask(client, verb, **fields)
+        assert reply["ok"] is False
+        kind: str = reply["error"]["type"]
+        return kind
+
+
+def message(verb: str, **fields: Any) -> dict[str, Any]:
+    return {"v": 1, "id": 1, "verb": verb, **fields}
+
+
+@contextmanager
+def bench(folder: Path, bounds: Bounds = BOUNDS, config: Path = CONFIG) -> Iterator[Bench]:
+    b = Bench(folder, bounds, config)
+    try:
+        yield b
+    finally:
+        for client in b.clients:
+            client.close()
+        b.server.close()
+        b.loop.close()

@@ -1,0 +1,446 @@
+"""The console: who may ask, what reaches the loop, and what nobody can do to it."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from console_bench import Bench, bench, message
+from log_samples import tick_at
+from pneud.console import handoff, server
+from pneud.console.lease import Lease
+from pneud.console.peer import Peer, may_command
+from pneud.console.protocol import MAX_LINE, VERBS, ProtocolError, parse
+from pneud.console.server import BOUNDS
+from pneud.safety.faults import F
+from pneud.signals import Answer, Record, Request, RequestKind, State, Timing
+
+PIECE = [0.5, *[0.0] * 8]
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Iterator[Bench]:
+    with bench(tmp_path) as b:
+        yield b
+
+
+# the lease
+
+
+def test_one_commands_at_a_time_and_only_for_as_long_as_it_goes_on() -> None:
+    lease: Lease[str] = Lease(2.0)
+    assert lease.take("a", 0.0)
+    assert not lease.take("b", 1.9)
+    assert lease.take("a", 1.9)
+    assert lease.holder(3.8) == "a"
+    assert lease.left_s(3.8) == pytest.approx(0.1)
+    assert lease.take("b", 3.9)
+    assert lease.take("a", 4.0, by_force=True)
+    lease.drop("b")
+    assert lease.holder(5.0) == "a"
+    lease.drop("a")
+    assert (lease.holder(5.0), lease.left_s(5.0)) == (None, 0.0)
+
+
+def test_a_second_client_is_told_who_commands(desk: Bench) -> None:
+    one, two = desk.connect(), desk.connect()
+    assert desk.ask(one, "goto", x_mm=100)["ok"]
+    refusal = desk.ask(two, "goto", x_mm=200)
+    assert refusal["error"]["type"] == "busy"
+    assert refusal["error"]["pid"] == os.getpid()
+    assert desk.ask(two, "status")["lease"] == {"uid": os.geteuid(), "pid": os.getpid(), "left_s": 2.0}
+    desk.now_s += 2.1
+    assert desk.ask(two, "goto", x_mm=200)["ok"]
+    assert desk.error(one, "hold") == "busy"
+    two.close()
+    desk.turn()
+    assert desk.ask(one, "hold")["ok"]
+    assert [r.values[0] for r in desk.requests if r.kind == RequestKind.GOTO] == [0.1, 0.2]
+
+
+@pytest.mark.parametrize("verb", ["stop", "disarm"])
+def test_whoever_stops_needs_no_lease_and_takes_it(desk: Bench, verb: str) -> None:
+    one, two = desk.connect(), desk.connect()
+    assert desk.ask(one, "jog", velocity_mm_s=20)["ok"]
+    assert desk.ask(two, verb)["ok"]
+    assert desk.error(one, "jog", velocity_mm_s=20) == "busy"
+    assert [r.kind for r in desk.requests] == [RequestKind.JOG, RequestKind[verb.upper()]]
+
+
+def test_a_stop_goes_before_all_that_waits(desk: Bench) -> None:
+    one, two = desk.connect(), desk.connect()
+    desk.answer = lambda _: None
+    desk.tell(one, message("upload", first=True, pieces=[PIECE] * 20), message("track", what="profile"))
+    desk.answer = lambda _: Answer.TAKEN
+    assert desk.tell(two, message("stop")) == []  # the piece under way has not been answered
+    desk.loop.answer(tick_at(1)._replace(answer=Answer.TAKEN, state=int(State.HOLDING)))
+    desk.turn()
+    assert desk.replies(two)[0]["ok"]
+    assert [r["error"]["type"] for r in desk.replies(one)] == ["displaced", "displaced"]
+    assert [r.kind for r in desk.requests] == [RequestKind.PIECE, RequestKind.STOP]
+
+
+def test_a_jog_ends_when_its_client_has_gone(desk: Bench) -> None:
+    one = desk.connect()
+    desk.ask(one, "jog", velocity_mm_s=-20.0)
+    one.close()
+    desk.turn()
+    assert desk.requests == [Request(RequestKind.JOG, (-0.02, 300.0)), Request(RequestKind.HOLD)]
+    assert "has gone while jogging: hold → taken" in desk.said[-1]
+
+
+def test_a_client_that_goes_in_peace_stops_nothing(desk: Bench) -> None:
+    one = desk.connect()
+    desk.ask(one, "jog", velocity_mm_s=20)
+    desk.ask(one, "goto", x_mm=100)
+    one.close()
+    desk.turn()
+    assert [r.kind for r in desk.requests] == [RequestKind.JOG, RequestKind.GOTO]
+
+
+# who may
+
+
+def test_root_the_daemons_user_and_the_group_may_command() -> None:
+    assert may_command(Peer(1, 0, frozenset()), None)
+    assert may_command(Peer(1, os.geteuid(), frozenset()), 77)
+    assert may_command(Peer(1, 54321, frozenset((5, 77))), 77)
+    assert not may_command(Peer(1, 54321, frozenset((5,))), 77)
+    assert not may_command(Peer(1, 54321, frozenset((5,))), None)
+
+
+COMMANDS: dict[str, dict[str, Any]] = {
+    "goto": {"x_mm": 100},
+    "jog": {"velocity_mm_s": 10},
+    "track": {"what": "reference"},
+    "upload": {"first": True, "pieces": [PIECE]},
+    "mark": {"text": "x"},
+}
+LOOKS = ("status", "attach", "observe")
+
+
+def test_a_wrong_user_may_look_but_not_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "peer_of", lambda _: Peer(4711, 54321, frozenset((54321,))))
+    with bench(tmp_path) as b:
+        client = b.connect()
+        for verb in VERBS:
+            reply = b.ask(client, verb, **COMMANDS.get(verb, {}))
+            assert reply["ok"] is (verb in LOOKS), verb
+            assert reply["ok"] or reply["error"]["type"] == "read_only"
+        assert b.requests == []
+        assert any(words == "uid 54321 pid 4711: goto → read_only" for words in b.said)
+
+
+def test_who_asked_to_observe_does_not_command_any_more(desk: Bench) -> None:
+    client = desk.connect()
+    assert desk.ask(client, "hold")["ok"]
+    assert desk.ask(client, "observe")["ok"]
+    assert desk.error(client, "hold") == "read_only"
+    assert desk.ask(client, "status")["ok"]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else")
+def test_the_kernel_says_who_asks() -> None:
+    with tempfile.TemporaryDirectory() as folder, bench(Path(folder)) as b:
+        Path(folder).chmod(0o755)
+        b.path.chmod(0o666)
+        child = os.fork()
+        if not child:
+            status = 1
+            try:
+                os.setgroups([])
+                os.setresgid(65534, 65534, 65534)
+                os.setresuid(65534, 65534, 65534)
+                client = b.connect()
+                client.settimeout(20)
+                client.sendall(json.dumps(message("stop")).encode() + b"\n")
+                status = b'"read_only"' not in client.recv(4096)
+            finally:
+                os._exit(status)
+        while not (ended := os.waitpid(child, os.WNOHANG))[0]:
+            b.turn()
+        assert os.waitstatus_to_exitcode(ended[1]) == 0
+        assert b.requests == []
+
+
+# what reaches the loop
+
+
+def test_requests_reach_the_loop_in_its_units_and_the_log_with_their_author(desk: Bench) -> None:
+    client = desk.connect()
+    asked: tuple[tuple[str, dict[str, Any]], ...] = (
+        ("arm", {}),
+        ("goto", {"x_mm": 120.0, "speed_mm_s": 50, "jerk_mm_s3": 4000}),
+        ("jog", {"velocity_mm_s": -20, "lease_s": 0.2}),
+        ("hold", {}),
+        ("track", {"what": "reference"}),
+        ("upload", {"first": True, "pieces": [PIECE]}),
+        ("track", {"what": "profile"}),
+        ("stop", {}),
+        ("clear", {}),
+        ("home", {}),
+        ("mark", {"text": "oil\nchanged"}),
+        ("disarm", {}),
+    )
+    for verb, fields in asked:
+        reply = desk.ask(client, verb, **fields)
+        assert (reply["ok"], reply["state"]) == (True, "holding"), reply
+    kind = RequestKind
+    assert desk.requests == [
+        Request(kind.ARM),
+        Request(kind.GOTO, (0.12, 0.05, 0.0, 4.0)),
+        Request(kind.JOG, (-0.02, 200.0)),
+        Request(kind.HOLD),
+        Request(kind.TRACK, (0.0,)),
+        Request(kind.PIECE),
+        Request(kind.PIECE, tuple(PIECE)),
+        Request(kind.TRACK, (1.0,)),
+        *(Request(k) for k in (kind.STOP, kind.CLEAR, kind.HOME, kind.MARK, kind.DISARM)),
+    ]
+    who = f"uid {os.geteuid()} pid {os.getpid()}: "
+    assert desk.said[1] == who + "goto 120 mm speed 50 jerk 4000 → taken"
+    assert desk.said[-2] == who + "mark oil?changed → taken"
+
+
+def test_a_jog_that_is_only_renewed_is_one_command_in_the_log(desk: Bench) -> None:
+    client = desk.connect()
+    for _ in range(5):
+        desk.ask(client, "jog", velocity_mm_s=10)
+    desk.ask(client, "jog", velocity_mm_s=20)
+    assert [words.partition(": ")[2] for words in desk.said] == ["jog 10 mm/s → taken", "jog 20 mm/s → taken"]
+    assert len(desk.requests) == 6
+
+
+@pytest.mark.parametrize(("x_mm", "nearest_mm"), [(-5, 20.0), (19.999, 20.0), (981, 980.0), (1e6, 980.0)])
+def test_a_target_outside_the_travel_is_refused_with_the_nearest_allowed(
+    desk: Bench, x_mm: float, nearest_mm: float
+) -> None:
+    error = desk.ask(desk.connect(), "goto", x_mm=x_mm)["error"]
+    assert (error["type"], error["nearest_mm"]) == ("out_of_travel", nearest_mm)
+    assert f"nearest allowed is {nearest_mm:g} mm" in error["message"]
+    assert desk.requests == []
+
+
+def test_faster_than_the_limits_is_refused(desk: Bench) -> None:
+    client = desk.connect()
+    assert desk.error(client, "jog", velocity_mm_s=-2001) == "beyond_limits"
+    assert desk.error(client, "goto", x_mm=100, speed_mm_s=2001) == "beyond_limits"
+    assert desk.requests == []
+
+
+@pytest.mark.parametrize("answer", [a for a in Answer if a > Answer.TAKEN])
+def test_every_refusal_of_the_axis_has_a_type_and_words(desk: Bench, answer: Answer) -> None:
+    desk.answer = lambda _: answer
+    desk.present = 1 << F.ENCODER_MISSING
+    reply = desk.ask(desk.connect(), "clear")
+    assert reply["error"]["type"] == answer.name.lower()
+    assert reply["error"]["state"] == "holding"
+    assert reply["error"]["message"].startswith("clear: ")
+    if answer == Answer.BLOCKED:
+        assert [f["name"] for f in reply["error"]["faults"]] == ["encoder_missing"]
+        assert "check the node's power" in reply["error"]["message"]
+
+
+def test_a_refused_piece_ends_the_upload(desk: Bench) -> None:
+    desk.answer = lambda r: Answer.MALFORMED if r.values[:1] == (0.7,) else Answer.TAKEN
+    pieces = [PIECE, [0.7, *PIECE[1:]], PIECE]
+    reply = desk.ask(desk.connect(), "upload", first=True, pieces=pieces)
+    assert reply["error"]["type"] == "malformed"
+    assert len(desk.requests) == 3
+
+
+def test_a_silent_loop_is_reported_and_what_it_missed_does_not_happen_later(desk: Bench) -> None:
+    client = desk.connect()
+    client.sendall(json.dumps(message("goto", x_mm=100)).encode() + b"\n")
+    for _ in range(3):
+        desk.server.step(0.0)
+    desk.now_s += 1.1
+    desk.server.step(0.0)
+    assert desk.replies(client)[0]["error"]["type"] == "silent"
+    time.sleep(handoff.LATE_NS * 1e-9)
+    desk.turn()
+    assert desk.requests == []
+    assert desk.ask(client, "goto", x_mm=200)["ok"]
+    assert [r.values[0] for r in desk.requests] == [0.2]
+
+
+def test_late_requests_are_turned_away_but_for_stops() -> None:
+    ours, loops = handoff.pair()
+    loop = handoff.LoopEnd(loops, late_ns=-1)
+    assert handoff.send(ours, 7, Request(RequestKind.GOTO, (0.1, 0.0, 0.0, 0.0)))
+    assert handoff.send(ours, 8, Request(RequestKind.STOP))
+    assert loop.take() is None
+    assert handoff.receive(ours) == (7, handoff.LATE, 0, 0, 0)
+    assert loop.take() == Request(RequestKind.STOP)
+    ours.close()
+    assert loop.take() is None
+    loop.answer(tick_at(1))
+    assert loop.take() is None
+    loop.close()
+
+
+def test_without_a_loop_the_console_is_over(desk: Bench) -> None:
+    desk.loop_socket.close()
+    desk.server.step(0.0)
+    assert desk.server.over
+
+
+# status
+
+
+def test_status_has_what_an_operator_needs(desk: Bench) -> None:
+    client = desk.connect()
+    empty = desk.ask(client, "status")
+    assert (empty["state"], empty["position_mm"], empty["lateness_us"]) == ("starting", None, None)
+    bits = (1 << F.ENCODER_MISSING) | 1 << F.MOVING
+    for n in range(4):
+        tick = tick_at(n * 1_000_000)._replace(
+            state=int(State.FAULT), present=bits, latched=1 << F.ENCODER_MISSING
+        )
+        desk.ring.put(Record(tick, Timing(21_000, 1, 1, 1, 84_000, 1), (), 0, (), 0.0))
+    desk.watch.poll()
+    desk.watch.poll()
+    found = desk.ask(client, "status")
+    assert (found["state"], found["ticks"], found["skipped"], found["schema"]) == ("fault", 4, 0, 1)
+    assert found["lateness_us"] == {"p50": 21.0, "p99": 21.0, "p999": 21.0, "max": 21.0}
+    assert [(f["name"], f["latched"], f["present"]) for f in found["faults"]] == [
+        ("encoder_missing", True, True),
+        ("moving", False, True),
+    ]
+    assert found["faults"][1]["cure"] == "wait until it stands still"
+    assert found["position_mm"] == pytest.approx(1e3 * tick.estimate.position_m, abs=1e-6)
+    assert found["log"] == "/tmp/x.mcap"
+
+
+# hostility
+
+
+def test_bytes_may_come_in_any_pieces(desk: Bench) -> None:
+    client = desk.connect()
+    for byte in json.dumps(message("hold")).encode() + b"\r\n\n \n":
+        client.sendall(bytes((byte,)))
+        desk.turn(1)
+    desk.turn()
+    assert [r["ok"] for r in desk.replies(client)] == [True]
+
+
+def test_a_line_that_is_too_long_ends_the_connection(desk: Bench) -> None:
+    client = desk.connect()
+    replies = []
+    for _ in range(4):
+        client.sendall(b"x" * (MAX_LINE // 2))
+        desk.turn()
+        replies += desk.replies(client)
+        if replies:
+            break
+    assert [r["error"]["type"] for r in replies] == ["too_long"]
+    with pytest.raises(BrokenPipeError):
+        client.sendall(b"x")
+    assert desk.ask(desk.connect(), "status")["ok"]
+
+
+def test_a_flood_is_slowed_down_and_keeps_nobody_else_waiting(desk: Bench) -> None:
+    flooder, other = desk.connect(), desk.connect()
+    flooder.sendall(b"rubbish\n" * 1000)
+    desk.turn(20)
+    assert len(desk.replies(flooder)) == BOUNDS.burst
+    assert desk.ask(other, "stop")["ok"]
+    desk.now_s += 1.0
+    desk.turn()
+    assert len(desk.replies(flooder)) == BOUNDS.rate_hz
+
+
+def test_who_does_not_read_is_dropped(desk: Bench) -> None:
+    deaf = desk.connect()
+    line = json.dumps(message("status")).encode() + b"\n"
+    for _ in range(400):
+        try:
+            deaf.send(line)
+        except OSError:
+            break
+        desk.now_s += 0.02
+        desk.server.step(0.0)
+    assert all(len(c.unsent) <= BOUNDS.unsent_bytes for c in desk.server._clients)
+    assert desk.ask(desk.connect(), "status")["ok"]
+    desk.now_s += 6.0
+    desk.turn()
+    assert any("does not read" in words for words in desk.said)
+    assert len(desk.server._clients) == 1
+
+
+def test_a_hundred_clients_displace_the_idle_ones_but_not_the_one_that_commands(desk: Bench) -> None:
+    commander = desk.connect()
+    assert desk.ask(commander, "hold")["ok"]
+    crowd = []
+    for _ in range(100):
+        desk.now_s += 0.001
+        crowd.append(desk.connect())
+        desk.turn(1)
+    assert desk.ask(commander, "hold")["ok"]
+    assert desk.ask(crowd[-1], "status")["ok"]
+    assert desk.replies(crowd[0])[0]["error"]["type"] == "displaced"
+    assert len(desk.server._clients) == BOUNDS.clients
+
+
+def test_mistakes_are_logged_once_a_second_with_their_number(desk: Bench) -> None:
+    client = desk.connect()
+    desk.tell(client, b"rubbish\n" * 50)
+    assert len(desk.said) == 1
+    desk.now_s += 1.1
+    desk.turn(1)
+    assert len(desk.said) == 2
+    assert desk.said[1].endswith("refused 49 more")
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
+    max_leaves=8,
+)
+FIELDS = st.sampled_from(
+    ["x_mm", "velocity_mm_s", "lease_s", "what", "pieces", "first", "gains", "text", "speed_mm_s", "v", "id"]
+)
+ALMOST = st.builds(
+    lambda verb, more: {"v": 1, "id": 1, "verb": verb, **more},
+    st.sampled_from([verb for verb in VERBS if verb not in LOOKS]) | st.text(max_size=5),
+    st.dictionaries(FIELDS, JSON, min_size=1, max_size=3),
+)
+HOSTILE = (
+    st.binary(max_size=60)
+    | st.builds(lambda v: json.dumps(v).encode(), JSON | ALMOST)
+    | st.builds(lambda v, cut: json.dumps(v).encode()[:cut], ALMOST, st.integers(0, 60))
+    | st.sampled_from(
+        [b"[" * 20_000, b"\xff\xfe{}", b'{"v":1,"id":1,"verb":"\\ud800"}', b"\0" * 100, b"{" * 99]
+    )
+)
+
+
+def well_formed(line: bytes) -> bool:
+    try:
+        parse(line)
+    except ProtocolError:
+        return False
+    return True
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.lists(HOSTILE, min_size=1, max_size=8))
+def test_whatever_comes_nothing_malformed_reaches_the_loop(lines: list[bytes]) -> None:
+    with tempfile.TemporaryDirectory() as folder, bench(Path(folder)) as b:
+        client = b.connect()
+        sent = b"\n".join(lines) + b"\n"
+        replies = b.tell(client, sent)
+        good = [line for line in sent.split(b"\n") if well_formed(line)]
+        assert len(b.requests) <= sum(len(line) for line in good)
+        assert bool(b.requests) <= bool(good)
+        assert all(isinstance(r["ok"], bool) and (r["ok"] or r["error"]["message"]) for r in replies)
+        assert b.ask(b.connect(), "status")["ok"]
