@@ -15,8 +15,8 @@ from log_samples import any_record, noisy, write_log
 from pneud.log import columns
 from pneud.log.columns import AFTER, BEFORE, SENT, blocks
 from pneud.log.header import Detail
-from pneud.log.reader import LogReader, RawTick, read_log
-from pneud.log.records import LoggedEvent, LoggedTick
+from pneud.log.reader import LogReader, RawBatch, read_log
+from pneud.log.records import LoggedTick
 from pneud.log.schema import message_class
 from pneud.signals import Record, Request, RequestKind
 
@@ -52,14 +52,14 @@ def test_blocks_are_the_ticks(tmp_path: Path, detail: Detail) -> None:
     records = list(noisy(60))
     request = Request(int(RequestKind.ARM), (1.0,))
     records[7] = records[7]._replace(tick=records[7].tick._replace(request=request))
-    write_log(tmp_path / "x.mcap", records, detail)
+    write_log(tmp_path / "x.mcap", records, detail, per_chunk=15)
     log = read_log(tmp_path / "x.mcap")
     found = list(blocks(log, 25))
     ticks = list(log)
-    assert [len(b.number) for b in found] == [25, 25, 10]
+    assert [len(b.number) for b in found] == [30, 30]
     for number, block in enumerate(found):
-        check(block, ticks[25 * number : 25 * number + 25])
-    assert [b.requests for b in found] == [((7, request),), (), ()]
+        check(block, ticks[30 * number : 30 * number + 30])
+    assert [b.requests for b in found] == [((7, request),), ()]
     assert [e for b in found for e in b.events] == list(log.events())
 
 
@@ -97,30 +97,22 @@ def test_messages_in_another_order_of_bytes(tmp_path: Path, monkeypatch: pytest.
         joined: bytes = first.SerializeToString() + rest.SerializeToString()
         return joined
 
-    raws = list(log.raw())
-
-    def every_third(_: LogReader) -> list[RawTick | LoggedEvent]:
-        return [
-            raw._replace(
-                tick=turned("pneud.FullTick", raw.tick),
-                frames=turned("pneud.Frames", raw.frames),
-                timing=turned("pneud.Timing", raw.timing),
-            )
-            if isinstance(raw, RawTick) and raw.number % 3 == 0
-            else raw
-            for raw in raws
-        ]
-
-    monkeypatch.setattr(LogReader, "raw", every_third)
+    (raw,) = (r for r in log.raw() if isinstance(r, RawBatch))
+    ticks_anew = [
+        tick._replace(data=turned("pneud.FullTick", tick.data)) if tick.number % 3 == 0 else tick
+        for tick in raw.ticks
+    ]
+    anew = RawBatch(ticks_anew, turned("pneud.Frames", raw.frames))
+    monkeypatch.setattr(LogReader, "raw", lambda _: [anew])
     (block,) = blocks(log)
     check(block, ticks)
 
 
 def test_a_damaged_record_ends_the_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_log(tmp_path / "x.mcap", list(noisy(6)))
+    write_log(tmp_path / "x.mcap", list(noisy(6)), per_chunk=2)
     log = read_log(tmp_path / "x.mcap")
-    raws = [raw for raw in log.raw() if isinstance(raw, RawTick)]
-    raws[4] = raws[4]._replace(frames=b"\xff\xff")
+    raws = [raw for raw in log.raw() if isinstance(raw, RawBatch)]
+    raws[2] = raws[2]._replace(frames=b"\xff\xff")
     monkeypatch.setattr(LogReader, "raw", lambda _: raws)
     found = list(blocks(log, 2))
     assert [len(b.number) for b in found] == [2, 2]

@@ -4,6 +4,7 @@ import gc
 import os
 import signal
 import tracemalloc
+from typing import NamedTuple
 
 import pytest
 from hypothesis import given, settings
@@ -134,12 +135,12 @@ def test_a_put_keeps_no_memory() -> None:
 
 def test_status_and_notes_pass_between_processes() -> None:
     ring = Ring.create(slots=16)
-    assert ring.status() == RecorderStatus(0, 0, 0, 0, 0, 0, 0)
+    assert ring.status() == RecorderStatus(0, 0, 0, 0, 0, 0, 0, 0)
     assert ring.notes() is None
     child = os.fork()
     if child == 0:
         ring.set_notes({"fifo": "refused: RLIMIT_RTPRIO is 0"})
-        ring.set_status(RecorderStatus(3, 100, 2, 1, 28, 1, 4096))
+        ring.set_status(RecorderStatus(3, 100, 2, 1, 28, 1, 1, 4096))
         ring.set_closed()
         os._exit(0)
     assert os.waitpid(child, 0)[1] == 0
@@ -178,3 +179,47 @@ def test_a_writer_killed_at_any_moment_leaves_only_whole_records() -> None:
         numbers = [r.tick.t_ns for r in seen]
         assert numbers == sorted(set(numbers))
         assert numbers[-1] >= ring.put_count
+
+
+def simple(n: int) -> Record:
+    return Record(tick_at(n * 1_000_000), Timing(0, 0, 0, 0, 0, 0), (), 0, (), 0.0)
+
+
+class Leaf(NamedTuple):
+    number: int
+    value: float
+    more: tuple[float, ...]
+
+
+def test_a_state_comes_with_its_record_and_before_the_next_one() -> None:
+    ring = Ring.create(slots=64)
+    reader = ring.reader()
+    ring.put(simple(1))
+    ring.put_state(1_000_000, Leaf(3, 0.1, (1.0, float("inf"))))
+    ring.put(simple(2))
+    assert (reader.poll(), reader.state()) == ([], None)
+    assert [r.tick.t_ns for r in reader.poll()] == [1_000_000, 2_000_000]
+    assert reader.state() == (1_000_000, Leaf(3, 0.1, (1.0, float("inf"))))
+    assert reader.state() is None
+
+
+def test_a_state_too_long_or_that_cannot_be_handed_over_arrives_as_none() -> None:
+    for state in (tuple(float(i) for i in range(50_000)), lambda: None):
+        ring = Ring.create(slots=64)
+        reader = ring.reader()
+        ring.put(simple(1))
+        ring.put_state(1_000_000, state)
+        reader.poll()
+        reader.poll()
+        assert reader.state() == (1_000_000, None)
+
+
+def test_of_several_states_the_newest_is_seen() -> None:
+    ring = Ring.create(slots=64)
+    reader = ring.reader()
+    for n in range(1, 6):
+        ring.put(simple(n))
+        ring.put_state(n * 1_000_000, Leaf(n, 0.0, ()))
+    reader.poll()
+    reader.poll()
+    assert reader.state() == (5_000_000, Leaf(5, 0.0, ()))

@@ -12,6 +12,7 @@ from pneud import resources
 from pneud.config import parse
 from pneud.log.files import LogError
 from pneud.log.reader import read_log
+from pneud.log.schema import message_class
 from pneud.replaying import replay
 
 ENCODER, COMMAND = 0x181, 0x203
@@ -30,21 +31,30 @@ def rewritten(source: Path, target: Path, tick: int, can_id: int = ENCODER, plac
     from mcap.reader import NonSeekingReader  # noqa: PLC0415
     from mcap.writer import Writer  # noqa: PLC0415
 
-    wanted = next(
-        f.data
-        for i, t in enumerate(read_log(source))
-        if i == tick
-        for f in (*t.frames, *t.sent)
-        if f.can_id == can_id
-    )
-    changed = wanted[:place] + bytes((wanted[place] ^ 1,)) + wanted[place + 1 :]
+    changed = 0
+
+    def flipped(number: int, data: bytes) -> bytes:
+        """The message of frames with the bit flipped, where it is the one of that tick."""
+        nonlocal changed
+        message = message_class("pneud.Frames").FromString(data)
+        index = tick + 1 - number
+        if not 0 <= index < len(message.received):
+            return data
+        for column in message.columns:
+            if column.can_id == can_id:
+                planes = bytearray(column.data)
+                planes[place * len(message.received) + index] ^= 1  # one frame of it in every tick
+                column.data = bytes(planes)
+                changed += 1
+        again: bytes = message.SerializeToString()
+        return again
+
     with source.open("rb") as f, target.open("wb") as g:
         writer = Writer(g)
         writer.start()
         reader = NonSeekingReader(f)
         channels: dict[int, int] = {}
         schemas: dict[int, int] = {}
-        done = 0
         for schema, channel, message in reader.iter_messages(log_time_order=False):
             assert schema is not None
             if channel.id not in channels:
@@ -54,14 +64,12 @@ def rewritten(source: Path, target: Path, tick: int, can_id: int = ENCODER, plac
                     channel.topic, channel.message_encoding, schemas[schema.id]
                 )
             data = message.data
-            if channel.topic == "/can/frames" and message.sequence == tick + 1:
-                assert data.count(wanted) == 1
-                data = data.replace(wanted, changed)
-                done += 1
+            if channel.topic == "/can/frames":
+                data = flipped(message.sequence, data)
             writer.add_message(
                 channels[channel.id], message.log_time, data, message.publish_time, message.sequence
             )
-        assert done == 1
+        assert changed == 1
         with source.open("rb") as again:
             head = NonSeekingReader(again)
             for attachment in head.iter_attachments():

@@ -32,6 +32,7 @@ SYNC_COUNTERS = 240
 END_TICKS = 20  # times that the valve is told to centre before the loop ends
 FAULT_S = 0.1  # how long a run that ends on a fault goes on telling the valve to centre
 CHECKS_S = 0.5  # how often the recorder is looked at
+SNAPSHOT_S = 2.0  # how often the log gets the state of the axis, so that a replay can begin there
 FOREIGN_S = 1.0  # how long another controller counts as present after its last frame
 NAN = float("nan")
 
@@ -99,6 +100,7 @@ class Loop:
         self._console = console
         self._codecs = codecs
         self._recorder = recorder
+        self._recorder_gone = False
         self._stop = False
         self._armed = not options.auto_arm
         self._shut = False  # shutdown has been requested of the axis
@@ -137,6 +139,7 @@ class Loop:
         encode = self._codecs.valve_command.encode
         host = int(Host.NO_REALTIME) if o.no_realtime else 0
         check_ticks = max(1, round(CHECKS_S * o.rate_hz))
+        snapshot_ticks = max(1, round(SNAPSHOT_S * o.rate_hz))
         fault_ticks = max(END_TICKS, round(FAULT_S * o.rate_hz))
         total = None if o.duration_s is None else max(1, round(o.duration_s * o.rate_hz))
         frames: list[Frame] = []
@@ -243,6 +246,8 @@ class Loop:
                     truth_m,
                 )
             )
+            if count % snapshot_ticks == snapshot_ticks - 1:
+                ring.put_state(t_ns, {"axis": axis.freeze(), "inbox": inbox.freeze()})
             record_ns = clock() - end_ns
             if asked and console is not None:
                 self.operated = True
@@ -296,11 +301,13 @@ class Loop:
 
     def _check(self) -> None:
         """Look at what changes slowly: the recorder."""
-        if self._recorder and not self.recorder_lost:
+        if self._recorder and not self._recorder_gone:
             status = self.ring.status()
-            self.disk_full = status.error == errno.ENOSPC
+            self.disk_full = status.failing != 0 and status.error == errno.ENOSPC
             self.config_changed = status.config_changed != 0
-            self.recorder_lost = status.error not in (0, errno.ENOSPC) or _gone(self._recorder)
+            self._recorder_gone = _gone(self._recorder)
+            failing = status.failing != 0 and not self.disk_full
+            self.recorder_lost = failing or self._recorder_gone
 
 
 def _gone(pid: int) -> bool:

@@ -12,7 +12,7 @@ from pneud.config import Config, parse
 from pneud.loading import at_rate, codecs_of
 from pneud.log.fingerprint import numeric_fingerprint
 from pneud.log.reader import LogReader
-from pneud.log.records import LoggedTick, crc_of
+from pneud.log.records import COARSE, COARSE_ERROR, FLOAT_ERROR, LoggedTick, crc_of
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import State, Tick
 
@@ -144,8 +144,9 @@ def _difference(number: int, logged: LoggedTick, tick: Tick, whole: bool) -> Dif
         return Difference(number, "frames sent", "not one valid SYNC and one valid command", "both")
     for name, was, now in _pairs(logged, tick):
         if repr(was) != repr(now):  # which makes NaN equal to itself
-            # a compact log holds floats of 32 bits
-            if isinstance(was, float) and isinstance(now, float) and abs(was - now) <= 6e-8 * abs(now):
+            # a compact log holds floats of 32 bits or fewer
+            error = COARSE_ERROR if name.rpartition(".")[2] in COARSE else FLOAT_ERROR
+            if isinstance(was, float) and isinstance(now, float) and abs(was - now) <= error * abs(now):
                 continue
             return Difference(number, name, f"{was!r}", f"{now!r}")
     return Difference(number, "the checksum of the states", f"{logged.check:08x}", f"{crc_of(tick):08x}")

@@ -52,6 +52,24 @@ class Counts(NamedTuple):
     emcy: tuple[tuple[int, int], ...]
 
 
+class OriginState(NamedTuple):
+    """What is known of one source between two ticks."""
+
+    counter: int
+    corrupt: int
+    defects: int
+    sample_ns: int
+    values: tuple[float, ...]
+
+
+class InboxState(NamedTuple):
+    """All that measurements depend on between two ticks; the counts, which are for people, are not in it."""
+
+    encoder: OriginState
+    pressure: OriginState
+    valve: OriginState
+
+
 class _Origin:
     """What is known of one source."""
 
@@ -67,6 +85,12 @@ class _Origin:
         self.surplus = 0  # frames beyond those that SYNC asked for
         self.sample_ns = -NEVER_NS
         self.values: tuple[Any, ...] = unknown
+
+    def freeze(self) -> OriginState:
+        return OriginState(self.counter, self.corrupt, self.defects, self.sample_ns, self.values)
+
+    def thaw(self, state: OriginState) -> None:
+        self.counter, self.corrupt, self.defects, self.sample_ns, self.values = state
 
     def age_ns(self, t_ns: int, fresh: int) -> int:
         if fresh & self.bit:
@@ -225,6 +249,15 @@ class Inbox:
             skipped,
             host,
         )
+
+    def freeze(self) -> InboxState:
+        """The state after `measurement`, to be logged."""
+        return InboxState(self._encoder.freeze(), self._pressure.freeze(), self._valve.freeze())
+
+    def thaw(self, state: InboxState) -> None:
+        """Go on from a frozen state."""
+        for origin, known in zip((self._encoder, self._pressure, self._valve), state, strict=True):
+            origin.thaw(known)
 
     def counts(self) -> Counts:
         """What has come in since the start."""

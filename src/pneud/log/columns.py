@@ -1,21 +1,21 @@
 """A log as columns: blocks of some thousand ticks as arrays, for whoever looks at hours.
 
-Ticks are of fixed width, so a block of them is one structured array; frames and timing are decoded for a
-whole block at once. What has another form (a tick with a request, another tool's order of bytes) is decoded
-by itself.
+Ticks are of fixed width, so a block of them is one structured array; frames stand in columns already. What
+has another form (a tick with a request, another tool's order of bytes) is decoded by itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
-from pneud.log.reader import LogReader, RawTick
-from pneud.log.records import LAYOUTS, LoggedEvent, TickLayout, unpack_frames, unpack_timing
+from pneud.log.frames import FrameBlock
+from pneud.log.reader import LogReader, RawBatch
+from pneud.log.records import LAYOUTS, LoggedEvent, TickLayout
 from pneud.signals import Request, Timing
 
 BLOCK = 4096  # ticks
@@ -24,9 +24,6 @@ Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 BEFORE, AFTER, SENT = 0, 1, 2  # drained before SYNC left; received after it; sent
-
-_MARGIN = 32  # bytes that may be read beyond the end
-_VARINT = 10  # bytes of the longest one
 
 
 class FrameColumns(NamedTuple):
@@ -75,38 +72,41 @@ def blocks(log: LogReader, ticks: int = BLOCK) -> Iterator[Block]:
 
     Args:
         log: the log; its `truncated`, `damage` and `missing` are valid when the iteration ends.
-        ticks: in a block, but for the last one and where the level of detail changes.
+        ticks: at least so many are in a block, but for the last one and where the level of detail changes.
     """
-    waiting: list[RawTick] = []
+    waiting: list[RawBatch] = []
     events: list[LoggedEvent] = []
+    count = 0
     for raw in log.raw():
         if isinstance(raw, LoggedEvent):
             events.append(raw)
-            continue
-        if len(waiting) == ticks or (waiting and waiting[0].schema != raw.schema):
-            yield from _decoded(log, waiting, events)
-            waiting, events = [], []
-        waiting.append(raw)
+        elif isinstance(raw, RawBatch):
+            if count >= ticks or (waiting and waiting[0].ticks[0].schema != raw.ticks[0].schema):
+                yield from _decoded(log, waiting, events)
+                waiting, events, count = [], [], 0
+            waiting.append(raw)
+            count += len(raw.ticks)
     if waiting or events:
         yield from _decoded(log, waiting, events)
 
 
-def _decoded(log: LogReader, raws: list[RawTick], events: list[LoggedEvent]) -> Iterator[Block]:
+def _decoded(log: LogReader, batches: list[RawBatch], events: list[LoggedEvent]) -> Iterator[Block]:
     try:
-        yield _block(raws, events)
+        yield _block(batches, events)
     except (DecodeError, KeyError, ValueError) as e:
-        log.damaged_at(raws[0].number, e)
+        log.damaged_at(batches[0].ticks[0].number, e)
 
 
-def _block(raws: Sequence[RawTick], events: list[LoggedEvent]) -> Block:
+def _block(batches: Sequence[RawBatch], events: list[LoggedEvent]) -> Block:
+    raws = [tick for batch in batches for tick in batch.ticks]
     layout = LAYOUTS[raws[0].schema if raws else "pneud.Tick"]
-    ticks, requests = _ticks(layout, [r.tick for r in raws])
+    ticks, requests = _ticks(layout, [r.data for r in raws])
     return Block(
         np.array([r.number for r in raws], dtype=np.int64),
         np.array([r.log_time_ns for r in raws], dtype=np.int64),
         ticks,
-        _timing([r.timing for r in raws]),
-        _frames([r.frames for r in raws], ticks["t_ns"].astype(np.int64)),
+        _timing(ticks),
+        _frames([FrameBlock(batch.frames) for batch in batches], ticks["t_ns"].astype(np.int64)),
         requests,
         tuple(events),
     )
@@ -114,7 +114,7 @@ def _block(raws: Sequence[RawTick], events: list[LoggedEvent]) -> Block:
 
 def _ticks(layout: TickLayout, messages: list[bytes]) -> tuple[NDArray[Any], tuple[tuple[int, Request], ...]]:
     names, formats, offsets, fixed, at = [], [], [], [], 0
-    for name, constant, code in layout.parts():
+    for name, constant, code in layout.parts:
         fixed += [(at + i, byte) for i, byte in enumerate(constant)]
         at += len(constant)
         kind = np.dtype({"q": "<i8", "Q": "<u8", "I": "<u4", "f": "<f4", "d": "<f8", "B": "u1"}[code])
@@ -142,141 +142,37 @@ def _ticks(layout: TickLayout, messages: list[bytes]) -> tuple[NDArray[Any], tup
     return found, tuple(requests)
 
 
-def _joined(messages: Sequence[bytes]) -> tuple[NDArray[np.uint8], Ints, Ints]:
-    """Bytes of all messages with a margin, and where each begins and ends."""
-    ends = np.cumsum([len(m) for m in messages], dtype=np.int64)
-    starts = np.concatenate(([0], ends[:-1])).astype(np.int64) if len(ends) else ends
-    return np.frombuffer(b"".join(messages) + bytes(_MARGIN), dtype=np.uint8), starts, ends
+def _timing(ticks: NDArray[Any]) -> Ints:
+    return np.stack([ticks[f"timing.{name}"] for name in Timing._fields], axis=1).astype(np.int64)
 
 
-def _varints(data: NDArray[np.uint8], at: Ints) -> tuple[NDArray[np.uint64], Ints]:
-    """Numbers at some places, and where what follows begins (the place itself where there is none)."""
-    value = np.zeros(len(at), dtype=np.uint64)
-    end = at.copy()
-    open_ = np.ones(len(at), dtype=bool)
-    for i in range(_VARINT):
-        byte = data[np.minimum(at + i, len(data) - 1)]
-        value |= np.where(open_, (byte & 0x7F).astype(np.uint64) << np.uint64(7 * i), np.uint64(0))
-        closing = open_ & (byte < 0x80)
-        end[closing] = at[closing] + i + 1
-        open_ &= byte >= 0x80
-        if not open_.any():
-            break
-    return value, end
+def _frames(messages: Iterable[FrameBlock], t_ns: Ints) -> FrameColumns:
+    none = np.zeros(0, dtype=np.int64)
+    parts = [FrameColumns(none, none, none, none, none.astype(np.uint64), none)]
+    first = 0
+    for message in messages:
+        parts.append(_frames_of(message, t_ns[first : first + message.count], first))
+        first += message.count
+    return FrameColumns(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-def _signed(zigzag: NDArray[np.uint64]) -> Ints:
-    half = (zigzag >> np.uint64(1)).astype(np.int64)
-    return np.where(zigzag & np.uint64(1), ~half, half)
-
-
-def _timing(messages: Sequence[bytes]) -> Ints:
-    width = len(Timing._fields)
-    found = np.empty((len(messages), width), dtype=np.int64)
-    data, at, ends = _joined(messages)
-    usual = np.ones(len(messages), dtype=bool)
-    for i in range(width):
-        usual &= data[np.minimum(at, len(data) - 1)] == (i + 1) << 3
-        value, end = _varints(data, at + 1)
-        found[:, i] = _signed(value)
-        usual &= end > at + 1
-        at = end
-    usual &= at == ends
-    for index in np.flatnonzero(~usual).tolist():
-        found[index] = unpack_timing(messages[index])
-    return found
-
-
-# index of the tick, place within its part of the message, stamp after t_ns, identifier, length, data, if sent
-_Rows = list[tuple[Ints, Ints, Ints, Ints, Ints, NDArray[np.uint64], Ints]]
-_NONE = np.zeros(0, dtype=np.int64)
-
-
-def _frames(messages: Sequence[bytes], t_ns: Ints) -> FrameColumns:
-    data, at, ends = _joined(messages)
-    found: _Rows = [(_NONE, _NONE, _NONE, _NONE, _NONE, _NONE.astype(np.uint64), _NONE)]
-    usual = data[at] == 0x09
-    at, usual = _run_of_frames(data, at + 9, ends, usual, 0x12, found)
-    usual &= data[np.minimum(at, len(data) - 1)] == 0x18
-    before, at = _varints(data, at + 1)
-    at, usual = _run_of_frames(data, at, ends, usual, 0x22, found)
-    usual &= at == ends
-    before_count = before.astype(np.int64)
-    columns: list[Any] = [np.concatenate(parts) for parts in zip(*found, strict=True)]
-    if not usual.all():
-        columns = [column[usual[columns[0]]] for column in columns]
-        columns = _with_unusual(messages, usual, columns, before_count)
-    tick, order, after_ns, can_id, length, payload, sent = columns
-    part = np.where(sent == 1, SENT, np.where(order < before_count[tick], BEFORE, AFTER))
-    # a tick's sent frames follow those received
-    sorting = np.lexsort((order, sent, tick))
-    return FrameColumns(
-        tick[sorting],
-        (t_ns[tick] + after_ns)[sorting],
-        can_id[sorting],
-        length[sorting],
-        payload[sorting],
-        part[sorting],
-    )
-
-
-def _run_of_frames(
-    data: NDArray[np.uint8], at: Ints, ends: Ints, usual: NDArray[np.bool_], tag: int, into: _Rows
-) -> tuple[Ints, NDArray[np.bool_]]:
-    """The frames that follow each other from `at` on, one of each message in every round."""
-    last = len(data) - 1
-    at, usual = at.copy(), usual.copy()
-    active = np.flatnonzero(usual)
-    order = 0
-    while True:
-        active = active[(at[active] < ends[active]) & (data[np.minimum(at[active], last)] == tag)]
-        if not len(active):
-            return at, usual
-        start = at[active] + 2
-        end = start + data[np.minimum(at[active] + 1, last)]
-        good = (end - start < 0x80) & (end <= ends[active]) & (data[np.minimum(start, last)] == 0x08)
-        after, place = _varints(data, start + 1)
-        good &= data[np.minimum(place, last)] == 0x10
-        can_id, place = _varints(data, place + 1)
-        good &= data[np.minimum(place, last)] == 0x1A
-        length = data[np.minimum(place + 1, last)].astype(np.int64)
-        place = place + 2
-        good &= (length <= 8) & (place + length == end)
-        usual[active[~good]] = False
-        active, place, length = active[good], place[good], length[good]
-        payload = np.zeros(len(active), dtype=np.uint64)
-        for i in range(8):
-            byte = np.where(i < length, data[np.minimum(place + i, last)], 0)
-            payload |= byte.astype(np.uint64) << np.uint64(8 * i)
-        into.append(
-            (
-                active,
-                np.full(len(active), order, dtype=np.int64),
-                _signed(after[good]),
-                can_id[good].astype(np.int64),
-                length,
-                payload,
-                np.full(len(active), int(tag == 0x22), dtype=np.int64),
-            )
+def _frames_of(message: FrameBlock, t_ns: Ints, first: int) -> FrameColumns:
+    counts = np.array(message.counts, dtype=np.int64).reshape(-1, 3)
+    received, before, sent = counts[:, 0], counts[:, 1], counts[:, 2]
+    each = received + sent
+    tick = np.repeat(np.arange(len(each)), each)
+    place = np.arange(len(tick)) - np.repeat(np.cumsum(each) - each, each)  # within the tick
+    part = np.where(place >= received[tick], SENT, np.where(place < before[tick], BEFORE, AFTER))
+    order = np.array(message.order, dtype=np.int64)
+    stamp_ns, can_id, length = (np.zeros(len(order), dtype=np.int64) for _ in range(3))
+    data = np.zeros(len(order), dtype=np.uint64)
+    for index, column in enumerate(message.columns):
+        rows = order == index
+        stamp_ns[rows] = np.frombuffer(column.stamps(), dtype="<i8")
+        can_id[rows], length[rows] = column.can_id, column.length
+        padded = np.zeros((int(rows.sum()), 8), dtype=np.uint8)
+        padded[:, : column.length] = np.frombuffer(column.rows(), dtype=np.uint8).reshape(
+            padded[:, : column.length].shape
         )
-        at[active] = end[good]
-        order += 1
-
-
-def _with_unusual(
-    messages: Sequence[bytes], usual: NDArray[np.bool_], columns: list[Any], before: Ints
-) -> list[Any]:
-    """The columns with the frames of those messages that have another form; fills in their `before`."""
-    rows: list[tuple[int, ...]] = []
-    for index in np.flatnonzero(~usual).tolist():
-        received, before[index], sent = unpack_frames(messages[index], 0)
-        for is_sent, group in enumerate((received, sent)):
-            for order, (after_ns, can_id, data) in enumerate(group):
-                word = int.from_bytes(data[:8], "little")
-                rows.append((index, order, after_ns, can_id, len(data), word, is_sent))
-    if not rows:
-        return columns
-    return [
-        np.concatenate((column, np.array(values, dtype=column.dtype)))
-        for column, values in zip(columns, zip(*rows, strict=True), strict=True)
-    ]
+        data[rows] = padded.view("<u8")[:, 0]
+    return FrameColumns(first + tick, t_ns[tick] + stamp_ns, can_id, length, data, part)

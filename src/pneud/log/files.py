@@ -101,3 +101,19 @@ def create_log(path: Path) -> int:
         raise LogError(f"{path}: exists already; a log is never overwritten, name another file") from None
     except OSError as e:
         raise LogError(f"{path}: cannot be created: {e.strerror}; choose another place with --log") from None
+
+
+def next_part(path: Path, number: int) -> Path:
+    """The file that a log goes on in: x.mcap, x.part00002.mcap, …; names that sort in this order.
+
+    Args:
+        path: of any earlier part.
+        number: of the part, from 2.
+
+    Returns:
+        A path that is free; where the name is taken, the next one that is.
+    """
+    stem = re.sub(r"\.part\d+$", "", path.stem)
+    while (found := path.with_name(f"{stem}.part{number:05}.mcap")).exists():
+        number += 1
+    return found

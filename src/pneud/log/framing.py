@@ -20,6 +20,7 @@ from mcap.stream_reader import get_chunk_data_stream
 from pneud.log.files import LogError
 
 MAGIC = b"\x89MCAP0\r\n"
+SPAN = struct.Struct("<QQ")  # first and last time in a chunk, with which it begins
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _MESSAGE_HEAD = _HEAD.size + _MESSAGE.size
@@ -28,7 +29,7 @@ _OPCODE_MESSAGE = int(Opcode.MESSAGE)
 _KNOWN = frozenset(int(code) for code in Opcode)
 
 # What the decoders of MCAP and zstd raise on bytes that make no sense.
-_NONSENSE = (struct.error, ValueError, IndexError, KeyError, MemoryError, OverflowError, McapError)
+NONSENSE = (struct.error, ValueError, IndexError, KeyError, MemoryError, OverflowError, McapError)
 
 
 class DamageError(Exception):
@@ -57,8 +58,12 @@ class Message(NamedTuple):
     data: bytes
 
 
-def open_mcap(path: Path) -> IO[bytes]:
+def open_mcap(path: Path, *, damaged: bool = False) -> IO[bytes]:
     """Open a file and read its magic.
+
+    Args:
+        path: of the file.
+        damaged: a magic of which half the bytes are right will do.
 
     Raises:
         LogError: no such file, or none of MCAP.
@@ -72,7 +77,8 @@ def open_mcap(path: Path) -> IO[bytes]:
     except OSError as e:
         file.close()
         raise LogError(f"{path}: cannot be read: {e.strerror}") from None
-    if magic != MAGIC:
+    right = sum(a == b for a, b in zip(magic, MAGIC, strict=False))
+    if right < (len(MAGIC) // 2 if damaged else len(MAGIC)):
         file.close()
         what = "is empty" if not magic else "is not an MCAP file"
         raise LogError(f"{path}: {what}; give a log that pneud wrote")
@@ -84,7 +90,7 @@ def pieces(file: IO[bytes], *, skip_chunks: bool = False) -> Iterator[Piece]:
 
     Args:
         file: at the first record.
-        skip_chunks: pass over the chunks without reading them (they come with an empty body).
+        skip_chunks: pass over the chunks without reading more of them than their first and last time.
 
     Raises:
         DamageError: the file goes on in a way that makes no sense; CutShortError where it ends too early.
@@ -102,8 +108,9 @@ def pieces(file: IO[bytes], *, skip_chunks: bool = False) -> Iterator[Piece]:
         if following > end:
             raise CutShortError(f"cut short at byte {end}, in a record that begins at byte {offset}")
         if skip_chunks and opcode == Opcode.CHUNK:
+            span = file.read(min(length, SPAN.size))
             file.seek(following)
-            yield Piece(offset, opcode, b"")
+            yield Piece(offset, opcode, span.ljust(SPAN.size, b"\0"))
         else:
             body = file.read(length)
             if len(body) < length:
@@ -116,7 +123,8 @@ def pieces(file: IO[bytes], *, skip_chunks: bool = False) -> Iterator[Piece]:
             return
 
 
-def _stream(body: bytes) -> ReadDataStream:
+def stream(body: bytes) -> ReadDataStream:
+    """What the records of MCAP read themselves from."""
     return ReadDataStream(BytesIO(body))
 
 
@@ -130,8 +138,8 @@ def attachment(piece: Piece) -> Attachment:
     if crc and zlib.crc32(piece.body[:-4]) != crc:
         raise DamageError(f"damaged at byte {piece.offset}: checksum of an attachment")
     try:
-        attached: Attachment = Attachment.read(_stream(piece.body))
-    except _NONSENSE as e:
+        attached: Attachment = Attachment.read(stream(piece.body))
+    except NONSENSE as e:
         raise DamageError(f"damaged at byte {piece.offset}: attachment: {e}") from None
     return attached
 
@@ -143,8 +151,8 @@ def metadata(piece: Piece) -> Metadata:
         DamageError: its bytes make no sense.
     """
     try:
-        found: Metadata = Metadata.read(_stream(piece.body))
-    except _NONSENSE as e:
+        found: Metadata = Metadata.read(stream(piece.body))
+    except NONSENSE as e:
         raise DamageError(f"damaged at byte {piece.offset}: metadata: {e}") from None
     return found
 
@@ -156,13 +164,13 @@ def chunk_items(piece: Piece) -> list[Schema | Channel | Message]:
         DamageError: its bytes are not what was written.
     """
     try:
-        chunk = Chunk.read(_stream(piece.body))
+        chunk = Chunk.read(stream(piece.body))
         _check_size(chunk)
-        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-        return list(_items(stream.read(size)))
+        data, size = get_chunk_data_stream(chunk, validate_crc=True)
+        return list(_items(data.read(size)))
     except zstandard.ZstdError:
         raise DamageError(f"damaged at byte {piece.offset}: a chunk cannot be decompressed") from None
-    except _NONSENSE as e:
+    except NONSENSE as e:
         raise DamageError(f"damaged at byte {piece.offset}: {e}") from None
 
 
@@ -186,7 +194,7 @@ def _items(data: bytes) -> Iterator[Schema | Channel | Message]:
             head = _MESSAGE.unpack_from(data, offset + _HEAD.size)
             yield new(Message, (*head, data[offset + _MESSAGE_HEAD : following]))
         elif opcode == Opcode.SCHEMA:
-            yield Schema.read(_stream(data[offset + _HEAD.size : following]))
+            yield Schema.read(stream(data[offset + _HEAD.size : following]))
         elif opcode == Opcode.CHANNEL:
-            yield Channel.read(_stream(data[offset + _HEAD.size : following]))
+            yield Channel.read(stream(data[offset + _HEAD.size : following]))
         offset = following

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 Detail = Literal["compact", "full"]
@@ -21,3 +22,15 @@ class LogHeader(NamedTuple):
     fault_names: tuple[str, ...]  # by bit number
     realtime_offset_ns: int  # Unix time minus monotonic time, constant within a log; 0 for simulated time
     extra: dict[str, str]  # further metadata: the seed, the scenario, …
+
+
+class Rotation(NamedTuple):
+    """How a log is split into parts, and what is kept of them."""
+
+    path: Path  # of the first part
+    part_bytes: int  # go on to the next part after so much; 0 for never
+    part_ns: int  # or after so long; 0 for never
+    quota_bytes: int  # all logs together; 0 for no bound
+    folder: bool  # the quota is that of the axis' logs in the folder, else that of this run
+    keep_before_ns: int  # what is kept around a fault
+    keep_after_ns: int

@@ -9,10 +9,11 @@ import socket
 import sys
 import time
 import traceback
+from collections import deque
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from pneud.log.header import LogHeader
+from pneud.log.header import LogHeader, Rotation
 from pneud.log.messages import Listener, Message
 from pneud.log.ring import RECORDER_FAILED, RecorderStatus, Ring, RingReader
 from pneud.signals import Record
@@ -32,6 +33,7 @@ def start_recorder(
     header: LogHeader,
     files: tuple[Path, ...] = (),
     words: socket.socket | None = None,
+    rotation: Rotation | None = None,
 ) -> int:
     """Fork the recorder.
 
@@ -43,6 +45,7 @@ def start_recorder(
         header: what the log says about its run.
         files: what the run began with; it is watched whether they stay as they are.
         words: the recorder's end of `messages.pair`; closed here.
+        rotation: how the log is split and what is kept; None for one file.
 
     Returns:
         The child's process id; wait for it after `ring.set_closed()`.
@@ -60,7 +63,7 @@ def start_recorder(
     status = 1
     try:
         leave_the_parents_files(descriptor, *([words.fileno()] if words is not None else []))
-        status = recorder_main(ring, descriptor, header, parent, files, words)
+        status = recorder_main(ring, descriptor, header, parent, files, words, rotation)
     finally:
         os._exit(status)
 
@@ -84,6 +87,7 @@ def recorder_main(
     parent: int,
     files: tuple[Path, ...] = (),
     words: socket.socket | None = None,
+    rotation: Rotation | None = None,
 ) -> int:
     """Record until the ring is closed or the parent is gone, then finish the file.
 
@@ -94,6 +98,7 @@ def recorder_main(
         parent: process id of the loop.
         files: to be watched.
         words: where other processes' words for the log come from.
+        rotation: how the log is split and what is kept; None for one file.
 
     Returns:
         Exit status: 0, or 1 if records are missing or the file is incomplete.
@@ -107,10 +112,10 @@ def recorder_main(
         from pneud.log.writer import LogWriter  # noqa: PLC0415
 
         listener = Listener(words) if words is not None else None
-        return _Recorder(ring, LogWriter(descriptor, header), parent, files, listener).run()
+        return _Recorder(ring, LogWriter(descriptor, header, rotation), parent, files, listener).run()
     except Exception:
         traceback.print_exc(file=sys.stderr)
-        ring.set_status(ring.status()._replace(error=RECORDER_FAILED))
+        ring.set_status(ring.status()._replace(error=RECORDER_FAILED, failing=1))
         return 1
 
 
@@ -131,6 +136,7 @@ class _Recorder:
         self._dropped = 0
         self._noted = False
         self._heartbeat = 0
+        self._states: deque[tuple[int, Any]] = deque()  # of records that are still to come
         self._files = {path: _content(path) for path in files}
         self._changed = False
 
@@ -161,9 +167,15 @@ class _Recorder:
         # Where records were dropped, it was before the first of these, but for rare cases.
         missed = self._reader.dropped - self._dropped
         self._dropped = self._reader.dropped
+        if (state := self._reader.state()) is not None:
+            self._states.append(state)
         for record in records:
             self._writer.write(record, missed)
             missed = 0
+            while self._states and self._states[0][0] <= record.tick.t_ns:
+                t_ns, tree = self._states.popleft()
+                if t_ns == record.tick.t_ns:  # else its record was dropped
+                    self._writer.snapshot(tree)
 
     def _listen(self) -> None:
         if self._listener is not None:
@@ -189,6 +201,7 @@ class _Recorder:
                 self._reader.dropped,
                 w.unwritten,
                 w.error,
+                int(w.blocked),
                 int(finished),
                 w.file_bytes,
                 int(self._changed),

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto as F
 
+from pneud.log.frames import FrameBlock
 from pneud.log.header import Detail
 from pneud.log.schema import Field, Level, message_class, tick_fields
 from pneud.signals import Command, Estimate, Frame, Measurement, Record, Reference, Request, Tick, Timing
@@ -39,7 +40,17 @@ _timing = attrgetter(*Timing._fields)
 _E = 1 + len(Measurement._fields)
 _R = _E + len(Estimate._fields)
 _C = _R + len(Reference._fields)
-_S = _C + len(Command._fields)
+_T = _C + len(Command._fields)
+_S = _T + len(Timing._fields)
+
+# Of these a compact log keeps 16 significant bits in place of 24, since nobody needs more and the others are
+# noise, which cannot be compressed: the lowest byte is zero.
+COARSE = frozenset((
+    *(name for name in Estimate._fields + Reference._fields if name != "position_m"),
+    *("law_v", "s", "ustar"),
+))  # fmt: skip
+COARSE_ERROR = 2.0**-15  # relative
+FLOAT_ERROR = 2.0**-24
 
 
 def crc_of(tick: Tick) -> int:
@@ -62,65 +73,61 @@ def varint(n: int) -> bytes:
     return bytes((n & 0x7F | 0x80,)) + varint(n >> 7)
 
 
-def zigzag(n: int) -> bytes:
-    """A signed integer as protobuf writes a `sint64`."""
-    return varint(n << 1 if n >= 0 else (-n << 1) - 1)
-
-
 class TickLayout:
-    """A message of fixed length as one `struct`: constant bytes and values by turns."""
+    """A message of fixed length as one `struct`; tags and lengths are put in as bits of one integer."""
 
     def __init__(self, detail: Detail) -> None:
         name, fields, nested = tick_fields(detail)
         self._class = message_class(f"pneud.{name}")
-        constants: list[bytes] = []
         codes: list[str] = []
-        names: list[str] = []
+        found: list[tuple[str, bytes, str]] = []
+        layout, tags, constants, kept = "<", b"", b"", b""
         pending = b""
 
         def walk(fields: list[Field], group: str = "") -> None:
-            nonlocal pending
+            nonlocal layout, tags, constants, kept, pending
             for number, field in enumerate(fields, start=1):
                 if field.type == F.TYPE_MESSAGE:
                     inner = nested[field.of.rpartition(".")[2]]
                     pending += varint(number << 3 | 2) + varint(_size(inner))
                     walk(inner, f"{field.name}.")
-                else:
-                    wire, code = _CODES[field.type]
-                    constants.append(pending + varint(number << 3 | wire))
-                    codes.append(code)
-                    names.append(group + field.name)
-                    pending = b""
+                    continue
+                wire, code = _CODES[field.type]
+                pending += varint(number << 3 | wire)
+                layout += f"{len(pending)}x{code}"
+                width = struct.calcsize("<" + code)
+                tags += b"\xff" * len(pending) + bytes(width)
+                constants += pending + bytes(width)
+                coarse = code == "f" and field.name in COARSE
+                kept += bytes(len(pending) + coarse) + b"\xff" * (width - coarse)
+                codes.append(code)
+                found.append((group + field.name, pending, code))
+                pending = b""
 
         walk(fields[:-1])
-        self._struct = struct.Struct(
-            "<" + "".join(f"{len(c)}s{v}" for c, v in zip(constants, codes, strict=True))
-        )
+        self._struct = struct.Struct(layout)
         self._codes = tuple(codes)
-        self._constants = tuple(constants)
-        self.names = tuple(names)  # such as estimate.force_n
-        self._template: list[bytes | float] = [b""] * (2 * len(codes))
-        self._template[::2] = constants
+        # name (such as estimate.force_n), constant bytes before it and `struct` code of each value, in order
+        self.parts = tuple(found)
+        self._tags, self._constants, self._kept = (
+            int.from_bytes(mask, "little") for mask in (tags, constants, kept)
+        )
 
     def pack(self, values: tuple[float, ...]) -> bytes:
         """The message without a request."""
-        arguments = self._template.copy()
-        arguments[1::2] = values
         try:
-            return self._struct.pack(*arguments)
+            packed = self._struct.pack(*values)
         except OverflowError:  # a double beyond the floats
-            arguments[1::2] = [
-                _as_float(value) if code == "f" else value
-                for code, value in zip(self._codes, values, strict=True)
-            ]
-            return self._struct.pack(*arguments)
+            packed = self._struct.pack(
+                *(_as_float(v) if code == "f" else v for code, v in zip(self._codes, values, strict=True))
+            )
+        bits = int.from_bytes(packed, "little") & self._kept | self._constants
+        return bits.to_bytes(len(packed), "little")
 
     def unpack(self, data: bytes) -> tuple[Any, ...]:
         """The values in their order, and the request or None behind them."""
-        if len(data) == self._struct.size:
-            items = self._struct.unpack(data)
-            if items[::2] == self._constants:
-                return (*items[1::2], None)
+        if len(data) == self._struct.size and int.from_bytes(data, "little") & self._tags == self._constants:
+            return (*self._struct.unpack(data), None)
         # With a request, or in another order of bytes, as a tool that wrote it anew may choose.
         t = self._class.FromString(data)
         return (
@@ -129,6 +136,7 @@ class TickLayout:
             *_estimate(t.estimate),
             *_reference(t.reference),
             *_command(t.command),
+            *_timing(t.timing),
             t.state,
             t.present,
             t.latched,
@@ -137,10 +145,6 @@ class TickLayout:
             t.check,
             Request(t.request.kind, tuple(t.request.values)) if t.request.kind else None,
         )
-
-    def parts(self) -> Iterator[tuple[str, bytes, str]]:
-        """Name, constant bytes before it and `struct` code of each value, in their order."""
-        return zip(self.names, self._constants, self._codes, strict=True)
 
 
 def _as_float(value: float) -> float:
@@ -174,7 +178,6 @@ class Packer:
 
     def __init__(self, detail: Detail) -> None:
         self._layout = LAYOUTS["pneud.Tick" if detail == "compact" else "pneud.FullTick"]
-        self._ids: dict[int, bytes] = {}
 
     def tick(self, record: Record) -> bytes:
         """The message of `/axis/tick`."""
@@ -186,6 +189,7 @@ class Packer:
                 *tick.estimate,
                 *tick.reference,
                 *tick.command,
+                *record.timing,
                 tick.state,
                 tick.present,
                 tick.latched,
@@ -196,52 +200,8 @@ class Packer:
         )
         return packed if tick.request is None else packed + _request(tick.request)
 
-    def frames(self, record: Record) -> bytes:
-        """The message of `/can/frames`."""
-        t_ns = record.tick.t_ns
-        parts = [b"\x09", t_ns.to_bytes(8, "little", signed=True)]
-        for frame in record.frames:
-            parts += (b"\x12", self._frame(frame, t_ns))
-        parts += (b"\x18", varint(record.before))
-        for frame in record.sent:
-            parts += (b"\x22", self._frame(frame, t_ns))
-        return b"".join(parts)
-
-    def _frame(self, frame: Frame, t_ns: int) -> bytes:
-        stamp_ns, can_id, data = frame
-        identifier = self._ids.get(can_id)
-        if identifier is None:
-            identifier = b"\x10" + varint(can_id) + b"\x1a"
-            if len(self._ids) < 4096:
-                self._ids[can_id] = identifier
-        body = b"\x08" + zigzag(stamp_ns - t_ns) + identifier + _SHORT[len(data)] + data
-        return _SHORT[len(body)] + body
-
-    @staticmethod
-    def timing(record: Record) -> bytes:
-        """The message of `/loop/timing`."""
-        a, b, c, d, e, f = record.timing
-        return b"".join(
-            (
-                b"\x08",
-                zigzag(a),
-                b"\x10",
-                zigzag(b),
-                b"\x18",
-                zigzag(c),
-                b"\x20",
-                zigzag(d),
-                b"\x28",
-                zigzag(e),
-                b"\x30",
-                zigzag(f),
-            )
-        )
-
 
 _Log = message_class("foxglove.Log")
-_Frames = message_class("pneud.Frames")
-_Timing = message_class("pneud.Timing")
 
 
 class LoggedEvent(NamedTuple):
@@ -317,59 +277,47 @@ class LoggedTick(NamedTuple):
         return Record(tick, self.timing, self.frames, self.before, self.sent, self.truth_m)
 
 
-def unpack(
-    number: int, log_time_ns: int, schema: str, tick: bytes, frames: bytes, timing: bytes
-) -> LoggedTick:
-    """The three messages of one tick, put together.
+class TickMessage(NamedTuple):
+    """A message of `/axis/tick` as read."""
+
+    number: int  # counts the records of the loop
+    log_time_ns: int  # Unix
+    schema: str  # name of the message, which tells the level of detail
+    data: bytes
+
+
+def unpack(ticks: list[TickMessage], frames: FrameBlock) -> Iterator[LoggedTick]:
+    """Ticks and their frames, put together.
 
     Args:
-        number: the messages' sequence number.
-        log_time_ns: Unix time.
-        schema: name of the tick's message, which tells the level of detail.
-        tick: message of `/axis/tick`.
-        frames: message of `/can/frames`.
-        timing: message of `/loop/timing`.
+        ticks: messages of `/axis/tick`.
+        frames: of the same ticks.
 
     Raises:
         google.protobuf.message.DecodeError: not such messages.
+        ValueError: not as many ticks as the frames are of.
     """
-    v = LAYOUTS[schema].unpack(tick)
-    t_ns = v[0]
-    state, present, latched, answer, truth_m, check, request = v[_S:]
-    received, before, sent = unpack_frames(frames, t_ns)
-    return LoggedTick(
-        number,
-        log_time_ns,
-        t_ns,
-        Measurement._make(v[1:_E]),
-        request,
-        Estimate._make(v[_E:_R]),
-        Reference._make(v[_R:_C]),
-        Command._make(v[_C:_S]),
-        state,
-        present,
-        latched,
-        answer,
-        check,
-        received,
-        before,
-        sent,
-        unpack_timing(timing),
-        truth_m,
-    )
-
-
-def unpack_frames(data: bytes, t_ns: int) -> tuple[tuple[Frame, ...], int, tuple[Frame, ...]]:
-    """Frames received, how many of them before SYNC left, and those sent, from a message of `/can/frames`."""
-    f = _Frames.FromString(data)
-    new = tuple.__new__  # half the time of Frame(…)
-    return (
-        tuple([new(Frame, (t_ns + r.stamp_after_t_ns, r.can_id, r.data)) for r in f.received]),
-        f.before,
-        tuple([new(Frame, (t_ns + r.stamp_after_t_ns, r.can_id, r.data)) for r in f.sent]),
-    )
-
-
-def unpack_timing(data: bytes) -> Timing:
-    """What a message of `/loop/timing` says."""
-    return Timing._make(_timing(_Timing.FromString(data)))
+    values = [LAYOUTS[tick.schema].unpack(tick.data) for tick in ticks]
+    parts = frames.ticks(v[0] for v in values)
+    for (number, log_time_ns, _, _), v, (received, before, sent) in zip(ticks, values, parts, strict=True):
+        state, present, latched, answer, truth_m, check, request = v[_S:]
+        yield LoggedTick(
+            number,
+            log_time_ns,
+            v[0],
+            Measurement._make(v[1:_E]),
+            request,
+            Estimate._make(v[_E:_R]),
+            Reference._make(v[_R:_C]),
+            Command._make(v[_C:_T]),
+            state,
+            present,
+            latched,
+            answer,
+            check,
+            received,
+            before,
+            sent,
+            Timing._make(v[_T:_S]),
+            truth_m,
+        )

@@ -15,9 +15,10 @@ import hashlib
 import json
 import mmap
 import os
+import pickle
 import struct
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pneud.signals import (
     REQUEST_VALUES,
@@ -33,11 +34,14 @@ from pneud.signals import (
 )
 
 # 64-bit words of the head of the mapping; the loop's and the recorder's lie in different cache lines.
-_HEAD, _NUMBER, _CLOSED = 0, 1, 2
+_HEAD, _NUMBER, _CLOSED, _STATES = 0, 1, 2, 3
 _HEARTBEAT = 16
 _NOTES_LENGTH = 32
 _NOTES_BYTE = 33 * 8
 _HEAD_BYTES = 16_384
+# Two places for states of the axis lie behind the slots, filled by turns: number, t_ns, length, bytes.
+_STATE_BYTES = 1 << 17
+_STATE = struct.Struct("=QqQ")
 
 _FRAME = "qI B3x 8s"
 _FRAME_BYTES = 24
@@ -71,6 +75,7 @@ class RecorderStatus(NamedTuple):
     dropped: int  # records overwritten in the ring before they were read
     unwritten: int  # records read but not written, because the disk would not take them
     error: int  # errno of the last failure, RECORDER_FAILED for any other, 0 for none
+    failing: int  # 1 as long as the disk takes nothing, or for good where the recorder failed
     finished: int  # 1 once the file is complete
     file_bytes: int
     config_changed: int = 0  # 1 where a file that the run began with is no longer as it was
@@ -125,7 +130,7 @@ class Ring:
         Raises:
             OSError: no memory for it.
         """
-        size = _HEAD_BYTES + slots * slot_bytes
+        size = _HEAD_BYTES + slots * slot_bytes + 2 * _STATE_BYTES
         descriptor = os.memfd_create("pneud-ring", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
         try:
             os.posix_fallocate(descriptor, 0, size)
@@ -157,7 +162,7 @@ class Ring:
             ValueError: it has another size.
         """
         try:
-            size = _HEAD_BYTES + slots * slot_bytes
+            size = _HEAD_BYTES + slots * slot_bytes + 2 * _STATE_BYTES
             return cls(mmap.mmap(descriptor, size, mmap.MAP_SHARED, mmap.PROT_READ), slots, slot_bytes)
         finally:
             os.close(descriptor)
@@ -244,6 +249,42 @@ class Ring:
             )
             self._words[(offset + self.slot_bytes) // 8 - 1] = sequence
         return sequence
+
+    def put_state(self, t_ns: int, state: Any) -> None:
+        """Hand over the state of the axis after the record just put; never raises, never waits.
+
+        Call it seconds apart: a reader sees the newest one only. One that is too long arrives as None.
+
+        Args:
+            t_ns: of the record just put.
+            state: a tree of NamedTuples.
+        """
+        try:
+            data = pickle.dumps(state, pickle.HIGHEST_PROTOCOL)
+        except Exception:
+            data = b""
+        if len(data) > _STATE_BYTES - _STATE.size:
+            data = b""
+        number = self._words[_STATES] + 1
+        offset = self._state_offset(number)
+        self._words[offset // 8] = 0
+        self._memory[offset + _STATE.size : offset + _STATE.size + len(data)] = data
+        _STATE.pack_into(self._memory, offset, number, t_ns, len(data))
+        self._words[_STATES] = number
+
+    def _state_offset(self, number: int) -> int:
+        return _HEAD_BYTES + self.slots * self.slot_bytes + number % 2 * _STATE_BYTES
+
+    def _state(self, number: int) -> tuple[int, Any] | None:
+        """A state and the time of its record; None if it was overwritten."""
+        offset = self._state_offset(number)
+        found, t_ns, length = _STATE.unpack_from(self._memory, offset)
+        if found != number:
+            return None
+        data = self._memory[offset + _STATE.size : offset + _STATE.size + length]
+        if self._words[offset // 8] != number:
+            return None
+        return t_ns, pickle.loads(data) if data else None
 
     @property
     def put_count(self) -> int:
@@ -347,6 +388,9 @@ class RingReader:
         self._next = 1
         self._seen = 0
         self._number = 0
+        self._states_seen = 0
+        self._state_until = 0
+        self._state = 0
         self.delivered = 0
         self.dropped = 0
 
@@ -358,6 +402,8 @@ class RingReader:
         ring = self._ring
         head = ring._words[_HEAD]
         until, self._seen = self._seen, head
+        # read after the head, so that a state is seen no later than the first record behind it
+        self._state_until, self._states_seen = self._states_seen, ring._words[_STATES]
         records: list[Record] = []
         while self._next <= until:
             found = ring._read(self._next)
@@ -372,6 +418,19 @@ class RingReader:
             records.append(record)
         self.delivered += len(records)
         return records
+
+    def state(self) -> tuple[int, Any] | None:
+        """The newest state of the axis that was complete at the previous poll, once.
+
+        Ask after each poll: it comes with the record that it follows, or before that one.
+
+        Returns:
+            The time of that record, and the state (None if it was too long); None if there is no other.
+        """
+        if self._state == self._state_until:
+            return None
+        self._state = self._state_until
+        return self._ring._state(self._state)
 
     def drain(self) -> list[Record]:
         """Everything left, once nobody puts any more; `dropped` is final afterwards."""

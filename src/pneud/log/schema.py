@@ -35,9 +35,12 @@ SCHEMA = 2
 METADATA = "pneud"  # name of the metadata on the run
 SETUP = "setup"  # name of the metadata on the real-time set-up
 
+KEPT = "kept"  # name of the metadata on why a part of a log is kept
+COPY = "copy"  # name of the metadata that repeats the head, in case that it is damaged
+
 TICK = "/axis/tick"
+STATE = "/axis/state"
 FRAMES = "/can/frames"
-TIMING = "/loop/timing"
 EVENTS = "/events"
 
 F = FieldDescriptorProto
@@ -70,6 +73,7 @@ PARTS = (
     ("estimate", Estimate),
     ("reference", Reference),
     ("command", Command),
+    ("timing", Timing),
 )
 
 
@@ -99,18 +103,22 @@ def tick_fields(detail: Detail) -> tuple[str, list[Field], dict[str, list[Field]
     return name, fields, nested
 
 
-_FRAME = [
-    Field("stamp_after_t_ns", F.TYPE_SINT64),
+# Frames of consecutive ticks by columns, which take half the room that they take one after another. A column
+# holds all frames of one identifier and length: first the first bytes of all its stamps (as little-endian
+# 64-bit integers), then the second ones, …; its data alike.
+_COLUMN = [
     Field("can_id", F.TYPE_UINT32),
+    Field("length", F.TYPE_UINT32),
+    Field("stamp_after_t_ns", F.TYPE_BYTES),
     Field("data", F.TYPE_BYTES),
 ]
 _FRAMES = [
-    Field("t_ns", F.TYPE_SFIXED64),
-    Field("received", F.TYPE_MESSAGE, "Frame", repeated=True),
-    Field("before", F.TYPE_UINT32),
-    Field("sent", F.TYPE_MESSAGE, "Frame", repeated=True),
+    Field("received", F.TYPE_UINT32, repeated=True),  # frames of each tick
+    Field("before", F.TYPE_UINT32, repeated=True),  # those among them that were drained before SYNC left
+    Field("sent", F.TYPE_UINT32, repeated=True),
+    Field("order", F.TYPE_UINT32, repeated=True),  # columns that the frames lie in: received, then sent ones
+    Field("columns", F.TYPE_MESSAGE, "Column", repeated=True),
 ]
-_TIMING = [Field(name, F.TYPE_SINT64) for name in Timing._fields]
 
 
 def _message(name: str, fields: Iterable[Field]) -> DescriptorProto:
@@ -152,9 +160,8 @@ def _pneud_file() -> FileDescriptorProto:
     file.enum_type.append(_enum("Answer", "ANSWER_", Answer))
     file.message_type.append(_tick_message("compact"))
     file.message_type.append(_tick_message("full"))
-    file.message_type.append(_message("Frame", _FRAME))
+    file.message_type.append(_message("Column", _COLUMN))
     file.message_type.append(_message("Frames", _FRAMES))
-    file.message_type.append(_message("Timing", _TIMING))
     return file
 
 
@@ -216,18 +223,20 @@ def message_class(name: str) -> Any:
 
 
 class Topic(NamedTuple):
-    """A topic with its schema as MCAP wants it."""
+    """A topic with its schema as MCAP wants it; the state is JSON, everything else protobuf."""
 
     topic: str
     schema: str
     descriptors: bytes
+    encoding: str = "protobuf"
+    schema_encoding: str = "protobuf"
 
 
 def topics(detail: Detail) -> Iterator[Topic]:
-    """The four topics of a log."""
+    """The topics of a log, in the order of their channels."""
     own = FileDescriptorSet(file=[_pneud_file()]).SerializeToString(deterministic=True)
     log = FileDescriptorSet(file=[_timestamp_file(), _log_file()]).SerializeToString(deterministic=True)
     yield Topic(TICK, f"pneud.{tick_fields(detail)[0]}", own)
     yield Topic(FRAMES, "pneud.Frames", own)
-    yield Topic(TIMING, "pneud.Timing", own)
     yield Topic(EVENTS, "foxglove.Log", log)
+    yield Topic(STATE, "pneud.State", b'{"type": "object"}', "json", "jsonschema")

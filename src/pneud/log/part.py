@@ -1,0 +1,125 @@
+"""One file of a log: MCAP with everything in its head that it takes to read it alone."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import fcntl
+import json
+import os
+import time
+import zlib
+
+from mcap.writer import CompressionType, IndexType, Writer
+
+from pneud.log.fingerprint import numeric_fingerprint, versions
+from pneud.log.header import LogHeader
+from pneud.log.output import Output
+from pneud.log.schema import COPY, METADATA, SCHEMA, topics
+
+CRC = "crc32"  # key of the metadata's checksum, which MCAP has none for
+CONFIG_TEXT, DBC = "config_text", "dbc_base64"  # keys in the copy of the head
+_OVERHEAD_BYTES = 31  # MCAP's own head of a message
+
+
+def crc_of_metadata(data: dict[str, str]) -> str:
+    """CRC-32 of everything in it but the checksum itself, as eight hexadecimal digits."""
+    rest = sorted((key, value) for key, value in data.items() if key != CRC)
+    return f"{zlib.crc32(json.dumps(rest).encode()):08x}"
+
+
+def checked(data: dict[str, str]) -> dict[str, str]:
+    """Metadata with its checksum."""
+    return {**data, CRC: crc_of_metadata(data)}
+
+
+def head_of(h: LogHeader, more: dict[str, str]) -> dict[str, str]:
+    """The metadata on a run."""
+    return {
+        "schema": str(SCHEMA),
+        "name": h.name,
+        "bus": h.bus,
+        "rate_hz": repr(h.rate_hz),
+        "detail": h.detail,
+        "config": h.config_name,
+        "dbc": h.dbc_name,
+        "faults": ",".join(h.fault_names),
+        "realtime_offset_ns": str(h.realtime_offset_ns),
+        "host": os.uname().nodename,
+        "fingerprint": numeric_fingerprint(),
+        **versions(),
+        **h.extra,
+        **more,
+    }
+
+
+class Part:
+    """A file that is being written.
+
+    Attributes:
+        output: where its bytes go.
+        chunk_bytes: size of the chunk that is open.
+    """
+
+    def __init__(self, descriptor: int, header: LogHeader, more: dict[str, str]) -> None:
+        """Write the head.
+
+        Args:
+            descriptor: of the new file (see `create_log`); closed by `close`.
+            header: what the log says about its run.
+            more: metadata on this file.
+        """
+        self.output = Output(descriptor)
+        with contextlib.suppress(OSError):  # tells retention that it is being written
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        self.chunk_bytes = 0
+        self._header = header
+        self._writer = w = Writer(
+            self.output,  # type: ignore[arg-type]  # only write, tell and flush are used
+            chunk_size=1 << 30,  # closed by us, between two ticks
+            compression=CompressionType.ZSTD,
+            index_types=IndexType.ALL,
+        )
+        h = header
+        w.start(profile="", library=f"pneud {versions().get('pneud', '')}".strip())
+        now_ns = time.time_ns()
+        w.add_attachment(now_ns, now_ns, h.config_name, "application/toml", h.config_text.encode())
+        w.add_attachment(now_ns, now_ns, h.dbc_name, "application/vnd.can-dbc", h.dbc)
+        self._head = checked(head_of(h, more))
+        w.add_metadata(METADATA, self._head)
+        self._channels = {
+            t.topic: w.register_channel(
+                t.topic, t.encoding, w.register_schema(t.schema, t.schema_encoding, t.descriptors)
+            )
+            for t in topics(h.detail)
+        }
+        self.output.settle()
+
+    def message(self, topic: str, number: int, log_time_ns: int, data: bytes) -> None:
+        """Add a message to the open chunk.
+
+        Args:
+            topic: one of `topics`.
+            number: of the record that it belongs to.
+            log_time_ns: Unix time.
+            data: the message.
+        """
+        self._writer.add_message(self._channels[topic], log_time_ns, data, log_time_ns, number & 0xFFFF_FFFF)
+        self.chunk_bytes += len(data) + _OVERHEAD_BYTES
+
+    def metadata(self, name: str, data: dict[str, str]) -> None:
+        """Add metadata, before the chunk that is open."""
+        self._writer.add_metadata(name, checked(data))
+
+    def close_chunk(self) -> None:
+        """What comes next goes into another chunk."""
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self.chunk_bytes = 0
+
+    def finish(self) -> None:
+        """Repeat the head, write the index."""
+        self.close_chunk()
+        h = self._header
+        copy = {**self._head, CONFIG_TEXT: h.config_text, DBC: base64.b64encode(h.dbc).decode()}
+        self.metadata(COPY, copy)
+        self._writer.finish()  # type: ignore[no-untyped-call]
