@@ -16,6 +16,7 @@ _RECEIVE_BUFFER_BYTES = 1024 * 1024
 _SO_RCVBUFFORCE = 33
 _CAN_RAW_ERR_FILTER = 2
 _ALL_ERRORS = struct.pack("=I", 0x1FFFFFFF)
+_EVERYTHING = struct.pack("=II", 0, 0)
 _SEND_FLAGS = socket.MSG_DONTWAIT
 _MOST_AT_ONCE = 4096  # a flood must not hold a caller for ever
 
@@ -90,10 +91,11 @@ class SocketCan:
     def bind(self) -> bool:
         """Bind to whatever interface now has the name, if there is one that may be used.
 
-        A socket loses its interface when that is removed, and keeps everything else.
+        A socket whose interface is removed loses its filter with it, and would then hear error frames only.
         """
         try:
             self._check(self._name, self._virtual)
+            self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, _EVERYTHING)
             self._socket.bind((self._name,))
         except (OSError, SocketCanError):
             return False

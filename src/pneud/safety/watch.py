@@ -18,6 +18,7 @@ VALVE_V = 0.05  # the valve node may differ so much from a command
 CHAMBER_PA = 20_000.0  # a chamber pressure may jump so far by noise
 
 NAN = float("nan")
+_new = tuple.__new__  # half the time of Watch(…)
 _ENCODER, _PRESSURE, _VALVE = int(Source.ENCODER), int(Source.PRESSURE), int(Source.VALVE)
 _LINK_DOWN, _SEND_FAILED = int(Host.LINK_DOWN), int(Host.SEND_FAILED)
 _ENABLED, _HOMING = int(ValveState.ENABLED), int(State.HOMING)
@@ -79,39 +80,38 @@ def watch(
     Returns:
         The new memory, and bits of the fault table.
     """
-    since, command_v, earlier_v, position_m, x3_n, p1_pa, p2_pa, pressure_ns, at1_m, at2_m, supply_pa = w
-    fresh, t_ns = m.fresh, m.t_ns
+    since, command_v, earlier_v, position_m, x3_n, p1_pa, p2_pa, pressure_ns, at1_m, at2_m, slow_pa = w
+    t_ns, fresh, x, p1, p2, supply_pa, applied_v, _, valve_state, _, _, _, _, _, _, _, skipped, host = m
     lasting = bits = 0
 
     if fresh & _PRESSURE:
-        x = m.position_m
-        if not engaged or m.p1_pa != p1_pa:
+        if not engaged or p1 != p1_pa:
             at1_m = x
         elif abs(x - at1_m) > p.stuck_travel_m:
             bits |= _PRESSURE_STUCK
-        if not engaged or m.p2_pa != p2_pa:
+        if not engaged or p2 != p2_pa:
             at2_m = x
         elif abs(x - at2_m) > p.stuck_travel_m:
             bits |= _PRESSURE_STUCK
         elapsed_s = (t_ns - pressure_ns) * 1e-9
-        room1 = p.dead_length_1_m + max(0.0, min(x, p.stroke_m))
-        room2 = p.dead_length_2_m + max(0.0, min(p.stroke_m - x, p.stroke_m))
-        if (
-            abs(m.p1_pa - p1_pa) > CHAMBER_PA + p.swing_1_pa_m_s * elapsed_s / room1
-            or abs(m.p2_pa - p2_pa) > CHAMBER_PA + p.swing_2_pa_m_s * elapsed_s / room2
-        ):
-            bits |= _PRESSURE_JUMP
-        above = m.supply_pa - supply_pa
-        if m.supply_pa + above * (HORIZON_S / SUPPLY_S) < p.supply_min_pa:
+        change1_pa, change2_pa = abs(p1 - p1_pa) - CHAMBER_PA, abs(p2 - p2_pa) - CHAMBER_PA
+        if change1_pa > 0.0:
+            room_m = p.dead_length_1_m + max(0.0, min(x, p.stroke_m))
+            if change1_pa * room_m > p.swing_1_pa_m_s * elapsed_s:
+                bits |= _PRESSURE_JUMP
+        if change2_pa > 0.0:
+            room_m = p.dead_length_2_m + max(0.0, min(p.stroke_m - x, p.stroke_m))
+            if change2_pa * room_m > p.swing_2_pa_m_s * elapsed_s:
+                bits |= _PRESSURE_JUMP
+        above = supply_pa - slow_pa
+        if supply_pa + above * (HORIZON_S / SUPPLY_S) < p.supply_min_pa:
             lasting |= _SUPPLY_FALLING
         # the first reading, and one that is not finite, are taken as they are
-        supply_pa = (
-            supply_pa + above * min(1.0, elapsed_s / SUPPLY_S) if math.isfinite(above) else m.supply_pa
-        )
-        p1_pa, p2_pa, pressure_ns = m.p1_pa, m.p2_pa, t_ns
+        slow_pa = slow_pa + above * min(1.0, elapsed_s / SUPPLY_S) if math.isfinite(above) else supply_pa
+        p1_pa, p2_pa, pressure_ns = p1, p2, t_ns
 
-    if fresh & _ENCODER and (m.position_m != position_m or not engaged):
-        position_m, x3_n = m.position_m, e.x3_n
+    if fresh & _ENCODER and (x != position_m or not engaged):
+        position_m, x3_n = x, e.x3_n
     if engaged:
         if state != _HOMING and abs(e.x3_n - x3_n) > p.stuck_force_n:
             lasting |= _ENCODER_STUCK
@@ -119,20 +119,19 @@ def watch(
             lasting |= _FORCE_DISAGREES
         if limited:
             lasting |= _SATURATED_LONG
-        if m.valve_state == _ENABLED:
+        if valve_state == _ENABLED:
             if fresh & _VALVE:
-                v = m.applied_v
                 if (
-                    abs(v - last_v) > VALVE_V
-                    and abs(v - command_v) > VALVE_V
-                    and abs(v - earlier_v) > VALVE_V
+                    abs(applied_v - last_v) > VALVE_V
+                    and abs(applied_v - command_v) > VALVE_V
+                    and abs(applied_v - earlier_v) > VALVE_V
                 ):
                     lasting |= _VALVE_DISAGREES
             elif since[_VALVE_PLACE] >= 0:
                 lasting |= _VALVE_DISAGREES  # nothing has been heard to the contrary
-    if m.skipped:
+    if skipped:
         lasting |= _OVERLOADED
-    if m.host & _SEND_FAILED and not m.host & _LINK_DOWN:
+    if host & _SEND_FAILED and not host & _LINK_DOWN:
         lasting |= _SEND_BLOCKED
 
     if lasting:
@@ -141,7 +140,10 @@ def watch(
     else:
         since = _NEVER
     return (
-        Watch(since, last_v, command_v, position_m, x3_n, p1_pa, p2_pa, pressure_ns, at1_m, at2_m, supply_pa),
+        _new(
+            Watch,
+            (since, last_v, command_v, position_m, x3_n, p1_pa, p2_pa, pressure_ns, at1_m, at2_m, slow_pa),
+        ),
         bits,
     )
 
