@@ -192,6 +192,8 @@ class Axis:
             assert controller is not None  # else a fault has centred an engaged axis, or kept it from arming
             if asked.plan is not None:
                 plan = asked.plan
+            if plan.lease < 0:
+                present |= 1 << F.OPERATOR_LOST
             if not engaged:
                 plan, reference, _ = follow(plan, sampled_ns, p.reference, state.profile)
                 controller = join(controller, estimate, reference, p.controller)

@@ -325,6 +325,12 @@ class LimitsConfig(Section):
                 raise ValueError(
                     f"{low} = {getattr(self, low):g} must lie below {high} = {getattr(self, high):g}"
                 )
+        most = max(self.transfer.acceleration_m_s2, self.motion.acceleration_m_s2)
+        if self.braking_m_s2 < most:
+            raise ValueError(
+                f"braking_m_s2 = {self.braking_m_s2:g} must not lie below the acceleration of transfer and"
+                f" motion, {most:g}: they brake as hard"
+            )
         return self
 
 

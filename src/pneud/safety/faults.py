@@ -80,6 +80,7 @@ class F(IntEnum):
     DISK_FULL = 54
     CONFIG_CHANGED = 55
     RECEIVE_OVERFLOW = 56
+    OPERATOR_LOST = 57
 
 
 class Fault(NamedTuple):
@@ -457,6 +458,13 @@ TABLE: tuple[Fault, ...] = (
         Reaction.WARN,
         "the kernel has dropped received frames, because they were not read in time",
         "see pneud doctor for what delays this machine; check what floods the bus",
+        clears="with the next tick",
+    ),
+    Fault(
+        F.OPERATOR_LOST,
+        Reaction.WARN,
+        "nobody has renewed a jog in time; the load is brought to rest and held",
+        "check the operator's connection; jog again",
         clears="with the next tick",
     ),
 )

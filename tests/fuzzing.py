@@ -1,0 +1,151 @@
+"""Input that nobody would send: frames, configurations, databases and logs, arbitrary and nearly right."""
+
+from __future__ import annotations
+
+import random
+import re
+from collections.abc import Iterator
+
+from pneud.bus.codec import Codec, Codecs
+from pneud.bus.wire import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+
+Bare = tuple[int, bytes]  # identifier with its flags, data
+
+_NUMBERS = (
+    "0",
+    "-1",
+    "1e308",
+    "-1e-308",
+    "nan",
+    "inf",
+    "1e400",
+    "0x10",
+    "1_0",
+    "99999999999999999999",
+    "0.1",
+)
+_WORDS = ('""', '"x"', "true", "[]", "{}", "[1, [2]]", "1979-05-27", "'''", '"\\u0000"', '"../../etc/passwd"')
+_DBC_WORDS = (
+    "BO_ 1 X: 8 V", ' SG_ A : 0|8@1+ (1,0) [0|0] "" V', "BO_ 385 ENCODER: 8 V", "CM_", "VAL_", "(0,0)", "@0-",
+    "SIG_VALTYPE_ 385 Position : 1;", "m0", "M", "|64@1+", "0|0@1+", "(nan,inf)", '"m"', "-1", "BU_:", "8",
+)  # fmt: skip
+
+
+def frames(codecs: Codecs, seed: int) -> Iterator[Bare]:
+    """Frames without end; `own` ones among them, such as SYNC, so not for a bus that must go on running."""
+    rng = random.Random(seed)
+    roles = (codecs.encoder, codecs.pressure, codecs.valve_status, codecs.valve_command, codecs.sync)
+    while True:
+        kind = rng.random()
+        if kind < 0.25:
+            yield rng.choice((rng.getrandbits(32), rng.getrandbits(11))), rng.randbytes(rng.randrange(9))
+        elif kind < 0.35:
+            node, code = rng.choice((1, 2, 3, rng.randrange(128))), rng.choice((0, rng.getrandbits(16)))
+            if rng.random() < 0.5:
+                yield 0x080 + node, (code.to_bytes(2, "little") + rng.randbytes(6))[: rng.randrange(9)]
+            else:
+                state = bytes((rng.choice((0, 4, 5, 127, rng.randrange(256))),))
+                yield 0x700 + node, state[: rng.randrange(2)]
+        elif kind < 0.45:
+            classes = rng.choice((0x4, 0x40, 0x100, 0x88, rng.getrandbits(29)))
+            yield CAN_ERR_FLAG | classes, rng.randbytes(rng.choice((8, 8, 8, rng.randrange(9))))
+        else:
+            yield _of_role(rng, rng.choice(roles))
+
+
+def _of_role(rng: random.Random, codec: Codec) -> Bare:
+    """A frame of ours: right, or with its bits, its length or its flags wrong."""
+    data = rng.randbytes(codec.length)
+    if rng.random() < 0.7:  # values that may even be possible, with the right checksum
+        data = _encoded(rng, codec) or data
+    kind = rng.random()
+    if kind < 0.2 and data:
+        bit = rng.randrange(8 * len(data))
+        data = (int.from_bytes(data, "little") ^ 1 << bit).to_bytes(len(data), "little")
+    elif kind < 0.3:
+        data = data[: rng.randrange(len(data) + 1)]
+    can_id = codec.can_id
+    if kind > 0.95:
+        can_id |= rng.choice((CAN_EFF_FLAG, CAN_RTR_FLAG, CAN_ERR_FLAG))
+    return can_id, data
+
+
+def _encoded(rng: random.Random, codec: Codec) -> bytes | None:
+    decoded = codec.decode(rng.randbytes(codec.length))
+    near = [
+        value * rng.choice((0.0, 1e-3, 1.0, 1.0)) if isinstance(value, float) else value for value in decoded
+    ]
+    try:
+        return codec.encode(*near, counter=rng.getrandbits(8) & codec.counter_mask)
+    except ValueError:
+        return None
+
+
+def configuration(text: str, rng: random.Random) -> bytes:
+    """A configuration with something wrong somewhere, or no configuration at all."""
+    if rng.random() < 0.1:
+        return rng.randbytes(rng.randrange(400))
+    lines = text.splitlines()
+    for _ in range(rng.choice((1, 1, 1, 3, 10))):
+        n = rng.randrange(len(lines))
+        kind = rng.randrange(6)
+        if kind == 0:
+            lines[n] = re.sub(r"=.*", lambda _: f"= {rng.choice(_NUMBERS + _WORDS)}", lines[n])
+        elif kind == 1:
+            lines.insert(n, lines[rng.randrange(len(lines))])
+        elif kind == 2 and len(lines) > 1:
+            del lines[n]
+        elif kind == 3:
+            lines[n] = re.sub(r"^\w+", lambda _: f"k{rng.randrange(100)}", lines[n])
+        elif kind == 4:
+            lines[n] = re.sub(
+                r"[\d.]+", lambda m: f"{rng.choice(('-', ''))}{m[0]}{rng.choice('e0.9')}", lines[n]
+            )
+        else:
+            lines.insert(n, rng.choice(("[limits]", "[a.b]", "[[x]]", "[", "=", "x", "\t", "]", '"')))
+    return _damaged("\n".join(lines).encode(), rng, 0.1)
+
+
+def database(text: str, rng: random.Random) -> bytes:
+    """A DBC with something wrong somewhere, or no DBC at all."""
+    if rng.random() < 0.1:
+        return rng.randbytes(rng.randrange(400))
+    words = re.split(r"(\s+)", text)
+    for _ in range(rng.choice((1, 1, 2, 10))):
+        n = rng.randrange(len(words))
+        kind = rng.randrange(4)
+        if kind == 0:
+            words[n] = rng.choice(_DBC_WORDS)
+        elif kind == 1 and len(words) > 1:
+            del words[n]
+        elif kind == 2:
+            words.insert(n, words[rng.randrange(len(words))])
+        else:
+            words[n] = re.sub(r"\d+", lambda _: str(rng.choice((0, 1, 7, 8, 63, 64, 65, 2048))), words[n])
+    return _damaged("".join(words).encode(), rng, 0.1)
+
+
+def log(data: bytes, rng: random.Random) -> bytes:
+    """A log that was cut off, has flipped bits or foreign bytes in it, or is none at all."""
+    if rng.random() < 0.05:
+        return rng.randbytes(rng.randrange(4000))
+    if rng.random() < 0.3:
+        data = data[: rng.randrange(len(data))]
+    return _damaged(data, rng, 0.9)
+
+
+def _damaged(data: bytes, rng: random.Random, likely: float) -> bytes:
+    changed = bytearray(data)
+    if changed and rng.random() < likely:
+        for _ in range(rng.choice((1, 1, 5, 100))):
+            at = rng.randrange(len(changed))
+            kind = rng.randrange(4)
+            if kind < 2:
+                changed[at] ^= 1 << rng.randrange(8)
+            elif kind == 2:
+                changed[at : at + rng.randrange(20)] = rng.randbytes(rng.randrange(20))
+            else:
+                changed[at : at + 8] = rng.choice((bytes(8), b"\xff" * 8))
+            if not changed:
+                break
+    return bytes(changed)
