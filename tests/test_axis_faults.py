@@ -14,7 +14,17 @@ from pneud.control import step
 from pneud.control.sliding import SlidingOutput
 from pneud.safety.faults import TABLE, F, Reaction, names
 from pneud.safety.supervisor import is_engaged
-from pneud.signals import EncoderStatus, Frame, Host, Measurement, State, Tick, ValveState
+from pneud.signals import (
+    Answer,
+    EncoderStatus,
+    Frame,
+    Host,
+    Measurement,
+    RequestKind,
+    State,
+    Tick,
+    ValveState,
+)
 
 REFERENCED = int(EncoderStatus.REFERENCED)
 Provoke = Callable[[Rig, pytest.MonkeyPatch], None]
@@ -246,8 +256,8 @@ def test_every_row_that_centres_has_a_case() -> None:
 def test_every_other_row_is_provoked_too() -> None:
     assert {case.fault for case in STOPPING} == {f.bit for f in TABLE if f.reaction == Reaction.STOP}
     assert {case.fault for case in BLOCKING} == {f.bit for f in TABLE if f.reaction == Reaction.NO_ARM}
-    # one that is limited has a test of its own
-    provoked = {case.fault for case in WARNING} | {F.SATURATED}
+    # these have tests of their own
+    provoked = {case.fault for case in WARNING} | {F.SATURATED, F.OPERATOR_LOST}
     assert provoked == {f.bit for f in TABLE if f.reaction in (Reaction.WARN, Reaction.LIMIT)}
 
 
@@ -396,3 +406,30 @@ def test_the_valve_node_is_given_time_to_disable_before_that_is_wrong() -> None:
     rig.host = int(Host.LINK_DOWN)
     shown += rig.ticks(20)
     assert not any(tick.present & 1 << F.VALVE_ACTIVE for tick in shown)
+
+
+def test_a_jog_that_nobody_renews_is_shown_once_and_ends_in_holding() -> None:
+    rig = tracking()
+    assert rig.tick(RequestKind.JOG, 0.05, 10.0).state == State.MOVING
+    for _ in range(3):
+        assert not any(tick.present for tick in rig.ticks(9))
+        assert rig.tick(RequestKind.JOG, 0.05, 10.0).present == 0
+    shown = [tick.present for tick in rig.ticks(30)]
+    assert shown.count(1 << F.OPERATOR_LOST) == 1
+    assert sum(shown) == 1 << F.OPERATOR_LOST
+    assert rig.until(State.HOLDING).latched == 0
+
+
+@pytest.mark.slow
+def test_moves_over_the_whole_travel_show_nothing_but_limits() -> None:
+    rig = ready()
+    assert rig.tick(ARM).state == State.HOLDING
+    present = 0
+    for target in (0.9, 0.1, 0.5, 0.979, 0.021, 0.5):
+        assert rig.tick(RequestKind.GOTO, target, 0.0, 0.0, 0.0).answer == Answer.TAKEN
+        while (tick := rig.tick()).state == State.MOVING:
+            present |= tick.present
+        assert tick.state == State.HOLDING
+        assert tick.measurement.position_m == pytest.approx(target, abs=2e-3)
+        present |= rig.ticks(200)[-1].present
+    assert names(present & ~(1 << F.SATURATED)) == []

@@ -309,7 +309,7 @@ class LimitsConfig(Section):
     disagreement_n: Positive = 800.0  # force that pressures and acceleration may leave unexplained
     saturation_s: Positive = 2.0
     stuck_force_n: Positive = 200.0  # change of force that a load cannot bear without moving at all
-    stuck_travel_m: Positive = 5e-3  # travel that changes every chamber pressure
+    stuck_travel_m: Positive = 0.03  # travel that changes every chamber pressure
     stop_then: Literal["hold", "centre"] = "hold"  # after a stop that was asked for
     transfer: TransferConfig = TransferConfig()
     motion: WayConfig = WayConfig()
