@@ -23,7 +23,7 @@ from pneud import resources
 from pneud.bus.inbox import Inbox
 from pneud.bus.link import open_link
 from pneud.config import BusConfig
-from pneud.log.reader import LogReader
+from pneud.log.reader import read_log
 from pneud.safety.faults import F
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Frame, State
@@ -135,7 +135,7 @@ def test_frames_at_the_running_daemon(tmp_path: Path, armed: bool, count: int) -
         def ready() -> bool:
             assert daemon.poll() is None
             try:
-                return any(tick.state == wanted for tick in LogReader(file))
+                return any(tick.state == wanted for tick in read_log(file))
             except Exception:  # nothing is there yet
                 return False
 
@@ -158,7 +158,7 @@ def test_frames_at_the_running_daemon(tmp_path: Path, armed: bool, count: int) -
     assert summary["frames"]["rx"] + summary["frames"]["lost"] > count / 2
     assert ("internal" in summary["faults"], bool(summary["faults"])) == (False, armed)
     over = False
-    for tick in LogReader(file):
+    for tick in read_log(file):
         if not is_engaged(tick.state):
             assert (tick.command.voltage_v, tick.command.enable) == (0.0, 0)
         assert not (over and is_engaged(tick.state)), "nothing arms again"

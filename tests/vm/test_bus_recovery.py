@@ -19,7 +19,7 @@ import pytest
 from pneud import resources
 from pneud.bus import wire
 from pneud.bus.link import Link, open_link
-from pneud.log.reader import LogReader
+from pneud.log.reader import read_log
 from pneud.log.records import LoggedTick
 from pneud.safety.faults import F
 from pneud.safety.supervisor import is_engaged
@@ -169,7 +169,7 @@ class Daemon:
         if not self.log.exists() or self.log.stat().st_size < 1000:
             return []
         try:
-            return list(LogReader(self.log))
+            return list(read_log(self.log))
         except Exception:
             return []
 
