@@ -8,12 +8,19 @@ import pytest
 
 from commands import object_of
 from commands import pneud_here as pneud
-from pneud import resources
+from pneud import profiles, resources
 from pneud.config import parse
-from pneud.log.files import LogError
+from pneud.control.reference import Bounds
+from pneud.loading import load
+from pneud.log.files import LogError, create_log
+from pneud.log.header import LogHeader
 from pneud.log.reader import read_log
 from pneud.log.schema import message_class
+from pneud.log.writer import LogWriter
 from pneud.replaying import replay
+from pneud.safety.faults import FAULT_NAMES
+from pneud.signals import Answer, Request, RequestKind, State
+from pneud.sim.lockstep import Simulation
 
 ENCODER, COMMAND = 0x181, 0x203
 
@@ -178,3 +185,37 @@ def test_a_foreign_file_is_one_line_and_exit_2(tmp_path: Path, content: bytes) -
     assert done.stderr.count("\n") == 1
     with pytest.raises(LogError):
         read_log(file)
+
+
+@pytest.mark.slow
+def test_a_log_with_requests_of_every_kind_replays_to_the_bit(tmp_path: Path) -> None:
+    here = load("virtual.toml")
+    pieces = profiles.steps([0.44, 0.46, 0.45], 0.1, Bounds(0.5, 5.0, 100.0))
+    asked = {
+        80: Request(RequestKind.ARM),
+        200: Request(RequestKind.GOTO, (0.5,)),
+        350: Request(RequestKind.GOTO, (0.45, 0.2, 0.0, 0.0)),
+        1000: Request(RequestKind.JOG, (0.1, 100.0)),
+        1500: Request(RequestKind.GOTO, (3.0,)),
+        2300: Request(RequestKind.HOLD),
+        2800: Request(RequestKind.STOP),
+        3000: Request(RequestKind.DISARM),
+        **dict(enumerate(profiles.requests(pieces), start=1600)),
+    }
+    path = tmp_path / "told.mcap"
+    header = LogHeader(
+        "virtual", "simulated", 1000.0, "full", here.path.name, here.text, here.dbc.name,
+        here.dbc.read_bytes(), FAULT_NAMES, 0, {},
+    )  # fmt: skip
+    writer = LogWriter(create_log(path), header)
+    states, answers = set(), set()
+    for record in Simulation(here, 3.6, requests=asked).records():
+        writer.write(record)
+        states.add(record.tick.state)
+        answers.add(record.tick.answer)
+    writer.close()
+    assert states >= {State.HOLDING, State.MOVING, State.TRACKING, State.STOPPING, State.DISARMED}
+    assert answers == {Answer.NONE, Answer.TAKEN, Answer.OUT_OF_TRAVEL}
+    outcome = replay(read_log(path))
+    assert (outcome.identical, outcome.first) == (True, None)
+    assert outcome.ticks > 3600

@@ -10,9 +10,21 @@ from itertools import zip_longest
 from operator import gt
 from typing import NamedTuple
 
-from pneud.control.plan import FOLLOWING, GOING, JOINING, Plan, Profile, halting, resting
+from pneud.control.plan import COMING_TO_REST, FOLLOWING, GOING, JOINING, Plan, halting, resting
+from pneud.control.profile import (
+    LONGEST_S,
+    MOST_PIECES,
+    SHORTEST_S,
+    Profile,
+    ends_at_rest,
+    extent,
+    is_inside,
+    is_within,
+    meet,
+)
 from pneud.control.reference import (
     Bounds,
+    Septic,
     Sine,
     Way,
     at,
@@ -38,14 +50,13 @@ MALFORMED, CLOSING = int(Answer.MALFORMED), int(Answer.CLOSING)
 ARM, DISARM, CLEAR = int(RequestKind.ARM), int(RequestKind.DISARM), int(RequestKind.CLEAR)
 SHUTDOWN, MARK, STOP = int(RequestKind.SHUTDOWN), int(RequestKind.MARK), int(RequestKind.STOP)
 HOLD, GOTO, JOG = int(RequestKind.HOLD), int(RequestKind.GOTO), int(RequestKind.JOG)
-TRACK = int(RequestKind.TRACK)
+TRACK, PIECE = int(RequestKind.TRACK), int(RequestKind.PIECE)
 STEERED = (int(State.TRACKING), int(State.MOVING), int(State.HOLDING))  # may be asked to go elsewhere
 
 CONFIGURED, UPLOADED = 0.0, 1.0  # what TRACK asks for
 ARRIVED_M = 1e-9  # no way is shorter
 LONGEST_LEASE = 1e9  # ticks
 HARDENINGS = 3
-REST_M_S, REST_M_S2 = 1e-6, 1e-3  # slower than this is rest
 
 # how many values each request has
 COUNTS = {
@@ -58,6 +69,7 @@ COUNTS = {
     GOTO: (1, 2, 3, 4),
     JOG: (2,),
     TRACK: (1,),
+    PIECE: (0, 9),
 }
 
 
@@ -75,12 +87,18 @@ class AxisParameters(NamedTuple):
     join_at_once: bool  # start on the reference without a transfer
 
 
+def soft_limits(p: AxisParameters) -> tuple[float, float]:
+    """Least and greatest position that may be asked for [m]."""
+    return p.limits.travel_min_m + p.travel_margin_m, p.limits.travel_max_m - p.travel_margin_m
+
+
 class Asked(NamedTuple):
     """What becomes of a request."""
 
     answer: int
     kind: int = 0  # what the supervisor is asked; 0 for nothing
     plan: Plan | None = None  # what the reference does from now on
+    profile: Profile | None = None  # the uploaded one from now on
     faults: int = 0  # that showed only now
 
 
@@ -128,6 +146,8 @@ def ask(
         if not is_engaged(s.state):
             return Asked(WRONG_STATE)
         return Asked(TAKEN, DISARM if p.stop_centres else kind)
+    if kind == PIECE:
+        return _piece(values, plan, profile, p)
     if s.state not in STEERED:
         return Asked(WRONG_STATE)
     if present & (CENTRES | STOPS):
@@ -138,7 +158,7 @@ def ask(
         return _jog(values[0], values[1], plan, now, now_ns, p)
     if kind == TRACK:
         return _track(values[0], profile, now, now_ns, p)
-    if s.state == State.HOLDING:
+    if s.state == State.HOLDING or plan.phase == COMING_TO_REST:
         return Asked(TAKEN)
     limits = p.limits
     return Asked(TAKEN, HOLD, halting(plan, now, now_ns, p.motion, limits.travel_min_m, limits.travel_max_m))
@@ -166,14 +186,6 @@ def _arm(track: bool, s: Supervisor, present: int, e: Estimate, now_ns: int, p: 
     return Asked(TAKEN, TRACK, plan) if reachable else Asked(BLOCKED, faults=1 << F.UNREACHABLE)
 
 
-def ends_at_rest(profile: Profile) -> bool:
-    """Whether there is a profile that ends at rest."""
-    if not profile:
-        return False
-    end = at(profile[-1].T, profile[-1])
-    return abs(end.velocity_m_s) <= REST_M_S and abs(end.acceleration_m_s2) <= REST_M_S2
-
-
 def _bounds(wanted: tuple[float, ...], most: Bounds) -> Bounds | int:
     """Bounds of a way: those asked for, the configured ones for 0; or why not."""
     chosen = [value or bound for value, bound in zip_longest(wanted, most, fillvalue=0.0)]
@@ -199,7 +211,7 @@ def _goto(values: tuple[float, ...], now: Reference, now_ns: int, p: AxisParamet
     bounds = _bounds(values[1:], p.motion)
     if isinstance(bounds, int):
         return Asked(bounds)
-    low_m, high_m = p.limits.travel_min_m + p.travel_margin_m, p.limits.travel_max_m - p.travel_margin_m
+    low_m, high_m = soft_limits(p)
     if not low_m <= values[0] <= high_m:
         return Asked(OUT_OF_TRAVEL)
     path = _within(bounds, now, values[0], p)
@@ -214,10 +226,7 @@ def _jog(velocity: float, lease: float, plan: Plan, now: Reference, now_ns: int,
         return Asked(TAKEN, JOG, plan._replace(lease=int(lease)))
     if abs(velocity) > p.motion.speed_m_s:
         return Asked(BEYOND_LIMITS)
-    limits = p.limits
-    end_m = (
-        limits.travel_max_m - p.travel_margin_m if velocity > 0.0 else limits.travel_min_m + p.travel_margin_m
-    )
+    end_m = soft_limits(p)[velocity > 0.0]
     ahead_m = end_m - now.position_m if velocity > 0.0 else now.position_m - end_m
     path = _within(p.motion._replace(speed_m_s=abs(velocity)), now, end_m, p) if ahead_m > ARRIVED_M else None
     if path is None:
@@ -235,3 +244,21 @@ def _track(what: float, profile: Profile, now: Reference, now_ns: int, p: AxisPa
     if not stays(path, p.limits.travel_min_m, p.limits.travel_max_m):
         return Asked(OUT_OF_TRAVEL)
     return Asked(TAKEN, TRACK, Plan(JOINING, now_ns, path, uploaded=what == UPLOADED))
+
+
+def _piece(values: tuple[float, ...], plan: Plan, profile: Profile, p: AxisParameters) -> Asked:
+    if plan.uploaded:
+        return Asked(WRONG_STATE)
+    if not values:
+        return Asked(TAKEN, profile=())
+    piece = Septic(*values)
+    if not SHORTEST_S <= piece.T <= LONGEST_S or len(profile) >= MOST_PIECES:
+        return Asked(MALFORMED)
+    if profile and not meet(profile[-1], piece):
+        return Asked(MALFORMED)
+    reach = extent(piece)
+    if not is_inside(reach, *soft_limits(p)):
+        return Asked(OUT_OF_TRAVEL)
+    if not is_within(reach, p.motion):
+        return Asked(BEYOND_LIMITS)
+    return Asked(TAKEN, profile=(*profile, piece))

@@ -9,7 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from pneud.asking import BLOCKED, NOTHING, TAKEN, AxisParameters, ask
-from pneud.control.plan import FOLLOWING, IDLE, Plan, Profile, follow, halting, resting
+from pneud.control.plan import FOLLOWING, IDLE, Plan, follow, halting, resting
+from pneud.control.profile import Profile
 from pneud.control.reference import Way
 from pneud.control.step import ControllerState, act, join, observe, start
 from pneud.safety import checks
@@ -184,6 +185,7 @@ class Axis:
         if request is not None:
             asked = ask(request, before, present, plan, state.profile, reference, estimate, sampled_ns, p)
             present |= asked.faults
+        profile = state.profile if asked.profile is None else asked.profile
         after = advance(before, present, asked.kind, at_rest)
 
         command = CENTRED
@@ -195,7 +197,7 @@ class Axis:
             if plan.lease < 0:
                 present |= 1 << F.OPERATOR_LOST
             if not engaged:
-                plan, reference, _ = follow(plan, sampled_ns, p.reference, state.profile)
+                plan, reference, _ = follow(plan, sampled_ns, p.reference, profile)
                 controller = join(controller, estimate, reference, p.controller)
             elif after.state == State.HOLDING and before.state != State.HOLDING:
                 plan = resting(reference.position_m, sampled_ns)
@@ -224,7 +226,7 @@ class Axis:
             read_ns,
             started_ns,
             plan,
-            state.profile,
+            profile,
             command.voltage_v,
             command.saturated,
             watched,

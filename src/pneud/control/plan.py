@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pneud.control.reference import Bounds, Septic, Sine, Way, along, at, sine, still, stop
+from pneud.control.profile import Profile
+from pneud.control.reference import Bounds, Sine, Way, along, at, sine, still, stop
 from pneud.signals import Reference
 
 SETTLE_NS = 50_000_000  # the load is given this long after a stop of the reference
@@ -19,8 +20,6 @@ FOLLOWING = 2
 COMING_TO_REST = 3
 GOING = 4  # to rest at a position
 RESTING = 5
-
-Profile = tuple[Septic, ...]
 
 
 class Plan(NamedTuple):

@@ -6,7 +6,7 @@ takes no time. The same seed gives the same records on every run.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from pneud import parameters
@@ -27,7 +27,14 @@ END_TICKS = 20
 class Simulation:
     """One run; iterate over `records`, then look at what is left in the parts."""
 
-    def __init__(self, loaded: Loaded, duration_s: float, seed: int = 0, how: Law = INTERPRETED) -> None:
+    def __init__(
+        self,
+        loaded: Loaded,
+        duration_s: float,
+        seed: int = 0,
+        how: Law = INTERPRETED,
+        requests: Mapping[int, Request] | None = None,
+    ) -> None:
         """A run that has not begun.
 
         Args:
@@ -35,7 +42,9 @@ class Simulation:
             duration_s: simulated time until the axis is told to shut down.
             seed: of the sensors' noise.
             how: axis and plant are computed.
+            requests: what is asked in which tick, counted from 0; without it the axis arms and tracks.
         """
+        self._requests = requests
         self.axis = how.axis(parameters.axis_of(loaded.config, loaded.codecs.command_lsb_v))
         self.inbox = Inbox(loaded.codecs, loaded.config.bus)
         self.node = PlantNode(parameters.plant_of(loaded.config), loaded.codecs, seed, advance=how.advance)
@@ -72,6 +81,8 @@ class Simulation:
             if not self.shut and count >= self._total:
                 self.shut = True
                 request = Request(RequestKind.SHUTDOWN)
+            elif self._requests is not None:
+                request = self._requests.get(count)
             elif not armed and last_state == State.DISARMED and not last_present & BLOCKS_ARM:
                 armed = True
                 request = Request(RequestKind.ARM, (1.0,))
