@@ -21,9 +21,9 @@ from pneud.console.handoff import LoopEnd
 from pneud.log.ring import Ring
 from pneud.plant.truth import TruthReader
 from pneud.rt.histogram import Histogram
-from pneud.rt.notify import Notifier
+from pneud.rt.notify import Service
 from pneud.rt.pacer import Pacer
-from pneud.safety.faults import BLOCKS_ARM, F
+from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES, NO_SENSORS, F
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Frame, Host, Record, Request, RequestKind, State, Tick, Timing
 from pneud.summary import Tracking
@@ -104,7 +104,7 @@ class Loop:
         self._stop = False
         self._armed = not options.auto_arm
         self._shut = False  # shutdown has been requested of the axis
-        self._notifier = Notifier()
+        self._service = Service(options.rate_hz, [state.label for state in State], FAULT_NAMES)
         self._counter_mask = codecs.valve_command.counter_mask
         self._count = 0
 
@@ -151,7 +151,7 @@ class Loop:
         foreign_ticks = max(1, round(FOREIGN_S * o.rate_hz))
         record_ns = -1
         tick: Tick | None = None
-        self._notifier.ready()
+        service, behind = self._service, 0
 
         while True:
             _, late_ns, skipped = pacer.next()
@@ -259,6 +259,12 @@ class Loop:
                 # what shows only now would show again; anything else may pass, and arming is tried again
                 self.refused = 0 if is_engaged(tick.state) else tick.present & BLOCKS_ARM
                 self._armed = is_engaged(tick.state) or bool(tick.present & 1 << F.UNREACHABLE)
+            behind += skipped
+            if service.every and count % service.every == 0:
+                # without its sensors an axis lacks much else; that says nothing
+                present = tick.present & NO_SENSORS or tick.present & BLOCKS_ARM
+                service.report(t_ns, behind, tick.state, tick.latched or present)
+                behind = 0
             self.ever_latched |= tick.latched
             if not self._shut:
                 self.ticks += 1
@@ -283,12 +289,12 @@ class Loop:
                     and idle_ticks >= fault_ticks
                 ):
                     break
-        self._notifier.stopping()
 
     def _request(self, last: Tick | None, total: int | None) -> Request | None:
         """What the run itself asks of the axis in this tick."""
         if not self._shut and (self._stop or (total is not None and self.ticks + self.skipped >= total)):
             self._shut = True
+            self._service.stopping()
             return Request(RequestKind.SHUTDOWN)
         if (
             not self._armed

@@ -103,8 +103,11 @@ def recorder_main(
     Returns:
         Exit status: 0, or 1 if records are missing or the file is incomplete.
     """
-    # A Ctrl-C or a closed terminal reaches the whole group; the recorder leaves after the loop, not with it.
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
+    # What ends the group (Ctrl-C, a closed terminal, systemd) reaches the recorder; it leaves after the loop.
+    for number in (
+        *(signal.SIGINT, signal.SIGTERM, signal.SIGHUP),
+        *(signal.SIGQUIT, signal.SIGTSTP, signal.SIGABRT),
+    ):
         signal.signal(number, signal.SIG_IGN)
     try:
         os.nice(_NICE)

@@ -5,44 +5,89 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+
+REPORT_S = 0.25  # the shortest time between two reports
+PUNCTUAL = 0.02  # of the ticks may be skipped by a loop that counts as being on time
+SETTLED = 2  # reports on end without more, and the service is ready
 
 
-class Notifier:
-    """Sends to the socket named by NOTIFY_SOCKET; without it every call does nothing."""
+class Service:
+    """What a loop that systemd runs tells it: ready, alive, how it stands; from the progress of its ticks.
 
-    def __init__(self, environ: Mapping[str, str] = os.environ) -> None:
+    It is ready once its ticks have been on time for a while; what it controls may be waiting for its nodes
+    meanwhile. A loop that hangs tells nothing, and the watchdog ends it.
+    """
+
+    def __init__(
+        self,
+        rate_hz: float,
+        states: Sequence[str],
+        faults: Sequence[str],
+        environ: Mapping[str, str] = os.environ,
+    ) -> None:
+        """A service that has not told anything yet.
+
+        Args:
+            rate_hz: ticks per second.
+            states: names by number.
+            faults: names by bit.
+            environ: NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID, as systemd sets them.
+        """
         address = environ.get("NOTIFY_SOCKET", "")
         self._address = "\0" + address[1:] if address.startswith("@") else address
         self._socket: socket.socket | None = None
         if address:
             with contextlib.suppress(OSError):
                 self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+        self._interval_ns = watchdog_interval_ns(environ)
+        period_s = min(REPORT_S, self._interval_ns * 1e-9) if self._interval_ns else REPORT_S
+        # ticks from one call of `report` to the next; 0 where nobody listens
+        self.every = max(1, int(period_s * rate_hz)) if self._socket is not None else 0
+        self._states = [f"STATUS={name}".encode() for name in states]
+        self._faults = [name.encode() for name in faults]
+        self._told: tuple[int, int] | None = None
+        self._alive_ns = 0
+        self._punctual = 0
+
+    def report(self, t_ns: int, skipped: int, state: int, faults: int) -> None:
+        """Tell what is new; to be called every `every` ticks.
+
+        Args:
+            t_ns: now.
+            skipped: ticks left out since the last call.
+            state: number of the state.
+            faults: bits of the faults to name.
+        """
+        if self._punctual < SETTLED:
+            if skipped > PUNCTUAL * self.every:
+                self._punctual = 0
+                self._send(b"STATUS=starting: the loop is late; see pneud doctor")
+                return
+            self._punctual += 1
+            if self._punctual < SETTLED:
+                return
+            self._send(b"READY=1")
+        if self._told != (state, faults):
+            self._told = state, faults
+            named = b", ".join([name for bit, name in enumerate(self._faults) if faults >> bit & 1])
+            self._send(self._states[state] + (b": " + named if named else b""))
+        if self._interval_ns and t_ns - self._alive_ns >= self._interval_ns:
+            self._alive_ns = t_ns
+            self._send(b"WATCHDOG=1")
+
+    def stopping(self) -> None:
+        """Tell that the service is on its way out."""
+        self._send(b"STOPPING=1")
 
     def _send(self, message: bytes) -> None:
         if self._socket is not None:
             with contextlib.suppress(OSError):  # a manager that does not read must not stop the loop
                 self._socket.sendto(message, self._address)
 
-    def ready(self) -> None:
-        """The service has started."""
-        self._send(b"READY=1")
 
-    def status(self, text: str) -> None:
-        """One line for `systemctl status`."""
-        self._send(b"STATUS=" + text.replace("\n", " ").encode(errors="replace"))
-
-    def watchdog(self) -> None:
-        """The loop makes progress."""
-        self._send(b"WATCHDOG=1")
-
-    def stopping(self) -> None:
-        """The service is on its way out."""
-        self._send(b"STOPPING=1")
-
-
-def watchdog_interval_ns(environ: Mapping[str, str] = os.environ) -> int:
-    """How often to call `Notifier.watchdog` [ns]: half of WATCHDOG_USEC; 0 where no watchdog waits for us."""
+def watchdog_interval_ns(environ: Mapping[str, str]) -> int:
+    """How often to tell of life [ns]: half of WATCHDOG_USEC; 0 where no watchdog waits for this process."""
     try:
         usec = int(environ.get("WATCHDOG_USEC", "0"))
         pid = int(environ.get("WATCHDOG_PID", os.getpid()))

@@ -85,8 +85,11 @@ def die_with_parent(parent_pid: int, signum: int = signal.SIGKILL) -> None:
 
 
 def ignore_terminal_signals() -> None:
-    """Leave it to the parent to act on Ctrl-C and its like, a closed terminal or a kill of the group."""
-    for signum in (signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP, signal.SIGTERM, signal.SIGHUP):
+    """Leave it to the parent to act on Ctrl-C, a closed terminal, a watchdog, a kill of the group."""
+    for signum in (
+        *(signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP),
+        *(signal.SIGTERM, signal.SIGHUP, signal.SIGABRT),
+    ):
         signal.signal(signum, signal.SIG_IGN)
 
 
