@@ -1,21 +1,26 @@
 # `make help` lists the targets. Needs make and Python ≥ 3.11; everything else goes into .venv.
 #   ARGS="…"     options for what the target starts: make virtual ARGS="--duration 10 --headless --json"
 #   PYTHON=…     interpreter to make .venv with, where the first one found is not the one wanted
+#   PNEUD=…      of install-service: the installed command, such as /opt/pneud/bin/pneud, in the place of .venv's
 
 VENV := .venv
 BIN := $(VENV)/bin
 RUNTIME := $(VENV)/.runtime
 DEV := $(VENV)/.dev
+DEBIAN_PYTHON := /usr/bin/python3
 PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 
 .DEFAULT_GOAL := help
-.PHONY: help virtual test lint types contracts ci-tests coverage vm soak clean
+.PHONY: help virtual test lint types contracts ci-tests coverage vm systemd install-service soak clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 12
 
 virtual: $(RUNTIME) ## close the loop on the software rig
 	@exec $(BIN)/pneud --virtual $(ARGS)
+
+install-service: $(if $(PNEUD),,$(RUNTIME)) ## the systemd units of the installed pneud; DESTDIR= writes them below a folder
+	@exec $(or $(PNEUD),$(BIN)/pneud) install-service $(if $(DESTDIR),--destdir '$(DESTDIR)') $(ARGS)
 
 test: $(DEV) ## the quick tests
 	@exec $(BIN)/python -m pytest -n 2 $(ARGS)
@@ -39,6 +44,12 @@ coverage: $(DEV) ## every branch of safety/ and control/ is taken by a test
 
 vm: $(DEV) ## the tests over real SocketCAN, in a virtual machine (see hil/README.md)
 	@exec hil/vm/run -t 600 -- $(BIN)/python -m pytest -m vm -p no:cacheprovider tests/vm $(ARGS)
+
+systemd: $(DEV) ## the service under systemd, in a virtual machine, from the wheel
+	@rm -rf build/wheels
+	@$(BIN)/python -m hatchling build -t wheel -d build/wheels >/dev/null
+	@$(BIN)/python -m pip --python $(DEBIAN_PYTHON) wheel --quiet --disable-pip-version-check -w build/wheels build/wheels/*.whl
+	@exec hil/vm/run -s -t 230 -- $(CURDIR)/$(BIN)/python -m pytest -m systemd -p no:cacheprovider tests/vm/test_service.py $(ARGS)
 
 soak: $(DEV) ## the tests that take minutes
 	@exec $(BIN)/python -m pytest -m soak $(ARGS)
