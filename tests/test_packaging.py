@@ -16,7 +16,7 @@ import pytest
 import pneud
 
 ROOT = Path(__file__).parent.parent
-DATA = {"configs": "configs", "hil/scenarios": "scenarios"}
+DATA = {"configs": "configs", "hil/scenarios": "scenarios", "systemd": "systemd"}
 
 
 def run(command: Sequence[str | Path], cwd: Path) -> str:
@@ -66,7 +66,8 @@ def own_files() -> set[str]:
         for checkout, packaged in DATA.items()
         for p in (ROOT / checkout).rglob("*")
     }
-    return {str(p) for p in package | data if p.suffix in {".py", ".typed", ".toml", ".dbc"}}
+    package = {p for p in package if p.suffix in {".py", ".typed"}}
+    return {str(p) for p in package | {p for p in data if p.suffix and p.name != ".gitkeep"}}
 
 
 @pytest.mark.slow

@@ -269,6 +269,29 @@ def doctor(
 
 
 @app.command()
+def install_service(
+    config: Annotated[
+        str | None,
+        typer.Option(
+            "--config", metavar="FILE", help="Also an axis: its unit, its configuration in /etc/pneud."
+        ),
+    ] = None,
+    networkd: Annotated[
+        bool, typer.Option("--networkd", help="Also files by which systemd-networkd brings its interface up.")
+    ] = False,
+    destdir: Annotated[
+        Path | None, typer.Option("--destdir", metavar="DIR", help="Only write files, below this folder.")
+    ] = None,
+) -> None:
+    """Put the systemd units of this installation in place (see docs/rig-pc.md)."""
+    if networkd and config is None:
+        _fail("--networkd is about the interface of an axis; name its --config")
+    from pneud.verbs.install_service import install_service as verb
+
+    _exit(verb, config, destdir, networkd)
+
+
+@app.command()
 def bench(
     config: ConfigOption = None,
     bus: BusOption = None,
@@ -402,6 +425,7 @@ def _exit(verb: object, *args: object) -> NoReturn:
     from pneud.compiled.build import BuildError
     from pneud.config import ConfigError
     from pneud.console.place import PlaceError
+    from pneud.installation import InstallError
     from pneud.log.files import LogError
 
     assert callable(verb)
@@ -409,7 +433,7 @@ def _exit(verb: object, *args: object) -> NoReturn:
         status = verb(*args)
     except (ConfigError, DatabaseError, LogError) as e:
         _fail(str(e))
-    except (LinkError, PlaceError) as e:
+    except (LinkError, PlaceError, InstallError) as e:
         _fail(str(e), e.exit_code)
     except BuildError as e:
         _fail(f"loop.compiled: {e}", MACHINE)

@@ -1,4 +1,4 @@
-"""Where the files that come with pneud are: configurations, the DBC, scenarios.
+"""Where the files that come with pneud are: configurations, the DBC, scenarios, units.
 
 In a checkout (or an editable installation) they are the checkout's own; in an installed wheel they lie
 inside the package. A file beside the one that names it, or in the
@@ -31,6 +31,11 @@ def scenarios() -> Path:
 def bench() -> Path:
     """The folder with the C program that `pneud bench` compares the loop with."""
     return _folder("bench", "hil/bench")
+
+
+def systemd() -> Path:
+    """The folder with the units and what belongs to them."""
+    return _folder("systemd", "systemd")
 
 
 def find(name: str | Path, beside: Path | None = None) -> Path:

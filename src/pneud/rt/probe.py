@@ -62,7 +62,12 @@ def examine(facts: Facts, reports: Sequence[Report], wanted: Wanted) -> list[Fin
     """
     found = [*_granted(reports, wanted), *_kernel(facts), *_cpus(facts, wanted), *_time_taken(facts)]
     found += [*_bus(facts, wanted), *_surroundings(facts, wanted)]
-    return sorted(found, key=lambda finding: finding.level)
+    return worst_first(found)
+
+
+def worst_first(findings: Sequence[Finding]) -> list[Finding]:
+    """Findings by level, otherwise as they came."""
+    return sorted(findings, key=lambda finding: finding.level)
 
 
 def _finding(ok: bool, name: str, found: str, reason: str, cure: str, bad: Level = Level.WARNING) -> Finding:

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import json as json_
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from rich.console import Console
 from rich.padding import Padding
 from rich.text import Text
 
-from pneud.config import Config
+from pneud import installation
+from pneud.config import Config, ConfigError
 from pneud.loading import load
 from pneud.log.files import log_folder
 from pneud.rt import machine
 from pneud.rt.machine import Facts
-from pneud.rt.probe import Finding, Level, Wanted, examine
+from pneud.rt.probe import Finding, Level, Wanted, examine, worst_first
 from pneud.rt.setup import Report
 
 _STYLE = {Level.LACK: "bold red", Level.WARNING: "yellow", Level.OK: "green"}
@@ -27,8 +28,9 @@ def doctor(
     json: bool,
     read: Callable[..., Facts] = machine.read,
     attempt: Callable[[int, int | None, bool], list[Report]] = machine.attempt,
+    service: Callable[..., Iterator[Finding]] = installation.examine,
 ) -> int:
-    """Examine the machine for a configuration.
+    """Examine the machine, and the service where one is installed, for a configuration.
 
     Returns:
         Exit status: 0 when everything that the configuration requires is there, else 1.
@@ -44,6 +46,11 @@ def doctor(
     findings = examine(
         facts, attempt(wanted.priority, wanted.cpu, loaded.config.realtime.lock_memory), wanted
     )
+    try:
+        axis = installation.axis_of(loaded.path, loaded.config)
+    except ConfigError:  # a service of it cannot be there
+        axis = None
+    findings = worst_first([*findings, *service(axis, wanted.priority)])
     ok = all(finding.level != Level.LACK for finding in findings)
     if json:
         print(json_.dumps(as_object(str(loaded.path), facts, findings)))

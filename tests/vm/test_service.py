@@ -1,0 +1,278 @@
+"""pneud under systemd: PID 1 of the guest is Debian's own, the commands are those of docs/rig-pc.md.
+
+The tests share one machine and run in the order in which they stand; each one begins with a healthy service.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+pytestmark = pytest.mark.systemd
+ROOT = Path(__file__).parent.parent.parent
+PNEUD = "/opt/pneud/bin/pneud"
+AXIS, PLANT, VCAN = "pneud@vcan", "pneud-plant@vcan", "pneud-vcan@vcan0"
+PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
+
+
+def run(*words: str) -> str:
+    """Output of a command that must succeed."""
+    done = subprocess.run(words, capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 0, f"{words}: {done.returncode}\n{done.stdout}{done.stderr}"
+    return done.stdout
+
+
+def shown(name: str, unit: str = AXIS) -> str:
+    """A property of a unit."""
+    return run("systemctl", "show", unit, f"--property={name}", "--value").strip()
+
+
+def eventually(holds: Callable[[], bool], what: str, patience_s: float = 30.0) -> None:
+    deadline = time.monotonic() + patience_s
+    while not holds():
+        if time.monotonic() > deadline:
+            journal = run("journalctl", "--no-pager", "-n", "40", "-u", "pneud*")
+            pytest.fail(f"in vain: {what}; {shown('ActiveState')}, {shown('StatusText')}\n{journal}")
+        time.sleep(0.1)
+
+
+def says(unit: str, status: str) -> bool:
+    return shown("ActiveState", unit) == "active" and shown("StatusText", unit) == status
+
+
+def disarmed() -> bool:
+    return says(AXIS, "disarmed")
+
+
+def main_pid() -> int:
+    return int(shown("MainPID"))
+
+
+def newest_log() -> Path:
+    return max(Path("/var/lib/pneud/vcan").glob("*.mcap"), key=lambda path: path.stat().st_mtime_ns)
+
+
+def is_whole(log: Path) -> bool:
+    """Whether the recorder finished this file: it has its footer, and ticks."""
+    with log.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None and summary.statistics is not None
+    return summary.statistics.message_count > 0
+
+
+def documented() -> list[str]:
+    """The commands of docs/rig-pc.md, as they stand there."""
+    text = (ROOT / "docs" / "rig-pc.md").read_text()
+    (block,) = re.findall(r"^```sh\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    return [line for line in block.splitlines() if line]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def installed(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Installs as documented; only the package index is another one."""
+    wheels = ROOT / "build" / "wheels"
+    folder = tmp_path_factory.mktemp("download")
+    (wheel,) = wheels.glob("pneud-*.whl")
+    shutil.copy(wheel, folder)
+    commands = documented()
+    assert len(commands) <= 5
+    index = {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(wheels), "PIP_CONFIG_FILE": os.devnull}
+    for command in commands:
+        start = time.monotonic()
+        done = subprocess.run(
+            ["/bin/bash", "-c", command],
+            cwd=folder,
+            env={"PATH": PATH, "HOME": "/root", **index},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        print(f"{time.monotonic() - start:5.1f} s  {command}")
+        assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
+
+
+@pytest.fixture(autouse=True)
+def healthy(installed: None) -> Iterator[None]:
+    """A service that runs, disarmed; whatever a test did to it."""
+    run("systemctl", "reset-failed", AXIS)
+    run("systemctl", "start", VCAN, PLANT, AXIS)
+    eventually(disarmed, "disarmed")
+    yield
+
+
+def test_units_are_correct_and_closed() -> None:
+    units = [AXIS, "pneud@rig", PLANT, VCAN, "pneud-can@can0"]
+    done = subprocess.run(
+        ["systemd-analyze", "verify", *(f"{unit}.service" for unit in units)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    for unit in sorted(Path("/usr/local/lib/systemd/system").glob("pneud*.service")):
+        told = run("systemd-analyze", "security", "--offline=true", "--no-pager", str(unit))
+        level = re.search(r"exposure level for \S+: ([\d.]+)", told)
+        assert level is not None and float(level[1]) <= 2.0, told
+
+
+def test_the_unit_of_another_interface_differs_in_nothing_else() -> None:
+    folder = Path("/usr/local/lib/systemd/system")
+    ours, shipped = ((folder / name).read_text() for name in ("pneud@vcan.service", "pneud@.service"))
+    assert ours.partition("[Unit]")[2] == re.sub(r"\bcan0\b", "vcan0", shipped.partition("[Unit]")[2])
+
+
+def test_nothing_runs_as_root_or_with_rights() -> None:
+    for unit in (AXIS, PLANT):
+        group = Path("/sys/fs/cgroup") / shown("ControlGroup", unit).lstrip("/")
+        pids = (group / "cgroup.procs").read_text().split()
+        assert pids
+        for pid in pids:
+            status = Path("/proc", pid, "status").read_text()
+            (uids,) = re.findall(r"^Uid:\t(.*)$", status, re.MULTILINE)
+            assert "0" not in uids.split()
+            assert re.search(r"^CapEff:\t0+$", status, re.MULTILINE)
+            assert re.search(r"^CapBnd:\t0+$", status, re.MULTILINE)
+            assert re.search(r"^NoNewPrivs:\t1$", status, re.MULTILINE)
+    assert Path("/var/lib/pneud/vcan").owner() == Path("/run/pneud").owner() == "pneud"
+
+
+def test_doctor_finds_the_installation_sound() -> None:
+    done = subprocess.run(
+        [PNEUD, "doctor", "/etc/pneud/vcan.toml", "--json"], capture_output=True, text=True, check=False
+    )
+    findings = {finding["name"]: finding for finding in json.loads(done.stdout)["findings"]}
+    for name in ("service", "service units", "service user", "service configuration", "service limits"):
+        assert findings[name]["level"] == "ok", findings[name]
+    assert "enabled, active (disarmed)" in findings["service"]["found"]
+
+
+def test_with_unpowered_nodes_it_is_ready_waits_and_stays() -> None:
+    run("systemctl", "stop", PLANT)
+    run("systemctl", "restart", AXIS)  # returns when it is ready
+    waiting = "waiting: encoder_missing, pressure_missing, valve_missing"
+    eventually(lambda: says(AXIS, waiting), "waiting")
+    before = main_pid(), shown("NRestarts")
+    time.sleep(3 * 2.0)  # three times WatchdogSec
+    assert says(AXIS, waiting)
+    assert (main_pid(), shown("NRestarts")) == before
+    run("systemctl", "start", PLANT)
+    eventually(disarmed, "the nodes are found when they get power")
+
+
+def test_a_hang_ends_by_the_watchdog_and_begins_again_disarmed() -> None:
+    pid, restarts, log = main_pid(), int(shown("NRestarts")), newest_log()
+    os.kill(pid, signal.SIGSTOP)
+    eventually(lambda: main_pid() not in (0, pid), "another process")
+    eventually(disarmed, "disarmed")
+    assert int(shown("NRestarts")) == restarts + 1
+    journal = run("journalctl", "--no-pager", "-u", AXIS)
+    assert "Watchdog timeout" in journal
+    assert is_whole(log)
+    assert newest_log() != log
+
+
+def test_a_crash_is_followed_by_a_start_and_the_log_is_whole() -> None:
+    pid, log = main_pid(), newest_log()
+    os.kill(pid, signal.SIGKILL)
+    eventually(lambda: main_pid() not in (0, pid), "another process")
+    eventually(disarmed, "disarmed")
+    assert is_whole(log)
+
+
+def test_the_third_crash_is_the_last_and_the_node_holds_the_valve_centred() -> None:
+    run("systemctl", "stop", AXIS)
+    run("systemctl", "reset-failed", AXIS)  # forgets earlier starts
+    run("systemctl", "start", AXIS)
+    for crash in range(3):
+        eventually(disarmed, f"disarmed before crash {crash}")
+        os.kill(main_pid(), signal.SIGKILL)
+        eventually(lambda: not disarmed(), "gone")
+    eventually(lambda: shown("ActiveState") == "failed", "failed")
+    time.sleep(3.0)
+    assert (shown("ActiveState"), main_pid()) == ("failed", 0)
+    applied, state = valve()
+    assert applied == 0
+    assert state in (1, 3), "centred, or timed out"
+
+
+def valve() -> tuple[int, int]:
+    """What the valve node answers to a SYNC: the output of its DAC and its state."""
+    dump = subprocess.Popen(["candump", "-L", "-n", "1", "vcan0,183:7FF"], stdout=subprocess.PIPE, text=True)
+    time.sleep(0.5)
+    run("cansend", "vcan0", "080#01")
+    data = bytes.fromhex(dump.communicate(timeout=20)[0].split("#")[1])
+    return int.from_bytes(data[:2], "little", signed=True), data[2]
+
+
+def test_a_stop_sends_the_centre_and_ends_well() -> None:
+    dump = subprocess.Popen(["candump", "-L", "vcan0,203:7FF"], stdout=subprocess.PIPE, text=True)
+    time.sleep(0.5)
+    start = time.monotonic()
+    run("systemctl", "stop", AXIS)
+    print(f"stopped in {time.monotonic() - start:.2f} s")
+    dump.send_signal(signal.SIGINT)
+    commands = [bytes.fromhex(line.split("#")[1]) for line in dump.communicate(timeout=20)[0].splitlines()]
+    assert len(commands) >= 20
+    assert not any(any(command[:3]) for command in commands), "0 V, not enabled"
+    assert (shown("Result"), shown("ExecMainStatus"), shown("ActiveState")) == ("success", "0", "inactive")
+    assert is_whole(newest_log())
+
+
+def test_the_interface_takes_the_service_along_and_brings_it_back() -> None:
+    run("ip", "link", "delete", "vcan0")
+    eventually(lambda: shown("ActiveState") == "inactive", "stopped with its interface")
+    eventually(lambda: shown("ActiveState", PLANT) == "inactive", "its nodes, too")
+    run("ip", "link", "add", "vcan0", "type", "vcan")
+    run("ip", "link", "set", "vcan0", "up")
+    eventually(disarmed, "back with its interface")
+
+
+def test_a_wrong_configuration_is_tried_once() -> None:
+    run("systemctl", "stop", AXIS)
+    file = Path("/etc/pneud/vcan.toml")
+    text = file.read_text()
+    file.write_text(text.replace("rate_hz", "rate"))
+    try:
+        done = subprocess.run(["systemctl", "start", AXIS], capture_output=True, text=True, check=False)
+        assert done.returncode != 0
+        time.sleep(2.0)
+        assert (shown("ActiveState"), shown("ExecMainStatus"), shown("NRestarts")) == ("failed", "2", "0")
+    finally:
+        file.write_text(text)
+
+
+def test_the_unit_as_shipped_serves_an_axis_on_can0(tmp_path: Path) -> None:
+    config = tmp_path / "other.toml"
+    config.write_text(Path("/etc/pneud/vcan.toml").read_text().replace("vcan0", "can0"))
+    told = run(PNEUD, "install-service", "--config", str(config))
+    assert told.endswith("then: systemctl enable --now pneud-can@can0 pneud@other\n")
+    run("ip", "link", "add", "can0", "type", "vcan")
+    run("ip", "link", "set", "can0", "up")
+    run("systemctl", "enable", "--now", "pneud@other")
+    assert shown("FragmentPath", "pneud@other") == "/usr/local/lib/systemd/system/pneud@.service"
+    assert shown("StatusText", "pneud@other").startswith("waiting: ")
+    run("systemctl", "stop", "pneud@other")
+    assert Path("/run/pneud").is_dir(), "the axes share it"
+    assert disarmed()
+
+
+def test_networkd_makes_the_interface_as_well() -> None:
+    told = run(PNEUD, "install-service", "--config", "vcan.toml", "--networkd")
+    (units,) = re.findall(r"^then: systemctl enable --now (.*)$", told, re.MULTILINE)
+    run("systemctl", "disable", "--now", VCAN)
+    eventually(lambda: shown("ActiveState") == "inactive", "stopped with its interface")
+    run("systemctl", "enable", "--now", *units.split())
+    eventually(disarmed, "disarmed")
+    assert Path("/sys/class/net/vcan0/tx_queue_len").read_text().strip() == "128"
+    run("systemctl", "disable", "--now", *units.split()[:2])
+    run("ip", "link", "delete", "vcan0")
