@@ -25,7 +25,7 @@ def run(*arguments: str, path: str = "/usr/sbin:/usr/bin:/sbin:/bin") -> subproc
 def test_wrong_usage_shows_how_it_is_used(arguments: tuple[str, ...]) -> None:
     done = run(*arguments)
     assert done.returncode == 2
-    assert "hil/vm/run [-t SECONDS]" in done.stderr
+    assert "hil/vm/run [-s] [-t SECONDS]" in done.stderr
     assert not done.stdout
 
 
