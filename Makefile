@@ -14,7 +14,7 @@ PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 .PHONY: help virtual test lint types contracts ci-tests coverage vm systemd install-service soak clean
 
 help: ## this list
-	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 12
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 17
 
 virtual: $(RUNTIME) ## close the loop on the software rig
 	@exec $(BIN)/pneud --virtual $(ARGS)

@@ -236,7 +236,7 @@ def examine(
         "service units",
         f"missing, or not of this pneud: {', '.join(stale)}" if stale else f"those of {executable}",
         "systemd may start another pneud, or with other rights",
-        "pneud install-service" + (f" --config {axis.name}.toml" if axis is not None else ""),
+        "pneud install-service" + (f" --config /{CONFIGS}/{axis.name}.toml" if axis is not None else ""),
     )
     yield _user(root, executable)
     if axis is None:
