@@ -15,6 +15,7 @@ from pneud import design, resources
 from pneud.chatter import mean_step_v, passed
 from pneud.config import Config, load_config
 from pneud.control.homogeneous import explicit_ustar, feedback, implicit_ustar, sig
+from pneud.control.tuning import bandwidth, delay_margin, linearised
 from pneud.loading import at_rate
 from pneud.parameters import axis_of, plant_of
 from pneud.sim.recovery import Service, service
@@ -42,8 +43,8 @@ def test_each_term_equals_that_of_the_triple_pole_at_the_error(w: float, a: floa
     assert g.k1 * sig(a, g.a1) == pytest.approx(w**3 * a, rel=1e-9)
     assert g.k2 * sig(w * a, g.a2) == pytest.approx(3 * w**3 * a, rel=1e-9)
     assert g.k3 * sig(w * w * a, g.a3) == pytest.approx(3 * w**3 * a, rel=1e-9)
-    assert design.bandwidth(g, a) == pytest.approx(w, rel=1e-9)
-    assert design.linearised(g, a) == pytest.approx((w**3, 3 * w**2, 3 * w), rel=1e-9)
+    assert bandwidth(g, a) == pytest.approx(w, rel=1e-9)
+    assert linearised(g, a) == pytest.approx((w**3, 3 * w**2, 3 * w), rel=1e-9)
 
 
 @given(omegas, errors, alphas, st.floats(0.1, 10.0))
@@ -58,14 +59,14 @@ def test_gains_scale_with_length_and_time(w: float, a: float, alpha: float, scal
 @given(omegas, errors, alphas)
 def test_delay_margin_of_a_triple_pole_goes_with_one_over_bandwidth(w: float, a: float, alpha: float) -> None:
     g = design.scaled_gains(w, a, alpha)
-    assert w * design.delay_margin(g, a) == pytest.approx(0.40705, abs=1e-4)
+    assert w * delay_margin(g, a) == pytest.approx(0.40705, abs=1e-4)
     if alpha < 0.99:
-        assert design.delay_margin(g, 0.1 * a) < design.delay_margin(g, a)
+        assert delay_margin(g, 0.1 * a) < delay_margin(g, a)
 
 
 def test_delay_margin_is_where_a_linear_loop_with_dead_time_begins_to_grow() -> None:
     g, h = design.scaled_gains(50.0, 1e-3, 1.0), 1e-5
-    margin = design.delay_margin(g, 1e-3)
+    margin = delay_margin(g, 1e-3)
 
     def late_error(delay_s: float) -> float:
         w1, w2, w3, largest = 1e-3, 0.0, 0.0, 0.0
@@ -85,7 +86,7 @@ def test_delay_margin_is_where_a_linear_loop_with_dead_time_begins_to_grow() -> 
 
 
 def test_a_loop_that_is_unstable_without_delay_has_no_margin() -> None:
-    assert design.delay_margin(feedback(1000.0, 10.0, 10.0, 1.0), 1.0) == 0.0
+    assert delay_margin(feedback(1000.0, 10.0, 10.0, 1.0), 1.0) == 0.0
 
 
 @pytest.mark.parametrize("h", [0.01, 0.001])

@@ -37,6 +37,7 @@ from pneud.control.reference import (
     way,
 )
 from pneud.control.step import Controller
+from pneud.control.tuning import is_sound, is_stable, tuned
 from pneud.safety.checks import Limits
 from pneud.safety.faults import BLOCKS_ARM, CENTRES, STOPS, F
 from pneud.safety.output import OutputLimits
@@ -46,11 +47,11 @@ from pneud.signals import Answer, Estimate, Reference, Request, RequestKind, Sta
 TAKEN, WRONG_STATE, BLOCKED = int(Answer.TAKEN), int(Answer.WRONG_STATE), int(Answer.BLOCKED)
 OUT_OF_TRAVEL, BEYOND_LIMITS = int(Answer.OUT_OF_TRAVEL), int(Answer.BEYOND_LIMITS)
 NOT_REFERENCED, NO_PROFILE = int(Answer.NOT_REFERENCED), int(Answer.NO_PROFILE)
-MALFORMED, CLOSING = int(Answer.MALFORMED), int(Answer.CLOSING)
+MALFORMED, CLOSING, UNSTABLE = int(Answer.MALFORMED), int(Answer.CLOSING), int(Answer.UNSTABLE)
 ARM, DISARM, CLEAR = int(RequestKind.ARM), int(RequestKind.DISARM), int(RequestKind.CLEAR)
 SHUTDOWN, MARK, STOP = int(RequestKind.SHUTDOWN), int(RequestKind.MARK), int(RequestKind.STOP)
 HOLD, GOTO, JOG = int(RequestKind.HOLD), int(RequestKind.GOTO), int(RequestKind.JOG)
-TRACK, PIECE = int(RequestKind.TRACK), int(RequestKind.PIECE)
+TRACK, PIECE, GAINS = int(RequestKind.TRACK), int(RequestKind.PIECE), int(RequestKind.GAINS)
 STEERED = (int(State.TRACKING), int(State.MOVING), int(State.HOLDING))  # may be asked to go elsewhere
 
 CONFIGURED, UPLOADED = 0.0, 1.0  # what TRACK asks for
@@ -70,6 +71,7 @@ COUNTS = {
     JOG: (2,),
     TRACK: (1,),
     PIECE: (0, 9),
+    GAINS: (9,),
 }
 
 
@@ -99,6 +101,7 @@ class Asked(NamedTuple):
     kind: int = 0  # what the supervisor is asked; 0 for nothing
     plan: Plan | None = None  # what the reference does from now on
     profile: Profile | None = None  # the uploaded one from now on
+    law: Controller | None = None  # with its gains from now on
     faults: int = 0  # that showed only now
 
 
@@ -114,6 +117,7 @@ def ask(
     now: Reference,
     e: Estimate,
     now_ns: int,
+    law: Controller,
     p: AxisParameters,
 ) -> Asked:
     """What becomes of a request in this tick.
@@ -127,6 +131,7 @@ def ask(
         now: the reference; not looked at where the axis is not engaged.
         e: the estimate.
         now_ns: the instant that both belong to.
+        law: with its present gains.
         p: parameters.
     """
     kind, values = request
@@ -146,6 +151,10 @@ def ask(
         if not is_engaged(s.state):
             return Asked(WRONG_STATE)
         return Asked(TAKEN, DISARM if p.stop_centres else kind)
+    if kind == GAINS:
+        if not is_sound(values):
+            return Asked(MALFORMED)
+        return Asked(TAKEN, law=tuned(values, law)) if is_stable(values, law) else Asked(UNSTABLE)
     if kind == PIECE:
         return _piece(values, plan, profile, p)
     if s.state not in STEERED:

@@ -12,7 +12,7 @@ from pneud.asking import BLOCKED, NOTHING, TAKEN, AxisParameters, ask
 from pneud.control.plan import FOLLOWING, IDLE, Plan, follow, halting, resting
 from pneud.control.profile import Profile
 from pneud.control.reference import Way
-from pneud.control.step import ControllerState, act, join, observe, start
+from pneud.control.step import Controller, ControllerState, act, change, join, observe, start
 from pneud.safety import checks
 from pneud.safety.faults import NO_SENSORS, F
 from pneud.safety.output import CENTRED, emit
@@ -55,6 +55,7 @@ class AxisState(NamedTuple):
     last_v: float  # last command that left
     limited: int  # 1 where it was less than the law had asked for
     watch: Watch
+    law: Controller  # with its present gains
 
     @property
     def phase(self) -> int:
@@ -78,7 +79,7 @@ class Axis:
     def __init__(self, parameters: AxisParameters) -> None:
         """An axis that has just been switched on."""
         self.parameters = parameters
-        self.state = AxisState(INITIAL, None, 0, 0, 0, 0, IDLE, (), 0.0, 0, WATCHFUL)
+        self.state = AxisState(INITIAL, None, 0, 0, 0, 0, IDLE, (), 0.0, 0, WATCHFUL, parameters.controller)
         self.failure: Exception | None = None  # the first exception in a cycle
 
     def freeze(self) -> AxisState:
@@ -124,7 +125,8 @@ class Axis:
 
     def _cycle(self, m: Measurement, request: Request | None, t_ns: int) -> Tick:
         p, state = self.parameters, self.state
-        limits, h = p.limits, p.controller.h
+        law, limits = state.law, p.limits
+        h = law.h
         before = state.supervisor
         engaged = is_engaged(before.state)
 
@@ -147,12 +149,12 @@ class Axis:
                 m.supply_pa,
                 m.applied_v if m.fresh & VALVE else state.last_v,
                 elapsed_ns * 1e-9 if elapsed_ns > 0 else h,
-                p.controller,
+                law,
             )
             if measured:
                 read_ns = sampled_ns
         elif m.fresh == ALL_SOURCES:
-            controller = start(m.position_m, m.p1_pa, m.p2_pa, m.supply_pa, p.controller)
+            controller = start(m.position_m, m.p1_pa, m.p2_pa, m.supply_pa, law)
             estimate = _first_estimate(controller)
             read_ns = started_ns = sampled_ns
 
@@ -183,7 +185,9 @@ class Axis:
 
         asked = NOTHING
         if request is not None:
-            asked = ask(request, before, present, plan, state.profile, reference, estimate, sampled_ns, p)
+            asked = ask(
+                request, before, present, plan, state.profile, reference, estimate, sampled_ns, law, p
+            )
             present |= asked.faults
         profile = state.profile if asked.profile is None else asked.profile
         after = advance(before, present, asked.kind, at_rest)
@@ -198,14 +202,16 @@ class Axis:
                 present |= 1 << F.OPERATOR_LOST
             if not engaged:
                 plan, reference, _ = follow(plan, sampled_ns, p.reference, profile)
-                controller = join(controller, estimate, reference, p.controller)
+                controller = join(controller, estimate, reference, law)
             elif after.state == State.HOLDING and before.state != State.HOLDING:
                 plan = resting(reference.position_m, sampled_ns)
             elif (after.state == State.STOPPING and before.state != State.STOPPING) or plan.lease < 0:
                 plan = halting(
                     plan, reference, sampled_ns, p.motion, limits.travel_min_m, limits.travel_max_m
                 )
-            controller, answer = act(controller, estimate, reference, p.controller)
+            if asked.law is not None:
+                controller = change(controller, estimate, reference, law, asked.law)
+            controller, answer = act(controller, estimate, reference, asked.law or law)
             law_v, s, ustar = answer.u_v, answer.s, answer.ustar
             command = emit(law_v, state.last_v, (1 + m.skipped) * h, p.output)
             if command.saturated:
@@ -230,6 +236,7 @@ class Axis:
             command.voltage_v,
             command.saturated,
             watched,
+            asked.law or law,
         )
         return Tick(
             t_ns,

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from pneud.chatter import horizon_s, mean_step_v
 from pneud.config import Config, FrictionConfig, cylinder_of, gas_of, valve_of
 from pneud.control.homogeneous import Feedback, feedback
+from pneud.control.tuning import MOST_H_OMEGA, bandwidth, delay_margin, is_hurwitz
 from pneud.parameters import command_delay_s, lead_s
 from pneud.physics.cylinder import F0
 
@@ -24,7 +25,6 @@ FASTEST_FILTER = 0.5  # ω h above which a sampled triple pole no longer filters
 PROBE_FORCE_N = 1.0
 LARGE_ERROR = 0.4  # of the stroke
 MOST_RECOVERY_RATIO = 10.0  # 134/13 rad/s came back from 400 mm in simulation, 188/13 rad/s did not
-MOST_H_OMEGA = 1.0  # twice the bandwidth gains a third of the error above it, more than half below it
 MOST_CHATTER_V = 0.1
 LEAST_NOISE_M_S2 = 1e-3  # taken where none is configured
 SMALL_ERROR_M = 1e-5  # where homogeneous gains are steepest in service: delay is judged here, too
@@ -68,40 +68,6 @@ def scaled_gains(omega_rad_s: float, error_m: float, alpha: float) -> Feedback:
         k2=3.0 * w ** (3.0 - unit.a2) * a ** (1.0 - unit.a2),
         k3=3.0 * w ** (3.0 - 2.0 * unit.a3) * a ** (1.0 - unit.a3),
     )
-
-
-def bandwidth(g: Feedback, error_m: float) -> float:
-    """ω [rad/s] of the linear loop with the same position gain at an error."""
-    return float((g.k1 * error_m ** (g.a1 - 1.0)) ** (1.0 / 3.0))
-
-
-def linearised(g: Feedback, error_m: float) -> tuple[float, float, float]:
-    """Gains of a linear feedback with equal terms at errors A, ωA, ω²A [1/s³, 1/s², 1/s]."""
-    w = bandwidth(g, error_m)
-    return (
-        w**3,
-        g.k2 * (w * error_m) ** (g.a2 - 1.0),
-        g.k3 * (w * w * error_m) ** (g.a3 - 1.0),
-    )
-
-
-def delay_margin(g: Feedback, error_m: float) -> float:
-    """Dead time [s] at which the linearised loop (g3 s² + g2 s + g1)/s³ loses its phase margin.
-
-    For a triple pole it is 0.407/ω. Zero where the loop is unstable without any.
-    """
-    g1, g2, g3 = linearised(g, error_m)
-    if g2 * g3 <= g1:
-        return 0.0
-    low, high = 0.0, g1 + g2 + g3 + 1.0  # Cauchy's bound on the crossover
-    for _ in range(200):
-        x = 0.5 * (low + high)
-        if math.hypot(g1 - g3 * x * x, g2 * x) > x**3:
-            low = x
-        else:
-            high = x
-    x = 0.5 * (low + high)
-    return max(0.0, math.atan2(g2 * x, g1 - g3 * x * x) - 0.5 * math.pi) / x
 
 
 def limit_cycle(g: Feedback, h: float) -> float:
@@ -295,11 +261,6 @@ def warnings(c: Config, p: Prediction) -> list[str]:
             f"forces are not estimated: {PROBE_FORCE_N:g} N costs {1e3 * p.static_error_m:.2g} mm at rest"
         )
     return found
-
-
-def is_hurwitz(g: Feedback) -> bool:
-    """Lemma 2: k2 k3 > k1."""
-    return g.k2 * g.k3 > g.k1
 
 
 def toml(c: Config) -> str:

@@ -20,6 +20,7 @@ __all__ = ["axis_of", "command_delay_s", "plant_of"]
 
 COMPUTING_S = 80e-6  # from the last sensor frame to the command's place on the wire
 FRAME_BITS, STUFFING = 47, 1.1
+BLEND_S = 0.1  # in which one set of gains gives way to another
 
 
 def command_delay_s(bus: BusConfig) -> float:
@@ -106,6 +107,7 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
         use_x3_hat=law.smooth_x3,
         use_force=law.estimate_force,
         force_rate_gain=1.0 - math.exp(-law.force_rate_bandwidth_rad_s * h),
+        blend_kept=math.exp(-h / BLEND_S),
     )
     return AxisParameters(
         controller=controller,

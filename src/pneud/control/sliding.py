@@ -51,6 +51,23 @@ def reaching(s: float, ahead_s: float, eta: float, implicit: bool) -> float:
     return math.copysign(eta, s) if s != 0.0 else 0.0
 
 
+def feedback_ustar(w1: float, w2: float, w3: float, ahead_s: float, p: Sliding) -> float:
+    """u* of (19) in the form asked for [m/s³]."""
+    if p.implicit:
+        return implicit_ustar(w1, w2, w3, ahead_s, p.gains)
+    return explicit_ustar(w1, w2, w3, p.gains)
+
+
+def resistance(
+    state: SlidingState, w1: float, w2: float, w3: float, d_hat: float, h: float, p: Sliding
+) -> float:
+    """What errors and disturbance take from the jerk in Z of (14), without blend [m/s³]."""
+    ahead_s = max(h, p.horizon_s)
+    d = d_hat if p.compensate_d else 0.0
+    s = w3 - state.integral
+    return feedback_ustar(w1, w2, w3, ahead_s, p) - reaching(s, ahead_s, p.eta, p.implicit) + d / p.M
+
+
 def law(
     state: SlidingState,
     w1: float,
@@ -66,6 +83,7 @@ def law(
     p: Sliding,
     valve: Valve,
     last_v: float = 0.0,
+    blend: float = 0.0,
 ) -> tuple[SlidingState, SlidingOutput]:
     """One tick of the law.
 
@@ -84,6 +102,7 @@ def law(
         p: parameters.
         valve: for the dead zone and the greatest opening.
         last_v: the command before this one [V].
+        blend: added to u*, to lead from one set of gains to another [m/s³].
 
     Returns:
         The state after this tick and the answer. Where the opening wanted is not the one that comes, because
@@ -91,10 +110,7 @@ def law(
         wind up.
     """
     ahead_s = max(h, p.horizon_s)
-    if p.implicit:
-        ustar = implicit_ustar(w1, w2, w3, ahead_s, p.gains)
-    else:
-        ustar = explicit_ustar(w1, w2, w3, p.gains)
+    ustar = blend + feedback_ustar(w1, w2, w3, ahead_s, p)
     s = w3 - state.integral
     d = d_hat if p.compensate_d else 0.0
     known = p.M * jerk_d - drift - d + force_rate

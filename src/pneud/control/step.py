@@ -13,7 +13,7 @@ from pneud.control.disturbance import observe as observe_disturbance
 from pneud.control.feedforward import FrictionAhead, bristles_under, friction_ahead
 from pneud.control.motion import MotionFilter, MotionState, at_rest, correct, predict
 from pneud.control.prediction import Motion, Rates, Spool, ahead, follow, later
-from pneud.control.sliding import Sliding, SlidingOutput, SlidingState, engage, law
+from pneud.control.sliding import Sliding, SlidingOutput, SlidingState, engage, law, resistance
 from pneud.physics.cylinder import F0, Cylinder, F1_exhaust, F1_fill, x3_of
 from pneud.physics.friction import Friction
 from pneud.physics.gas import Gas
@@ -41,6 +41,7 @@ class Controller(NamedTuple):
     use_x3_hat: bool  # x̂3 of the observer in place of x3: less noise
     use_force: bool  # F̂ in w3
     force_rate_gain: float  # of the low-pass for the rate of F̂ in Z; 0 leaves it out
+    blend_kept: float = 0.0  # part of the blend that is left a sample later
 
 
 class ControllerState(NamedTuple):
@@ -57,6 +58,7 @@ class ControllerState(NamedTuple):
     force_rate: float  # rate of F̂ beyond the friction fed forward [N/s]
     bristles_m: float  # of the friction fed forward
     force_step_n: float  # that friction's gain until the next sample
+    blend: float = 0.0  # leads from one set of gains to another [m/s³]
 
 
 def start(position_m: float, p1_pa: float, p2_pa: float, supply_pa: float, p: Controller) -> ControllerState:
@@ -149,6 +151,7 @@ def observe(
             force_rate,
             state.bristles_m,
             0.0,  # until `act` knows better
+            state.blend,
         ),
         Estimate(motion.x, motion.v, motion.F, x3, observer.x_hat, observer.d_hat, motion.innovation, u_mean),
     )
@@ -183,9 +186,24 @@ def errors(m: Motion, r: Reference, M: float) -> tuple[float, float, float]:
 
 def join(state: ControllerState, e: Estimate, r: Reference, p: Controller) -> ControllerState:
     """The state with s(0) = 0 for a law that takes over now; the bristles take what force they can."""
-    state = _with(state, state.sliding, bristles_under(e.force_n, p.friction), 0.0)
+    state = _with(state, state.sliding, bristles_under(e.force_n, p.friction), 0.0, 0.0)
     _, motion, goal = outlook(state, e, r, p)
-    return _with(state, engage(errors(motion, goal, p.cylinder.M)[2]), state.bristles_m, 0.0)
+    return _with(state, engage(errors(motion, goal, p.cylinder.M)[2]), state.bristles_m, 0.0, 0.0)
+
+
+def change(
+    state: ControllerState, e: Estimate, r: Reference, before: Controller, after: Controller
+) -> ControllerState:
+    """The state with which the next command under other gains is that of the gains before."""
+    blend = state.blend + _resistance(state, e, r, before) - _resistance(state, e, r, after)
+    return _with(state, state.sliding, state.bristles_m, state.force_step_n, blend)
+
+
+def _resistance(state: ControllerState, e: Estimate, r: Reference, p: Controller) -> float:
+    _, motion, goal = outlook(state, e, r, p)
+    w1, w2, w3 = errors(motion, goal, p.cylinder.M)
+    drift = state.f0 * motion.v / p.cylinder.M
+    return drift + resistance(state.sliding, w1, w2, w3, e.d_hat_n_s, p.h, p.sliding)
 
 
 def act(
@@ -209,12 +227,13 @@ def act(
         p.sliding,
         p.valve,
         state.applied_v,
+        state.blend,
     )
-    return _with(state, sliding, friction.bristles_m, friction.step_n), out
+    return _with(state, sliding, friction.bristles_m, friction.step_n, state.blend * p.blend_kept), out
 
 
 def _with(
-    s: ControllerState, sliding: SlidingState, bristles_m: float, force_step_n: float
+    s: ControllerState, sliding: SlidingState, bristles_m: float, force_step_n: float, blend: float
 ) -> ControllerState:
     # written out, since numba knows no _replace
     return ControllerState(
@@ -229,4 +248,5 @@ def _with(
         s.force_rate,
         bristles_m,
         force_step_n,
+        blend,
     )
