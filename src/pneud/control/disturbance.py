@@ -49,8 +49,9 @@ def observe(state: ObserverState, x3: float, f_mean: float, h: float, p: Observe
             return ObserverState(x3, state.d_hat - b / h, 0.0)
         a = h * root
         rho = -0.5 * a + math.sqrt(0.25 * a * a + abs(b) - c)
-        e3 = math.copysign(rho * rho, b)
-        return ObserverState(x3 + e3, state.d_hat - math.copysign(h * p.lambda1 * p.L, b), e3)
+        sign = 1.0 if b > 0.0 else -1.0  # that of a NaN would depend on the compiler
+        e3 = sign * (rho * rho)
+        return ObserverState(x3 + e3, state.d_hat - sign * (h * p.lambda1 * p.L), e3)
     e = state.e3
     size = abs(e)
     if p.form == MATCHED:
