@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from pneud.bus.codec import Codec, Codecs
-from pneud.bus.wire import wire_time_ns
+from pneud.bus.wire import CAN_ERR_FLAG, wire_time_ns
 from pneud.plant import dynamics
 from pneud.plant.dynamics import PlantState, initial_state, stroke_position
 from pneud.plant.parameters import PlantParameters
@@ -18,6 +18,7 @@ from pneud.plant.timing import Item, Wire
 from pneud.plant.valvenode import ValveNode
 from pneud.signals import EncoderStatus, Frame
 
+ENCODER_NODE, PRESSURE_NODE, VALVE_NODE = 0, 1, 2  # indices of the nodes
 PRESSURE_RANGE_PA = 1_310_700.0  # full scale of the pressure sensors, and of PRESSURE in pneud.dbc
 MAX_WAITING = 64  # frames from the bus that may wait for the wire; more are lost
 _START_NS = -(1 << 62)
@@ -45,6 +46,10 @@ class _Answer(NamedTuple):
     node: int  # index of the node's counter
     sync_ns: int  # send stamp of the SYNC it answers
     values: tuple[float, ...]
+
+
+class _Foreign(NamedTuple):
+    frame: Frame  # neither the controller's nor a node's own; all of them hear it
 
 
 class PlantNode:
@@ -134,13 +139,31 @@ class PlantNode:
                 duration = wire_time_ns(len(passed.data), self.p.bitrate_bit_s)
                 self._wire.add(Item(max(passed.stamp_ns, sent_ns), passed.can_id, duration, passed))
 
+    def put(self, frame: Frame) -> None:
+        """A frame of somebody else waits for the wire from its stamp on, no earlier than now.
+
+        An error frame is the report of a CAN controller: it goes out at its stamp and takes no time.
+        """
+        if frame.can_id & CAN_ERR_FLAG:
+            self._held.append(frame)
+        else:
+            duration = wire_time_ns(len(frame.data), self.p.bitrate_bit_s)
+            ready_ns = max(frame.stamp_ns, self._now_ns)
+            self._wire.add(Item(ready_ns, frame.can_id, duration, _Foreign(frame)))
+
+    def reboot(self, node: int) -> None:
+        """One of the nodes starts anew: its counter from 0, the valve node's output centred."""
+        self._counters[node] = 0
+        if node == VALVE_NODE:
+            self.valve.reboot()
+
     def due(self) -> int | None:
         """Earliest time [ns] at which `poll` may have a frame; None as long as no frame comes in."""
         times = [end for end, _ in self._ended] + [frame.stamp_ns for frame in self._held]
         upcoming = self._wire.upcoming
         if upcoming is not None:
             end, item = upcoming
-            if item.can_id in self._answer_ids:
+            if isinstance(item.load, (_Answer, _Foreign)):
                 times.append(end)
             else:
                 waiting = {other.can_id for other in self._wire.waiting}
@@ -192,11 +215,14 @@ class PlantNode:
         self._now_ns = max(self._now_ns, t_ns)
 
     def _end_of(self, end_ns: int, item: Item) -> None:
-        if item.can_id in self._answer_ids:
-            self._ended.append((end_ns, item.load))
+        load = item.load
+        if isinstance(load, _Answer):
+            self._ended.append((end_ns, load))
             return
+        if isinstance(load, _Foreign):
+            self._held.append(load.frame._replace(stamp_ns=end_ns))
+        frame: Frame = load.frame if isinstance(load, _Foreign) else load
         self._integrate(end_ns)
-        frame: Frame = item.load
         if item.can_id == self._command_id:
             self.valve.command(frame.data, end_ns)
         elif self._codecs.sync.valid(frame.data):

@@ -60,3 +60,15 @@ class ValveNode:
         self.output_v = 0.0
         if self.state != ValveState.FAULT:
             self.state = ValveState.TIMED_OUT
+
+    def reboot(self) -> None:
+        """Start anew, as after a loss of supply: centred, and without a command."""
+        self._last_counter = -1
+        self.state = ValveState.BOOT
+        self.output_v = 0.0
+        self.deadline_ns = NEVER_NS
+
+    def fail(self) -> None:
+        """The amplifier fails: centred for good."""
+        self.state = ValveState.FAULT
+        self.output_v = 0.0

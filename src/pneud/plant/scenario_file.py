@@ -1,0 +1,354 @@
+"""A scenario as a TOML file: what goes wrong, when, and what the axis is expected to do about it.
+
+Unknown keys are errors; units are part of the names.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Probability = Annotated[float, Field(gt=0, le=1)]
+
+Role = Literal["sync", "encoder", "pressure", "valve_status", "valve_command"]
+Node = Literal["encoder", "pressure", "valve"]
+Who = Literal["daemon", "recorder", "plant"]
+Signal = Literal[
+    "position_m", "encoder_status", "age_s", "p1_pa", "p2_pa", "supply_pa", "applied_v", "valve_state"
+]
+SIGNALS: dict[Signal, tuple[Role, int]] = {  # the frame it is in, and its place among the frame's values
+    "position_m": ("encoder", 0),
+    "encoder_status": ("encoder", 1),
+    "age_s": ("encoder", 2),
+    "p1_pa": ("pressure", 0),
+    "p2_pa": ("pressure", 1),
+    "supply_pa": ("pressure", 2),
+    "applied_v": ("valve_status", 0),
+    "valve_state": ("valve_status", 1),
+}
+TRAVEL_MM, IMPACT_M_S = 20.0, 0.05  # what an axis that is centred at once may use up, unless a reason is given
+
+
+class Part(BaseModel):
+    """A table of the file: unknown keys, NaN and infinity are errors, and nothing changes afterwards."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class When(Part):
+    """Conditions on the true load that must hold together."""
+
+    position_above_m: float | None = None
+    position_below_m: float | None = None
+    velocity_above_m_s: float | None = None
+    velocity_below_m_s: float | None = None
+
+
+class Fault(Part):
+    """What all faults have: when they begin, and for how long they last (without `for_s` to the end)."""
+
+    since: Literal["armed", "start"] = "armed"  # first valve command with Enable 1, or first SYNC
+    at_s: NonNegative = 0.0  # after that
+    when: When = When()  # and then as soon as this holds
+    for_s: Positive | None = None
+
+
+class FrameFault(Fault):
+    """Some of the frames of one kind or several."""
+
+    frames: Annotated[tuple[Role, ...], Field(min_length=1)]
+    probability: Probability = 1.0
+    every: Annotated[int, Field(ge=1)] = 1  # of this many frames of a kind, one …
+    phase: Annotated[int, Field(ge=0)] = 0  # … this one
+    keep: bool = False  # all but that one
+
+
+class Drop(FrameFault):
+    """Frames get lost."""
+
+    kind: Literal["drop"]
+
+
+class Duplicate(FrameFault):
+    """Frames come twice."""
+
+    kind: Literal["duplicate"]
+
+
+class Reorder(FrameFault):
+    """A frame comes after the next one of its kind."""
+
+    kind: Literal["reorder"]
+
+
+class Corrupt(FrameFault):
+    """One bit of a frame is wrong."""
+
+    kind: Literal["corrupt"]
+
+
+class Freeze(FrameFault):
+    """Frames repeat the last one before the fault, counter included."""
+
+    kind: Literal["freeze"]
+
+
+class Delay(FrameFault):
+    """Frames come late, by a time or a part of the controller's period."""
+
+    kind: Literal["delay"]
+    delay_ms: NonNegative = 0.0
+    delay_periods: NonNegative = 0.0
+
+
+class Babble(Fault):
+    """Somebody sends frames of its own, evenly in time, with a priority by its identifier."""
+
+    kind: Literal["babble"]
+    can_id: Annotated[int, Field(ge=0, le=0x7FF)]
+    load: Annotated[float, Field(gt=0, le=1)] | None = None  # part of the bus's capacity
+    per_period: Annotated[int, Field(ge=1, le=50)] | None = None  # or frames per period of the controller
+    data: Annotated[str, Field(pattern=r"^([0-9a-fA-F]{2}){0,8}$")] = "0000000000000000"
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Babble:
+        if (self.load is None) == (self.per_period is None):
+            raise ValueError("give either load or per_period")
+        return self
+
+
+class BusOff(Fault):
+    """A CAN controller leaves the bus: nothing goes in or out, then it is back."""
+
+    kind: Literal["bus_off"]
+    of: Literal["controller", "encoder", "pressure", "valve"]
+
+
+class ErrorFrames(Fault):
+    """The CAN controller reports errors."""
+
+    kind: Literal["error_frames"]
+    error_class: Annotated[int, Field(ge=1, le=0x1FF)] = 0x88  # protocol violation, bus error
+    per_period: Annotated[int, Field(ge=1, le=20)] = 1
+
+
+class Silence(Fault):
+    """Nodes send nothing, and go on hearing."""
+
+    kind: Literal["silence"]
+    nodes: Annotated[tuple[Node, ...], Field(min_length=1)]
+
+
+class Reboot(Fault):
+    """A node starts anew; `for_s` is how long that takes."""
+
+    kind: Literal["reboot"]
+    node: Node
+    for_s: Positive = 0.02
+
+
+class Emcy(Fault):
+    """A node sends a CANopen emergency."""
+
+    kind: Literal["emcy"]
+    node: Node
+    code: Annotated[int, Field(ge=0, le=0xFFFF)]
+
+
+class ValveFailure(Fault):
+    """The valve's amplifier fails: its node centres for good and reports a fault."""
+
+    kind: Literal["valve_failure"]
+
+
+class Value(Fault):
+    """A node reports another value than it has: stuck at the last one, offset, drifting, scaled, or set."""
+
+    kind: Literal["stuck", "offset", "drift", "scale", "set"]
+    signal: Signal
+    value: float = 0.0  # in the signal's unit; drift: per second; scale: factor
+
+
+class Supply(Fault):
+    """The supply pressure changes [Pa, absolute]."""
+
+    kind: Literal["supply"]
+    supply_pa: Positive
+    ramp_s: NonNegative = 0.0
+
+
+class Leak(Fault):
+    """A hole from a chamber to the atmosphere: `size` in openings of the whole valve; a burst hose is a big one."""
+
+    kind: Literal["leak"]
+    chamber: Literal[1, 2]
+    size: Annotated[float, Field(gt=0, le=20)]
+
+
+class ValveStuck(Fault):
+    """The valve's spool stands still, whatever its amplifier puts out."""
+
+    kind: Literal["valve_stuck"]
+    opening_percent: Annotated[float, Field(ge=-100, le=100)]
+
+
+class Seized(Fault):
+    """The piston does not move."""
+
+    kind: Literal["seized"]
+
+
+class Mass(Fault):
+    """The moving mass changes by a factor: the load falls off, or something falls on it."""
+
+    kind: Literal["mass"]
+    factor: Annotated[float, Field(gt=0, le=100)]
+
+
+class Friction(Fault):
+    """All friction grows by a factor."""
+
+    kind: Literal["friction"]
+    factor: Annotated[float, Field(gt=0, le=1000)]
+
+
+class Force(Fault):
+    """A force pushes the load [N, in the direction of positive motion], steady or as a sine."""
+
+    kind: Literal["force"]
+    force_n: float
+    frequency_hz: NonNegative = 0.0
+
+
+class Stop(Fault):
+    """A process stands still (SIGSTOP) and goes on."""
+
+    kind: Literal["stop"]
+    who: Who
+    for_s: Positive
+
+
+class Kill(Fault):
+    """A process is killed (SIGKILL)."""
+
+    kind: Literal["kill"]
+    who: Who
+
+
+class Hog(Fault):
+    """Processes that do nothing but take the CPU."""
+
+    kind: Literal["hog"]
+    processes: Annotated[int, Field(ge=1, le=64)] = 4
+
+
+class ClockStep(Fault):
+    """The machine's wall clock is set, and set back when the fault is over."""
+
+    kind: Literal["clock_step"]
+    step_s: float
+    for_s: Positive = 1.0
+
+
+class LogFull(Fault):
+    """The log may not grow any further (RLIMIT_FSIZE of the recorder), as on a full disk."""
+
+    kind: Literal["log_full"]
+
+
+class Descriptors(Fault):
+    """A process can open no further files (RLIMIT_NOFILE)."""
+
+    kind: Literal["descriptors"]
+    who: Who
+
+
+class Interface(Fault):
+    """The CAN interface goes down, is deleted, or takes no more frames; all is well again when it is over."""
+
+    kind: Literal["link_down", "link_deleted", "queue_full"]
+
+
+BUS = Drop | Duplicate | Reorder | Corrupt | Freeze | Delay | Babble | BusOff | ErrorFrames
+NODES = Silence | Reboot | Emcy | ValveFailure | Value
+PLANT = Supply | Leak | ValveStuck | Seized | Mass | Friction | Force
+MACHINE = Stop | Kill | Hog | ClockStep | LogFull | Descriptors | Interface
+AnyFault = Annotated[BUS | NODES | PLANT | MACHINE, Field(discriminator="kind")]
+
+
+class Evidence(Part):
+    """From when on the fault can be seen on the bus: a value beyond a bound in a frame."""
+
+    signal: Signal
+    above: float | None = None
+    below: float | None = None
+
+
+class Expect(Part):
+    """What the axis does about it."""
+
+    reaction: Literal["centre", "stop", "no_arm", "warn", "none"]
+    faults: tuple[str, ...] = ()  # names of the fault table; all of them …
+    also: tuple[str, ...] = ()  # … and of these some may come along
+    after: Literal["evidence", "sensor_timeout", "valve_timeout", "onset"] = "evidence"
+    evidence: Evidence | None = None  # without one: the first frame that the fault has touched
+    within_ticks: Annotated[int, Field(ge=1)] = 2  # from there to 0 V on the bus
+    within_ms: Positive | None = None  # in place of it: from the fault's onset, where no frame shows it
+    travel_mm: Positive = TRAVEL_MM
+    impact_m_s: NonNegative = IMPACT_M_S
+    reason: str = ""  # why more travel or a harder impact than usual cannot be avoided
+
+    @model_validator(mode="after")
+    def _told(self) -> Expect:
+        if (self.travel_mm > TRAVEL_MM or self.impact_m_s > IMPACT_M_S) and not self.reason:
+            raise ValueError(
+                f"more than {TRAVEL_MM:g} mm of travel or an impact above {IMPACT_M_S:g} m/s needs a reason"
+            )
+        if self.reaction not in ("none",) and not self.faults:
+            raise ValueError("names no fault of the table")
+        return self
+
+
+class Scenario(Part):
+    """One scenario."""
+
+    schema_: Annotated[Literal[1], Field(alias="schema")]
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,63}$")]
+    description: str
+    config: str = "virtual.toml"  # the axis, where none is named with --config
+    change: dict[str, Any] = Field(default_factory=dict)  # what the axis's configuration says differently
+    duration_s: Positive = 6.0
+    fault: Annotated[tuple[AnyFault, ...], Field(min_length=1)]
+    expect: Expect
+
+    @property
+    def needs_machine(self) -> bool:
+        """Whether it takes a real machine: the simulation has neither processes nor clock nor files."""
+        return any(isinstance(f, (Kill, Hog, ClockStep, LogFull, Descriptors)) for f in self.fault)
+
+    @property
+    def needs_interface(self) -> bool:
+        """Whether it takes an interface of the kernel, and the right to change it."""
+        return any(isinstance(f, Interface) for f in self.fault)
+
+
+KINDS = tuple(
+    kind
+    for cls in get_args(BUS | NODES | PLANT | MACHINE)
+    for kind in get_args(cls.model_fields["kind"].annotation)
+)
+
+
+def parse_scenario(text: str) -> Scenario:
+    """A scenario from the text of its file.
+
+    Raises:
+        tomllib.TOMLDecodeError: not TOML.
+        pydantic.ValidationError: not a scenario.
+    """
+    return Scenario.model_validate(tomllib.loads(text))
+
