@@ -32,6 +32,9 @@ SocketOption = Annotated[
     str | None,
     typer.Option("--socket", metavar="PATH", help="The daemon's socket."),
 ]
+ScenarioOption = Annotated[
+    str | None, typer.Option("--scenario", metavar="NAME", help="Faults to inject: pneud's own, or a file.")
+]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of the plant's noise.")]
 
 
@@ -61,6 +64,7 @@ def daemon(
     log: Annotated[
         str | None, typer.Option("--log", metavar="PATH", help="Log file (.mcap) or folder.")
     ] = None,
+    scenario: ScenarioOption = None,
     seed: SeedOption = 0,
     socket: SocketOption = None,
     version: Annotated[  # noqa: ARG001
@@ -80,6 +84,7 @@ def daemon(
             ("--headless", headless),
             ("--json", json),
             ("--log", log),
+            ("--scenario", scenario),
             ("--seed", seed),
             ("--socket", socket),
         )
@@ -95,6 +100,8 @@ def daemon(
             _fail("needs --virtual, or --config for a rig; see pneud --help")
         typer.echo(ctx.get_help())
         raise typer.Exit(DONE)
+    if scenario is not None and not virtual:
+        _fail("--scenario is for the software rig: pneud --virtual, plant or sim")
     if duration is not None and not 0.0 < duration < 1e9:
         _fail(f"--duration {duration:g}: must be a positive number of seconds")
     if sys.platform != "linux":
@@ -105,7 +112,7 @@ def daemon(
     _exit(
         run,
         RunOptions(
-            config=config or "virtual.toml",
+            config=config,
             bus=bus if bus is not None else ("auto" if virtual else None),
             virtual=virtual,
             arm=arm,
@@ -114,6 +121,7 @@ def daemon(
             headless=headless,
             json=json,
             log=log,
+            scenario=scenario,
             seed=seed,
             socket=socket,
         ),
@@ -124,21 +132,27 @@ def daemon(
 def plant(
     bus: Annotated[str, typer.Option("--bus", metavar="BUS", help="socketcan:IF (a vcan) or unixcan:NAME.")],
     config: ConfigOption = None,
+    scenario: ScenarioOption = None,
     seed: SeedOption = 0,
 ) -> None:
     """The software plant node alone."""
     from pneud.verbs.plant import plant as verb
 
-    _exit(verb, config or "virtual.toml", bus, seed)
+    _exit(verb, config, bus, scenario, seed)
 
 
 @app.command()
 def sim(
-    file: Annotated[str, typer.Argument(metavar="FILE", help="Configuration.")] = "virtual.toml",
+    file: Annotated[
+        str | None, typer.Argument(metavar="FILE", help="Configuration; default virtual.toml.")
+    ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="LOG", help="Write a log (.mcap).")
     ] = None,
-    duration: Annotated[float, typer.Option("--duration", metavar="S", help="Simulated time.")] = 10.0,
+    duration: Annotated[
+        float | None, typer.Option("--duration", metavar="S", help="Simulated time; default 10 s.")
+    ] = None,
+    scenario: ScenarioOption = None,
     seed: SeedOption = 0,
     compare: Annotated[
         bool,
@@ -150,14 +164,14 @@ def sim(
 ) -> None:
     """The same axis and plant in simulated time, faster than real time, the same for a seed."""
     if compare:
-        if output is not None or seed:
-            _fail("--compare writes no log and has its own seed; leave out -o and --seed")
+        if output is not None or seed or scenario is not None:
+            _fail("--compare writes no log and has its own seed; leave out -o, --seed and --scenario")
         from pneud.verbs.compare import compare_laws
 
-        _exit(compare_laws, file, duration, json)
+        _exit(compare_laws, file or "virtual.toml", 10.0 if duration is None else duration, json)
     from pneud.verbs.simulate import simulate as verb
 
-    _exit(verb, file, output, duration, seed, json)
+    _exit(verb, file, output, duration, seed, scenario, json)
 
 
 @app.command()

@@ -91,6 +91,7 @@ class Loop:
         self.skipped = 0
         self.state = int(State.STARTING)
         self.ever_latched = 0
+        self.ever_present = 0
         self.present = 0
         self.refused = 0  # faults that showed only when the axis was asked to arm
         self.recorder_lost = False
@@ -266,6 +267,7 @@ class Loop:
                 service.report(t_ns, behind, tick.state, tick.latched or present)
                 behind = 0
             self.ever_latched |= tick.latched
+            self.ever_present |= tick.present
             if not self._shut:
                 self.ticks += 1
                 self.skipped += skipped

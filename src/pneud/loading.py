@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
+import tomllib
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
 from pneud import resources
 from pneud.bus.codec import Codecs, DatabaseError, load_codecs
-from pneud.config import BusConfig, Config, ConfigError, check_channel, explain, load_with_text
+from pneud.config import (
+    BusConfig,
+    Config,
+    ConfigError,
+    check_channel,
+    explain,
+    load_with_text,
+    parse,
+)
+from pneud.plant.scenario_file import Scenario, parse_scenario
 
 SYNC_COUNTERS = 240  # SYNC counts 1 … 240
 
@@ -25,18 +36,24 @@ class Loaded(NamedTuple):
     codecs: Codecs
 
 
-def load(config_file: str | Path, rate_hz: float | None = None) -> Loaded:
+def load(
+    config_file: str | Path, rate_hz: float | None = None, change: dict[str, Any] | None = None
+) -> Loaded:
     """Load a configuration and its DBC.
 
     Args:
         config_file: path, or bare name of one that comes with pneud.
         rate_hz: another rate than the configuration's.
+        change: values to put in place of the file's, in tables like the file's; the text says so, too.
 
     Raises:
         ConfigError: the configuration cannot be used.
         DatabaseError: the DBC cannot be used.
     """
     config, text, path = load_with_text(config_file)
+    if change:
+        text = toml_text(_merged(tomllib.loads(text), change))
+        config = parse(text, f"{path} as changed")
     if rate_hz is not None:
         config = at_rate(config, rate_hz)
     try:
@@ -63,6 +80,72 @@ def codecs_of(bus: BusConfig, name: str, dbc: bytes) -> Codecs:
         file = Path(folder) / (Path(name).name or "log.dbc")
         file.write_bytes(dbc)
         return load_codecs(bus, file)
+
+
+def load_axis(config_file: str | None, rate_hz: float | None, scenario: Scenario | None) -> Loaded:
+    """The axis of a virtual run, as a scenario wants it: the one named, the scenario's, or virtual.toml.
+
+    Raises:
+        ConfigError: the configuration cannot be used.
+        DatabaseError: the DBC cannot be used.
+    """
+    if scenario is None:
+        return load(config_file or "virtual.toml", rate_hz)
+    return load(config_file or scenario.config, rate_hz, scenario.change)
+
+
+def load_scenario(file: str | Path) -> Scenario:
+    """Load a scenario.
+
+    Args:
+        file: path, or bare name of one that comes with pneud, with or without ".toml".
+
+    Raises:
+        ConfigError: the scenario cannot be used.
+    """
+    name = str(file)
+    try:
+        path = resources.find(name if name.endswith(".toml") else f"{name}.toml")
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ConfigError(
+            f"{file}: no such scenario; those of pneud are in {resources.scenarios()}"
+        ) from None
+    except (OSError, UnicodeDecodeError) as e:
+        raise ConfigError(f"{file}: cannot be read: {e}") from None
+    try:
+        return parse_scenario(text)
+    except tomllib.TOMLDecodeError as e:
+        raise ConfigError(f"{path}: not valid TOML: {e}") from None
+    except ValidationError as e:
+        raise ConfigError(f"{path}: {explain(e)}") from None
+
+
+def toml_text(data: dict[str, Any], prefix: str = "") -> str:
+    """Tables of plain values as TOML."""
+    plain = [f"{key} = {_toml_value(v)}" for key, v in data.items() if not isinstance(v, dict)]
+    tables = [
+        f"\n[{prefix}{key}]\n{toml_text(v, f'{prefix}{key}.')}"
+        for key, v in data.items()
+        if isinstance(v, dict)
+    ]
+    return "".join(f"{line}\n" for line in plain) + "".join(tables)
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value)
+    return repr(value)
+
+
+def _merged(data: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:
+    result = dict(data)
+    for key, value in change.items():
+        below = result.get(key)
+        result[key] = _merged(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
+    return result
 
 
 def _check_ranges(config: Config, codecs: Codecs, dbc: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import mmap
 import os
 import signal
@@ -11,7 +12,7 @@ import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 from pneud.bus.codec import Codecs
 from pneud.bus.link import Link, LinkError, open_link
@@ -23,6 +24,8 @@ from pneud.log.ring import Ring
 from pneud.plant.node import Advance, PlantNode
 from pneud.plant.parameters import PlantParameters
 from pneud.plant.process import serve
+from pneud.plant.scenario import Engine
+from pneud.plant.scenario_file import Scenario
 from pneud.plant.truth import TruthWriter
 from pneud.rt import setup
 from pneud.safety.faults import FAULT_NAMES
@@ -57,6 +60,23 @@ def _in_child(main: Callable[[], None]) -> NoReturn:
         os._exit(status)
 
 
+class Stage(NamedTuple):
+    """A scenario, and the pipes between its process and the others."""
+
+    scenario: Scenario
+    rate_hz: float  # of the controller
+    report: int  # to write what plant and bus have shown
+    orders: int  # to write numbers of faults of the machine
+
+    def engine(self, p: PlantParameters, codecs: Codecs, seed: int, advance: Advance) -> Engine:
+        """Plays the scenario on a plant."""
+
+        def order(number: int) -> None:
+            os.write(self.orders, bytes((number,)))
+
+        return Engine(self.scenario, p, codecs, seed, self.rate_hz, order, advance)
+
+
 def fork_plant(
     channel: str,
     inherited: Link,
@@ -66,6 +86,7 @@ def fork_plant(
     truth: mmap.mmap,
     priority: int,
     advance: Advance,
+    stage: Stage | None = None,
 ) -> int:
     """The software plant on the same bus.
 
@@ -78,6 +99,7 @@ def fork_plant(
         truth: shared memory for the true positions.
         priority: real-time priority to try for, since frames that come late are not what a real bus does.
         advance: what integrates the plant.
+        stage: a scenario to play.
     """
     parent = os.getpid()
 
@@ -93,9 +115,13 @@ def fork_plant(
         setup.die_with_parent(parent)
         inherited.close()
         with open_link(channel, virtual=True) as link:
-            node = PlantNode(p, codecs, seed, advance=advance)
+            engine = stage.engine(p, codecs, seed, advance) if stage is not None else None
+            node = engine.node if engine is not None else PlantNode(p, codecs, seed, advance=advance)
             setup.apply(priority, None, False)
             serve(link, node, stop=lambda: stopped, truth=TruthWriter(truth))
+        if stage is not None and engine is not None:
+            engine.settle()
+            os.write(stage.report, json.dumps(engine.effects.as_dict()).encode())
 
     return fork(main)
 

@@ -6,9 +6,10 @@ Wraps the undamaged plant's own step, which stays as it is.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
-from pneud.plant.chamber import outflow, relax
+from pneud.plant.chamber import exchange
 from pneud.plant.dynamics import PlantState, advance
 from pneud.plant.parameters import PlantParameters
 
@@ -26,22 +27,12 @@ UNDAMAGED = Damage()
 SEIZED_KG = 1e12
 
 
-def leak(
-    state: PlantState, damage: Damage, h: float, p: PlantParameters
-) -> PlantState:
+def leak(state: PlantState, damage: Damage, h: float, p: PlantParameters) -> PlantState:
     """Pressures after both chambers have blown through their holes for `h` [s] at fixed volume."""
     c, g = p.cylinder, p.gas
-    # the flow through a fully open valve, as in `dynamics.step`
-    rate = p.polytropic_exponent / g.k * c.c1 * p.valve.u_max_v
-    p1, p2 = state.p1, state.p2
-    if damage.leak1 > 0.0:
-        hole = damage.leak1 * rate / (c.A1 * state.x1)
-        flow, slope = outflow(p1, g.atmosphere_pa, True, g)
-        p1 = relax(p1, g.atmosphere_pa, -hole * flow, -hole * slope, 0.0, h)
-    if damage.leak2 > 0.0:
-        hole = damage.leak2 * rate / (c.A2 * (c.L - state.x1))
-        flow, slope = outflow(p2, g.atmosphere_pa, True, g)
-        p2 = relax(p2, g.atmosphere_pa, -hole * flow, -hole * slope, 0.0, h)
+    full = p.polytropic_exponent / g.k * c.c1 * p.valve.u_max_v  # as the valve, fully open
+    p1 = exchange(state.p1, g.atmosphere_pa, damage.leak1 * full / (c.A1 * state.x1), 0.0, h, g)
+    p2 = exchange(state.p2, g.atmosphere_pa, damage.leak2 * full / (c.A2 * (c.L - state.x1)), 0.0, h, g)
     return state._replace(p1=p1, p2=p2)
 
 
@@ -53,6 +44,7 @@ def advance_damaged(
     t1_s: float,
     p: PlantParameters,
     damage: Damage,
+    inner: Callable[..., PlantState] = advance,
 ) -> PlantState:
     """As `dynamics.advance`, with damage; leaks act in half steps before and after each of its steps.
 
@@ -64,6 +56,7 @@ def advance_damaged(
         t1_s: end.
         p: the plant.
         damage: what is broken.
+        inner: `dynamics.advance` or its compiled version.
     """
     if damage.spool_v is not None:
         command_v = damage.spool_v
@@ -71,12 +64,12 @@ def advance_damaged(
         state = state._replace(v=0.0, a=0.0)
         p = p._replace(cylinder=p.cylinder._replace(M=SEIZED_KG))
     if damage.leak1 == 0.0 == damage.leak2:
-        return advance(state, command_v, force_ext_n, t0_s, t1_s, p)
+        return inner(state, command_v, force_ext_n, t0_s, t1_s, p)
     count = max(1, math.ceil((t1_s - t0_s) / p.step_s - 1e-6))
     h = (t1_s - t0_s) / count
     for i in range(count):
         t_s = t0_s + i * h
         state = leak(state, damage, 0.5 * h, p)
-        state = advance(state, command_v, force_ext_n, t_s, t_s + h, p)
+        state = inner(state, command_v, force_ext_n, t_s, t_s + h, p)
         state = leak(state, damage, 0.5 * h, p)
     return state

@@ -30,7 +30,7 @@ SIGNALS: dict[Signal, tuple[Role, int]] = {  # the frame it is in, and its place
     "applied_v": ("valve_status", 0),
     "valve_state": ("valve_status", 1),
 }
-TRAVEL_MM, IMPACT_M_S = 20.0, 0.05  # what an axis that is centred at once may use up, unless a reason is given
+TRAVEL_MM, IMPACT_M_S = 20.0, 0.05  # what an axis may use up after a fault, unless a reason is given
 
 
 class Part(BaseModel):
@@ -182,7 +182,7 @@ class Supply(Fault):
 
 
 class Leak(Fault):
-    """A hole from a chamber to the atmosphere: `size` in openings of the whole valve; a burst hose is a big one."""
+    """A hole from a chamber to the atmosphere, `size` times as wide as the open valve."""
 
     kind: Literal["leak"]
     chamber: Literal[1, 2]
@@ -236,7 +236,7 @@ class Kill(Fault):
     """A process is killed (SIGKILL)."""
 
     kind: Literal["kill"]
-    who: Who
+    who: Literal["recorder", "plant"]
 
 
 class Hog(Fault):
@@ -321,14 +321,21 @@ class Scenario(Part):
     description: str
     config: str = "virtual.toml"  # the axis, where none is named with --config
     change: dict[str, Any] = Field(default_factory=dict)  # what the axis's configuration says differently
-    duration_s: Positive = 6.0
+    duration_s: Positive = 3.0
+    simulated: bool = True  # False where it takes a machine for another reason than its faults
     fault: Annotated[tuple[AnyFault, ...], Field(min_length=1)]
     expect: Expect
 
     @property
     def needs_machine(self) -> bool:
         """Whether it takes a real machine: the simulation has neither processes nor clock nor files."""
-        return any(isinstance(f, (Kill, Hog, ClockStep, LogFull, Descriptors)) for f in self.fault)
+        real = (Kill, Hog, ClockStep, LogFull, Descriptors)
+        return not self.simulated or any(isinstance(fault, real) for fault in self.fault)
+
+    @property
+    def orders(self) -> bool:
+        """Whether it does anything to the machine."""
+        return any(isinstance(fault, MACHINE) for fault in self.fault)
 
     @property
     def needs_interface(self) -> bool:
@@ -351,4 +358,3 @@ def parse_scenario(text: str) -> Scenario:
         pydantic.ValidationError: not a scenario.
     """
     return Scenario.model_validate(tomllib.loads(text))
-

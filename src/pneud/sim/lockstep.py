@@ -14,9 +14,12 @@ from pneud.bus.inbox import Inbox
 from pneud.compiled.law import INTERPRETED, Law, law
 from pneud.loading import Loaded, load
 from pneud.plant.node import PlantNode
+from pneud.plant.scenario import Engine
+from pneud.plant.scenario_file import Scenario
 from pneud.safety.faults import BLOCKS_ARM
 from pneud.safety.supervisor import is_engaged
-from pneud.signals import Frame, Record, Request, RequestKind, State, Timing
+from pneud.signals import Frame, Host, Record, Request, RequestKind, State, Timing
+from pneud.sim.machine import DOWN, HEALTHY, SimulatedMachine
 
 START_NS = 1_000_000_000
 COMPUTING_NS = 100_000  # from the last answer to the command's send()
@@ -34,20 +37,31 @@ class Simulation:
         seed: int = 0,
         how: Law = INTERPRETED,
         requests: Mapping[int, Request] | None = None,
+        scenario: Scenario | None = None,
     ) -> None:
         """A run that has not begun.
 
         Args:
             loaded: the axis.
             duration_s: simulated time until the axis is told to shut down.
-            seed: of the sensors' noise.
+            seed: of the sensors' noise, and of what a scenario leaves to chance.
             how: axis and plant are computed.
             requests: what is asked in which tick, counted from 0; without it the axis arms and tracks.
+            scenario: faults to inject; what it asks of the machine is left out where it is not simulated.
         """
         self._requests = requests
         self.axis = how.axis(parameters.axis_of(loaded.config, loaded.codecs.command_lsb_v))
         self.inbox = Inbox(loaded.codecs, loaded.config.bus)
-        self.node = PlantNode(parameters.plant_of(loaded.config), loaded.codecs, seed, advance=how.advance)
+        rig, rate_hz = parameters.plant_of(loaded.config), loaded.config.loop.rate_hz
+        self._machine = SimulatedMachine(scenario, round(1e9 / rate_hz))
+        if scenario is None:
+            self.engine = None
+            self.node = PlantNode(rig, loaded.codecs, seed, advance=how.advance)
+        else:
+            self.engine = Engine(
+                scenario, rig, loaded.codecs, seed, rate_hz, self._machine.begin, how.advance
+            )
+            self.node = self.engine.node
         self.shut = False  # the run is over and the axis is coming to rest
         self.tx = 0
         self._codecs = loaded.codecs
@@ -61,21 +75,33 @@ class Simulation:
         armed, idle, count = False, 0, 0
         last_state, last_present = int(State.STARTING), 0
         left_over: list[Frame] = []
+        machine, stalled, foreign = self._machine, 0, 0
         while idle < END_TICKS:
-            t_ns = START_NS + count * self._period_ns
+            skipped = machine.skip(START_NS + (count + stalled) * self._period_ns)
+            stalled += skipped
+            t_ns = START_NS + (count + stalled) * self._period_ns
+            link = machine.link(t_ns)
             frames = self.node.poll(t_ns)
-            left_over.extend(frames)
+            if link != DOWN and not machine.plant_stands(t_ns):
+                left_over.extend(frames)
             before = len(left_over)
             for frame in left_over:
                 self.inbox.feed(frame)
             sync_frame = Frame(t_ns, sync.can_id, sync.encode(counter=count % SYNC_COUNTERS + 1))
-            self.node.on_frame(sync_frame)
+            if link == HEALTHY:
+                self.node.on_frame(sync_frame)
             self.inbox.begin(t_ns)
             answers = self.node.poll(t_ns + self._wait_ns)
+            if link == DOWN or machine.plant_stands(t_ns):
+                answers = []
             for frame in answers:
                 self.inbox.feed(frame)
             done_ns = answers[-1].stamp_ns if self.inbox.complete else t_ns + self._wait_ns
-            measurement = self.inbox.measurement(0, self.inbox.conditions)
+            foreign, known = self.inbox.foreign, foreign
+            host = self.inbox.conditions | machine.host(link)
+            if foreign != known:
+                host |= int(Host.OTHER_CONTROLLER)
+            measurement = self.inbox.measurement(skipped, host)
 
             request = None
             if not self.shut and count >= self._total:
@@ -97,20 +123,28 @@ class Simulation:
                 counter=count & command.counter_mask,
             )
             command_frame = Frame(sent_ns, command.can_id, data)
-            self.node.on_frame(command_frame)
-            self.tx += 2
+            if link == HEALTHY:
+                self.node.on_frame(command_frame)
+                self.tx += 2
             yield Record(
                 tick,
                 Timing(0, done_ns - t_ns, 0, COMPUTING_NS, COMPUTING_NS, -1),
                 (*left_over, *answers),
                 before,
-                (sync_frame, command_frame),
+                (sync_frame, command_frame)
+                if link == HEALTHY
+                else (unsent(sync_frame), unsent(command_frame)),
                 self.node.truth().position_m,
             )
             left_over = []
             count += 1
             over = self.shut or tick.state == State.FAULT
             idle = idle + 1 if over and not is_engaged(tick.state) else 0
+
+
+def unsent(frame: Frame) -> Frame:
+    """The frame as it stands in the log where it could not be sent."""
+    return frame._replace(stamp_ns=-1)
 
 
 def simulate(config_file: str | Path, duration_s: float = 10.0, seed: int = 0) -> Iterator[Record]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import sys
 
@@ -9,15 +10,18 @@ from pneud import parameters
 from pneud.bus.link import open_link, refuse_if_driven
 from pneud.compiled.law import law
 from pneud.config import ConfigError
-from pneud.loading import bus_name, listening_s, load
+from pneud.loading import bus_name, listening_s, load_axis, load_scenario
 from pneud.plant.node import PlantNode
 from pneud.plant.process import serve
+from pneud.plant.scenario import Engine
 from pneud.rt import setup
 from pneud.signals import ValveState
 
 
-def plant(config_file: str, bus: str, seed: int) -> int:
+def plant(config_file: str | None, bus: str, scenario_file: str | None, seed: int) -> int:
     """Run the plant until Ctrl-C or SIGTERM; says on standard error what its valve node does.
+
+    With a scenario, standard output gets what plant and bus have shown of it, as one JSON object.
 
     Raises:
         ConfigError: the configuration or the bus name cannot be used.
@@ -25,7 +29,10 @@ def plant(config_file: str, bus: str, seed: int) -> int:
         LinkError: the bus cannot be used, or is no virtual one.
         BuildError: the compiled law is required and cannot be had.
     """
-    axis = load(config_file)
+    scenario = load_scenario(scenario_file) if scenario_file is not None else None
+    if scenario is not None and scenario.orders:
+        raise ConfigError(f"scenario {scenario.name}: reaches beyond the plant; pneud --virtual --scenario")
+    axis = load_axis(config_file, None, scenario)
     config = axis.config
     channel = bus_name(bus, config)
     if channel == "auto":
@@ -46,8 +53,15 @@ def plant(config_file: str, bus: str, seed: int) -> int:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, stop)
         how = law(config.loop.compiled, parameters.axis_of(config, codecs.command_lsb_v))
-        node = PlantNode(parameters.plant_of(config), codecs, seed, advance=how.advance)
+        rig, rate_hz = parameters.plant_of(config), config.loop.rate_hz
+        engine = None
+        if scenario is not None:
+            engine = Engine(scenario, rig, codecs, seed, rate_hz, advance=how.advance)
+        node = engine.node if engine is not None else PlantNode(rig, codecs, seed, advance=how.advance)
         print(f"plant {config.name} on {link.name}; Ctrl-C stops", file=sys.stderr, flush=True)
         setup.apply(max(0, config.realtime.priority - 10), None, False)
         serve(link, node, stop=lambda: stopped, on_valve_state=say)
+    if engine is not None:
+        engine.settle()
+        print(json.dumps(engine.effects.as_dict()))
     return 0

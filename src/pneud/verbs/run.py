@@ -7,8 +7,9 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from pneud import parameters
+from pneud import parameters, trial
 from pneud.axis import Axis
 from pneud.bus.inbox import Inbox
 from pneud.bus.link import Link, LinkError, open_link, refuse_if_driven
@@ -17,28 +18,31 @@ from pneud.config import Config, ConfigError
 from pneud.console import handoff, place
 from pneud.console.desk import Run
 from pneud.daemon import Loop, options_of
-from pneud.loading import Loaded, bus_name, listening_s, load
+from pneud.loading import Loaded, bus_name, listening_s, load_axis, load_scenario
 from pneud.log import messages
 from pneud.log.files import open_log
 from pneud.log.header import LogHeader
 from pneud.log.recorder import start_recorder
 from pneud.log.ring import Ring
+from pneud.plant.scenario_file import Scenario
 from pneud.plant.truth import TruthReader, truth_memory
-from pneud.processes import end, end_screen, fork_console, fork_plant, fork_screen, wait
+from pneud.processes import Stage, end, end_screen, fork_console, fork_plant, fork_screen, wait
 from pneud.rt import setup
+from pneud.sabotage import Victims, fork_saboteur
 from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES, names
 from pneud.signals import State
 from pneud.summary import in_words, summarise
 
 RECORDER_PATIENCE_S = 15.0
 CONSOLE_PATIENCE_S = 1.0
+PATIENCE_S = 20.0  # with processes that have a scenario to end
 
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
     """What was asked for on the command line."""
 
-    config: str
+    config: str | None
     bus: str | None
     virtual: bool
     arm: bool
@@ -47,6 +51,7 @@ class RunOptions:
     headless: bool
     json: bool
     log: str | None
+    scenario: str | None
     seed: int
     socket: str | None
 
@@ -67,8 +72,13 @@ def run(o: RunOptions) -> int:
     """
     if o.arm and ("INVOCATION_ID" in os.environ or "NOTIFY_SOCKET" in os.environ):
         raise ConfigError("--arm is for benches and tests; a service is armed by an operator: pneud arm")
-    axis = load(o.config, o.rate_hz)
+    scenario = load_scenario(o.scenario) if o.scenario is not None else None
+    axis = load_axis(o.config, o.rate_hz, scenario)
     channel = bus_name(o.bus, axis.config)
+    if scenario is not None:
+        trial.check_names(scenario)
+        if scenario.needs_interface and not channel.startswith("socketcan:"):
+            raise ConfigError(f"scenario {scenario.name}: takes a CAN interface; --bus socketcan:vcan0")
     if channel == "auto" and not o.virtual:
         raise ConfigError(f"{axis.path}: bus auto is for virtual runs; name the rig's bus with --bus")
     codecs = axis.codecs
@@ -91,7 +101,7 @@ def run(o: RunOptions) -> int:
         if link.note:
             print(f"pneud: {link.note}", file=sys.stderr)
         try:
-            return _run(o, axis, how.axis(p), how, link, socket, log_file, descriptor)
+            return _run(o, axis, how.axis(p), how, scenario, link, socket, log_file, descriptor)
         finally:
             socket.path.unlink(missing_ok=True)
 
@@ -101,6 +111,7 @@ def _run(
     loaded: Loaded,
     axis: Axis,
     how: Law,
+    scenario: Scenario | None,
     link: Link,
     socket: place.Place,
     log_file: Path,
@@ -121,7 +132,9 @@ def _run(
         realtime_offset_ns=link.realtime_offset_ns,
         extra={"law": how.name, **({"seed": str(o.seed)} if o.virtual else {})},
     )
-    plant, screen, recorder, console, truth = 0, 0, 0, 0, None
+    plant, screen, recorder, console, saboteur, truth = 0, 0, 0, 0, 0, None
+    stage, report, orders = None, 0, 0
+    effects: dict[str, Any] | None = None
     reports: list[setup.Report] = []
     try:
         words, heard = messages.pair()
@@ -138,6 +151,10 @@ def _run(
         if o.virtual:
             memory = truth_memory()
             truth = TruthReader(memory)
+            if scenario is not None:
+                report, report_in = os.pipe()
+                orders, orders_in = os.pipe()
+                stage = Stage(scenario, config.loop.rate_hz, report_in, orders_in)
             plant = fork_plant(
                 link.name,
                 link,
@@ -147,7 +164,12 @@ def _run(
                 memory,
                 max(0, config.realtime.priority - 10),
                 how.advance,
+                stage,
             )
+            if stage is not None and stage.scenario.orders:
+                kind, _, name = link.name.partition(":")
+                victims = Victims(os.getpid(), recorder, plant, name if kind == "socketcan" else "")
+                saboteur = fork_saboteur(stage.scenario, orders, victims)
         if not o.headless and sys.stdout.isatty() and not o.json:
             screen = fork_screen(ring, link, config, log_file)
         reports = setup.apply(config.realtime.priority, config.realtime.cpu, config.realtime.lock_memory)
@@ -176,12 +198,21 @@ def _run(
         ring.set_closed()
         if screen:
             end_screen(screen)
+        if saboteur:
+            end(saboteur, PATIENCE_S)
         if plant:
-            end(plant, 2.0)
+            end(plant, PATIENCE_S if stage is not None else 2.0)
+        if stage is not None:
+            os.close(stage.report)
+            effects = json.loads(os.read(report, 4096) or b"null")
         if console and not wait(console, CONSOLE_PATIENCE_S):
             end(console, 0.0)
         finished = wait(recorder, RECORDER_PATIENCE_S) if recorder else True
-    return _report(o, config, loop, ring, log_file, reports, finished)
+    result = None
+    if scenario is not None and effects is not None:
+        seen = trial.Seen(loop.ever_present, loop.ever_latched, loop.state, effects["engaged"])
+        result = trial.judge(scenario, config, seen, effects)
+    return _report(o, config, loop, ring, log_file, reports, finished, result)
 
 
 def _report(
@@ -192,6 +223,7 @@ def _report(
     log_file: Path,
     reports: list[setup.Report],
     finished: bool,
+    result: dict[str, Any] | None,
 ) -> int:
     status = ring.status()
     # what a recorder that is still at work holds is not lost
@@ -222,6 +254,9 @@ def _report(
     if missing:
         why = status.error_text or ("the recorder was lost" if loop.recorder_lost else "it could not keep up")
         print(f"pneud: the log lacks {missing} records: {why}", file=sys.stderr)
+    if result is not None:
+        summary["scenario"] = result
+        print(f"pneud: {trial.in_words(result)}", file=sys.stderr)
     if o.json:
         print(json.dumps(summary))
     else:

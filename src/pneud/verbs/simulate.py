@@ -7,9 +7,10 @@ import os
 import sys
 from pathlib import Path
 
+from pneud import trial
 from pneud.axis import FOLLOWING
 from pneud.config import ConfigError
-from pneud.loading import load
+from pneud.loading import load_axis, load_scenario
 from pneud.log.files import create_log, log_path
 from pneud.log.header import LogHeader
 from pneud.log.writer import LogWriter
@@ -18,9 +19,26 @@ from pneud.signals import State
 from pneud.sim.lockstep import Simulation, law_of
 from pneud.summary import Tracking, in_words, summarise
 
+DURATION_S = 10.0
 
-def simulate(config_file: str, output: Path | None, duration_s: float, seed: int, json: bool) -> int:
+
+def simulate(
+    config_file: str | None,
+    output: Path | None,
+    duration_s: float | None,
+    seed: int,
+    scenario_file: str | None,
+    json: bool,
+) -> int:
     """Simulate an axis.
+
+    Args:
+        config_file: of the axis; None takes the scenario's, or virtual.toml.
+        output: where to write a log.
+        duration_s: simulated time; None takes the scenario's, or 10 s.
+        seed: of all that is random.
+        scenario_file: faults to inject.
+        json: print the result as one JSON object.
 
     Returns:
         Exit status: 0 where the axis tracks until the end, 1 where it does not.
@@ -31,11 +49,18 @@ def simulate(config_file: str, output: Path | None, duration_s: float, seed: int
         LogError: the log cannot be written.
         BuildError: the compiled law is required and cannot be had.
     """
+    scenario = load_scenario(scenario_file) if scenario_file is not None else None
+    if scenario is not None and scenario.needs_machine:
+        raise ConfigError(
+            f"scenario {scenario.name}: takes a real machine; pneud --virtual --scenario plays it"
+        )
+    if duration_s is None:
+        duration_s = scenario.duration_s if scenario is not None else DURATION_S
     if not 0.0 < duration_s <= 1e6:
         raise ConfigError(f"--duration {duration_s:g}: must lie between 0 and 1,000,000 s")
-    loaded = load(config_file)
+    loaded = load_axis(config_file, None, scenario)
     how = law_of(loaded)
-    run = Simulation(loaded, duration_s, seed, how)
+    run = Simulation(loaded, duration_s, seed, how, scenario)
     writer, path = None, None
     if output is not None:
         path = log_path(str(output), loaded.config.name)
@@ -57,11 +82,13 @@ def simulate(config_file: str, output: Path | None, duration_s: float, seed: int
         )
     tracking = Tracking(True)
     state, ticks, faults = int(State.STARTING), 0, 0
+    seen = trial.Seen()
     for record in run.records():
         tick = record.tick
         faults |= tick.latched
         if not run.shut:
             state, ticks = tick.state, ticks + 1
+            seen = seen.then(tick)
             if run.axis.state.phase == FOLLOWING:
                 tracking.add(tick, run.axis.state.phase_ns, record.truth_m)
         if writer is not None:
@@ -88,5 +115,10 @@ def simulate(config_file: str, output: Path | None, duration_s: float, seed: int
         log_dropped=lost,
         faults=faults,
     )
+    if run.engine is not None and scenario is not None:
+        run.engine.settle()
+        summary["scenario"] = trial.judge(scenario, loaded.config, seen, run.engine.effects.as_dict())
     print(json_.dumps(summary) if json else in_words(summary))
+    if scenario is not None and not json:
+        print(trial.in_words(summary["scenario"]))
     return 0 if state == State.TRACKING and not faults and not lost else 1
