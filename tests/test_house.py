@@ -202,6 +202,8 @@ FORBIDDEN = {
     "installation": "from pneud import loading",
     "loading": "from pneud.plant import part",
     "processes": "from pneud import daemon",
+    "trial": "from pneud.plant import part",
+    "sabotage": "from pneud import config",
     "rt": "from pneud import signals",
     "log": "from pneud import config",
     "plant": "from pneud import axis",

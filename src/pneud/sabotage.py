@@ -17,7 +17,17 @@ import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from pneud.plant.scenario_file import ClockStep, Descriptors, Hog, Interface, Kill, LogFull, Scenario, Stop
+from pneud.plant.scenario_file import (
+    ClockStep,
+    Descriptors,
+    Hog,
+    Interface,
+    Kill,
+    LogFull,
+    Overload,
+    Scenario,
+    Stop,
+)
 from pneud.processes import fork
 from pneud.rt import setup
 
@@ -100,6 +110,8 @@ def act(fault: Any, victims: Victims) -> Undo | None:
         pid = victims.pid(fault.who)
         os.kill(pid, signal.SIGSTOP)
         return lambda: os.kill(pid, signal.SIGCONT)
+    if isinstance(fault, Overload):
+        return _overload(victims.daemon, fault.stand_s, fault.run_s)
     if isinstance(fault, Kill):
         os.kill(victims.pid(fault.who), signal.SIGKILL)
     elif isinstance(fault, Hog):
@@ -126,6 +138,30 @@ def _attempt(action: Callable[[], Undo | None]) -> Undo | None:
     except subprocess.CalledProcessError as e:
         print(f"pneud: scenario: {' '.join(e.cmd)}: {e.stderr.strip()}", file=sys.stderr, flush=True)
     return None
+
+
+def _overload(pid: int, stand_s: float, run_s: float) -> Undo:
+    parent = os.getpid()
+
+    def main() -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        setup.die_with_parent(parent)
+        setup.apply(98, None, False)  # to be on time
+        while True:
+            os.kill(pid, signal.SIGSTOP)
+            time.sleep(stand_s)
+            os.kill(pid, signal.SIGCONT)
+            time.sleep(run_s)
+
+    tormentor = fork(main)
+
+    def undo() -> None:
+        with contextlib.suppress(OSError):
+            os.kill(tormentor, signal.SIGKILL)
+            os.waitpid(tormentor, 0)
+        os.kill(pid, signal.SIGCONT)
+
+    return undo
 
 
 def _hog(processes: int) -> Undo:

@@ -65,14 +65,11 @@ def judge(scenario: Scenario, config: Config, seen: Seen, effects: dict[str, Any
     """
     expect = scenario.expect
     problems = [] if effects["onset"] else ["the fault never began"]
-    if expect.reaction in ("centre", "stop"):
-        shown, others = seen.latched, seen.latched
-    else:
-        shown, others = seen.present, seen.latched
-    lacking = [name for name in expect.faults if name not in names(shown)]
+    shown = names(seen.present | seen.latched)
+    lacking = [name for name in expect.faults if name not in shown]
     if lacking:
         problems.append(f"no {', '.join(lacking)}")
-    unexpected = [name for name in names(others) if name not in (*expect.faults, *expect.also)]
+    unexpected = [name for name in names(seen.latched) if name not in (*expect.faults, *expect.also)]
     if unexpected:
         problems.append(f"unexpected {', '.join(unexpected)}")
     limit = allowed_ticks(expect, config)
@@ -91,7 +88,7 @@ def judge(scenario: Scenario, config: Config, seen: Seen, effects: dict[str, Any
         "met": not problems,
         "problems": problems,
         "reaction": expect.reaction,
-        "faults": [n for n in names(shown) if n in expect.faults or n in names(seen.latched)],
+        "faults": [n for n in shown if n in expect.faults or n in names(seen.latched)],
         "allowed_ticks": limit,
         **effects,
     }

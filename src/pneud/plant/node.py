@@ -225,7 +225,7 @@ class PlantNode:
         self._integrate(end_ns)
         if item.can_id == self._command_id:
             self.valve.command(frame.data, end_ns)
-        elif self._codecs.sync.valid(frame.data):
+        elif item.can_id == self._sync_id and self._codecs.sync.valid(frame.data):
             self._sample(end_ns, frame.stamp_ns)
 
     def _sample(self, t_ns: int, sync_ns: int) -> None:

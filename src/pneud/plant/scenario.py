@@ -37,6 +37,7 @@ _OF_NODE = {  # what a node sends, then what it alone hears
 _TOUCHING = (kinds.FrameFault, kinds.Value, kinds.Reboot, kinds.Silence)  # frames show them
 _PHYSICAL = get_args(kinds.PLANT)
 _EMCY, _HEARTBEAT = 0x081, 0x701  # of the first node
+_OPERATIONAL = 5
 
 Machine = Callable[[int], None]
 """Told the number of a fault of the machine when it begins; how it ends is the machine's business."""
@@ -233,7 +234,12 @@ class Engine:
                 self.node.put(Frame(t_ns + i * self._period_ns // count, fault.can_id, data))
         elif isinstance(fault, kinds.ErrorFrames):
             for _ in range(fault.per_period):
-                self.node.put(_error(t_ns, fault.error_class))
+                self.node.put(_error(t_ns, fault.error_class, fault.controller_status))
+        elif isinstance(fault, kinds.Heartbeat):
+            due_ns = playing.memory.get(0, t_ns)
+            if t_ns >= due_ns:
+                playing.memory[0] = due_ns + round(fault.every_ms * 1e6)
+                self.node.put(Frame(t_ns, _HEARTBEAT + NODES[fault.node], bytes((_OPERATIONAL,))))
 
     def _alter(self, t_ns: int) -> None:
         """The plant as its faults leave it at this instant."""
@@ -411,5 +417,5 @@ def scaled(f: Friction, factor: float) -> Friction:
     )
 
 
-def _error(t_ns: int, error_class: int) -> Frame:
-    return Frame(t_ns, CAN_ERR_FLAG | error_class, bytes(8))
+def _error(t_ns: int, error_class: int, controller_status: int = 0) -> Frame:
+    return Frame(t_ns, CAN_ERR_FLAG | error_class, bytes((0, controller_status, 0, 0, 0, 0, 0, 0)))

@@ -133,7 +133,16 @@ class ErrorFrames(Fault):
 
     kind: Literal["error_frames"]
     error_class: Annotated[int, Field(ge=1, le=0x1FF)] = 0x88  # protocol violation, bus error
+    controller_status: Annotated[int, Field(ge=0, le=0xFF)] = 0  # second byte, as in linux/can/error.h
     per_period: Annotated[int, Field(ge=1, le=20)] = 1
+
+
+class Heartbeat(Fault):
+    """No fault: a node sends heartbeats, which it does not do otherwise; that they end is one."""
+
+    kind: Literal["heartbeat"]
+    node: Node
+    every_ms: Positive
 
 
 class Silence(Fault):
@@ -232,6 +241,14 @@ class Stop(Fault):
     for_s: Positive
 
 
+class Overload(Fault):
+    """The daemon stands still for most of the time, again and again."""
+
+    kind: Literal["overload"]
+    stand_s: Positive
+    run_s: Positive
+
+
 class Kill(Fault):
     """A process is killed (SIGKILL)."""
 
@@ -274,9 +291,9 @@ class Interface(Fault):
 
 
 BUS = Drop | Duplicate | Reorder | Corrupt | Freeze | Delay | Babble | BusOff | ErrorFrames
-NODES = Silence | Reboot | Emcy | ValveFailure | Value
+NODES = Silence | Reboot | Emcy | Heartbeat | ValveFailure | Value
 PLANT = Supply | Leak | ValveStuck | Seized | Mass | Friction | Force
-MACHINE = Stop | Kill | Hog | ClockStep | LogFull | Descriptors | Interface
+MACHINE = Stop | Overload | Kill | Hog | ClockStep | LogFull | Descriptors | Interface
 AnyFault = Annotated[BUS | NODES | PLANT | MACHINE, Field(discriminator="kind")]
 
 
@@ -322,6 +339,9 @@ class Scenario(Part):
     config: str = "virtual.toml"  # the axis, where none is named with --config
     change: dict[str, Any] = Field(default_factory=dict)  # what the axis's configuration says differently
     duration_s: Positive = 3.0
+    interface: bool = (
+        False  # True where it takes an interface of the kernel for another reason than its faults
+    )
     simulated: bool = True  # False where it takes a machine for another reason than its faults
     fault: Annotated[tuple[AnyFault, ...], Field(min_length=1)]
     expect: Expect
@@ -330,7 +350,7 @@ class Scenario(Part):
     def needs_machine(self) -> bool:
         """Whether it takes a real machine: the simulation has neither processes nor clock nor files."""
         real = (Kill, Hog, ClockStep, LogFull, Descriptors)
-        return not self.simulated or any(isinstance(fault, real) for fault in self.fault)
+        return self.interface or not self.simulated or any(isinstance(fault, real) for fault in self.fault)
 
     @property
     def orders(self) -> bool:
@@ -340,7 +360,7 @@ class Scenario(Part):
     @property
     def needs_interface(self) -> bool:
         """Whether it takes an interface of the kernel, and the right to change it."""
-        return any(isinstance(f, Interface) for f in self.fault)
+        return self.interface or any(isinstance(f, Interface) for f in self.fault)
 
 
 KINDS = tuple(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pneud.plant.scenario_file import Interface, Scenario, Stop
+from pneud.plant.scenario_file import Interface, Overload, Scenario, Stop
 from pneud.signals import Host
 
 HEALTHY, FULL, DOWN = 0, 1, 2  # the controller's way to the bus
@@ -20,6 +20,7 @@ class SimulatedMachine:
         self._link, self._link_until_ns = HEALTHY, 0
         self._plant_until_ns = 0
         self._stall_ticks = 0
+        self._overload_ticks, self._overload_until_ns = 0, 0
 
     def begin(self, number: int) -> None:
         """A fault of the machine begins in this tick."""
@@ -30,12 +31,19 @@ class SimulatedMachine:
             self._link_until_ns = until_ns
         elif isinstance(fault, Stop) and fault.who == "daemon":
             self._stall_ticks = round(fault.for_s * 1e9 / self._period_ns)
+        elif isinstance(fault, Overload):
+            self._overload_ticks, self._overload_until_ns = (
+                round(fault.stand_s * 1e9 / self._period_ns),
+                until_ns,
+            )
         elif isinstance(fault, Stop) and fault.who == "plant":
             self._plant_until_ns = until_ns
 
     def skip(self, t_ns: int) -> int:
         """Ticks that the controller misses before the one that would be at `t_ns`."""
         skipped, self._stall_ticks = self._stall_ticks, 0
+        if t_ns < self._overload_until_ns:
+            skipped = max(skipped, self._overload_ticks)
         self._t_ns = t_ns + skipped * self._period_ns
         return skipped
 
