@@ -54,13 +54,13 @@ class _Playing:
         self.number = number
         self.fault = fault
         self.began_ns = -1
-        self.over = False
         self.counts: dict[int, int] = {}  # frames seen, by identifier
         self.memory: dict[int, Any] = {}  # by identifier
 
-    @property
-    def active(self) -> bool:
-        return self.began_ns >= 0 and not self.over
+
+def _over(playing: _Playing, t_ns: int) -> bool:
+    for_s = playing.fault.for_s
+    return for_s is not None and t_ns >= playing.began_ns + for_s * 1e9
 
 
 class Effects:
@@ -130,7 +130,11 @@ class Engine:
         self._inner = advance
         self._period_ns = round(1e9 / rate_hz)
         self._random = random.Random(f"scenario {seed}")
-        self._playing = [_Playing(i, fault) for i, fault in enumerate(scenario.fault)]
+        playing = [_Playing(i, fault) for i, fault in enumerate(scenario.fault)]
+        playing.sort(key=lambda one: -float(one.fault.at_s))
+        self._later = {since: [p for p in playing if p.fault.since == since] for since in ("start", "armed")}
+        self._due: list[_Playing] = []  # whose time has come, if not their condition
+        self._active: list[_Playing] = []
         self._roles = {getattr(codecs, role).can_id: role for role in _ROLES}
         self._last: dict[int, bytes] = {}  # the newest frame of each kind, as it was meant
         self._start_ns = self._armed_ns = -1
@@ -145,9 +149,8 @@ class Engine:
         if role == "sync":
             self._tick(frame.stamp_ns)
         frames = [frame]
-        for playing in self._playing:
-            if playing.active:
-                frames = [f for before in frames for f in self._touch(playing, before, role)]
+        for playing in self._active:
+            frames = [f for before in frames for f in self._touch(playing, before, role)]
         if frames != [frame] and self.scenario.expect.evidence is None:
             self._show(frame.stamp_ns)
         self._last[frame.can_id] = frame.data
@@ -165,19 +168,21 @@ class Engine:
         if effects.centred_ns < 0:
             effects.onset_ticks += effects.onset_ns >= 0
             effects.ticks += effects.evidence_ns >= 0
-        for playing in self._playing:
-            fault = playing.fault
-            if playing.began_ns < 0:
-                since_ns = self._start_ns if fault.since == "start" else self._armed_ns
-                if since_ns >= 0 and t_ns >= since_ns + fault.at_s * 1e9 and self._holds(fault.when):
-                    self._begin(playing, t_ns)
-            elif (
-                not playing.over and fault.for_s is not None and t_ns >= playing.began_ns + fault.for_s * 1e9
-            ):
-                playing.over = True
-                self._end(playing, t_ns)
-            if playing.active:
-                self._disturb(playing, t_ns)
+        for playing in [p for p in self._active if _over(p, t_ns)]:
+            self._active.remove(playing)
+            self._end(playing, t_ns)
+        for since_ns, later in (
+            (self._start_ns, self._later["start"]),
+            (self._armed_ns, self._later["armed"]),
+        ):
+            while later and since_ns >= 0 and t_ns >= since_ns + later[-1].fault.at_s * 1e9:
+                self._due.append(later.pop())
+        for playing in [p for p in self._due if self._holds(p.fault.when)]:
+            self._due.remove(playing)
+            self._active.append(playing)
+            self._begin(playing, t_ns)
+        for playing in self._active:
+            self._disturb(playing, t_ns)
         self._alter(t_ns)
 
     def _holds(self, when: kinds.When) -> bool:
@@ -244,9 +249,7 @@ class Engine:
     def _alter(self, t_ns: int) -> None:
         """The plant as its faults leave it at this instant."""
         p, damage, force_n = self._healthy, UNDAMAGED, 0.0
-        for playing in self._playing:
-            if not playing.active:
-                continue
+        for playing in self._active:
             fault, elapsed_s = playing.fault, (t_ns - playing.began_ns) * 1e-9
             if isinstance(fault, kinds.Supply):
                 part = min(1.0, elapsed_s / fault.ramp_s) if fault.ramp_s > 0.0 else 1.0

@@ -6,7 +6,7 @@ takes no time. The same seed gives the same records on every run.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from pneud import parameters
@@ -27,6 +27,10 @@ SYNC_COUNTERS = 240
 END_TICKS = 20
 
 
+Operator = Callable[[int, int], Request | None]
+"""Asked in every tick: (state, faults present) of the last one → request."""
+
+
 class Simulation:
     """One run; iterate over `records`, then look at what is left in the parts."""
 
@@ -38,6 +42,7 @@ class Simulation:
         how: Law = INTERPRETED,
         requests: Mapping[int, Request] | None = None,
         scenario: Scenario | None = None,
+        operator: Operator | None = None,
     ) -> None:
         """A run that has not begun.
 
@@ -48,6 +53,7 @@ class Simulation:
             how: axis and plant are computed.
             requests: what is asked in which tick, counted from 0; without it the axis arms and tracks.
             scenario: faults to inject; what it asks of the machine is left out where it is not simulated.
+            operator: asks of the axis what it likes; without one it is armed once, and a fault ends the run.
         """
         self._requests = requests
         self.axis = how.axis(parameters.axis_of(loaded.config, loaded.codecs.command_lsb_v))
@@ -62,6 +68,7 @@ class Simulation:
                 scenario, rig, loaded.codecs, seed, rate_hz, self._machine.begin, how.advance
             )
             self.node = self.engine.node
+        self._operator = operator
         self.shut = False  # the run is over and the axis is coming to rest
         self.tx = 0
         self._codecs = loaded.codecs
@@ -109,6 +116,8 @@ class Simulation:
                 request = Request(RequestKind.SHUTDOWN)
             elif self._requests is not None:
                 request = self._requests.get(count)
+            elif self._operator is not None:
+                request = self._operator(last_state, last_present)
             elif not armed and last_state == State.DISARMED and not last_present & BLOCKS_ARM:
                 armed = True
                 request = Request(RequestKind.ARM, (1.0,))
@@ -138,7 +147,7 @@ class Simulation:
             )
             left_over = []
             count += 1
-            over = self.shut or tick.state == State.FAULT
+            over = self.shut or (tick.state == State.FAULT and self._operator is None)
             idle = idle + 1 if over and not is_engaged(tick.state) else 0
 
 

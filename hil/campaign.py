@@ -1,0 +1,360 @@
+"""Plays the fault scenarios and judges what the axis did about them: a matrix as JSON and as an HTML page.
+
+    .venv/bin/python hil/campaign.py --bus unixcan -o out    # every scenario that can be played there
+    .venv/bin/python hil/campaign.py --bus unixcan --core    # the few that every change has to pass
+    .venv/bin/python hil/campaign.py --bus sim               # in simulated time
+    hil/vm/run -t 900 -w out -- .venv/bin/python hil/campaign.py --bus vcan0 -o out
+
+Exit status: 0 where everything came as expected, 1 where something did not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import html
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from pneud import resources
+from pneud.loading import load, load_scenario
+from pneud.log.reader import LogReader
+
+PNEUD = [sys.executable, "-m", "pneud.cli"]
+PATIENCE_S = 90.0
+# played for every change: one of each way in which a fault is found, and what only processes can show
+CORE = (
+    "encoder-missing", "pressure-corrupt", "valve-frozen", "encoder-error", "valve-timed-out", "valve-reboot",
+    "supply-lost", "piston-seized", "other-controller", "babble", "bus-off", "frames-lost-now-and-then",
+    "emcy", "unreachable", "no-realtime", "daemon-stands", "plant-stands", "recorder-stands",
+    "recorder-killed", "log-full", "no-descriptors",
+)  # fmt: skip
+# what only a real interface and the rights over a machine show
+CORE_VM = (
+    "encoder-missing", "encoder-error", "bus-off", "link-down", "link-deleted", "queue-full",
+    "queue-full-for-long", "clock-step", "recorder-killed",
+)  # fmt: skip
+# a virtual machine with one slow CPU carries 50 ticks a second, gains that go with that, and a slow reference
+SLOW: dict[str, Any] = {
+    "loop": {"rate_hz": 50.0},
+    "bus": {"sensor_timeout_ms": 200.0, "valve_timeout_ms": 200.0, "deadline_timeout_ms": 200.0},
+    "control": {"k1": 180.0, "k2": 156.0, "k3": 30.0, "alpha": 0.835, "motion": {"bandwidth_rad_s": 40.0}},
+    "reference": {"frequency_hz": 0.1},
+    "limits": {"tracking_error_m": 0.1},
+}
+SLOWER = 0.2  # the slow reference's speed as a part of the usual one
+
+
+class Case(dict[str, Any]):
+    """One row of the matrix."""
+
+
+def playable(name: str, bus: str) -> str:
+    """Why a scenario cannot be played on a bus; empty if it can."""
+    scenario = load_scenario(name)
+    if bus == "sim":
+        return "takes a real machine" if scenario.needs_machine else ""
+    if bus.startswith("unixcan"):
+        if scenario.needs_interface:
+            return "takes a CAN interface of the kernel"
+        if any(fault.kind == "clock_step" for fault in scenario.fault):
+            return "sets the wall clock: only in the virtual machine"
+    return ""
+
+
+def slowed(name: str, folder: Path) -> tuple[str, str]:
+    """Configuration and scenario as files, for a machine that is too slow for the usual ones."""
+    axis = folder / "slow.toml"
+    axis.write_text(load("virtual.toml", None, SLOW).text)
+    text = (resources.scenarios() / f"{name}.toml").read_text()
+    text = re.sub(r"(velocity_above_m_s = )([\d.]+)", lambda m: f"{m[1]}{SLOWER * float(m[2]):g}", text)
+    text = re.sub(r"(within_ms = )([\d.]+)", lambda m: f"{m[1]}{5.0 * float(m[2]):g}", text)
+    file = folder / f"{name}.toml"
+    file.write_text(text)
+    return str(axis), str(file)
+
+
+def play(name: str, bus: str, folder: Path) -> Case:
+    """One scenario."""
+    began = time.monotonic()
+    scenario = load_scenario(name)
+    command = [*PNEUD]
+    if bus == "sim":
+        command += ["sim", "--scenario", name, "--json"]
+    else:
+        played = name
+        if bus.startswith("unixcan"):
+            channel = f"unixcan:campaign-{os.getpid()}-{name[:24]}"
+        else:
+            channel = f"socketcan:{bus}"
+            axis, played = slowed(name, folder)
+            command += ["--config", axis]
+        log = folder / f"{name}.mcap"
+        log.unlink(missing_ok=True)
+        command += [
+            "--virtual",
+            "--scenario",
+            played,
+            "--bus",
+            channel,
+            "--headless",
+            "--json",
+            "--log",
+            str(log),
+        ]
+        command += ["--duration", f"{scenario.duration_s + 2.0:g}"]
+    case = Case(name=name, description=scenario.description, expect=scenario.expect.model_dump())
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    except subprocess.TimeoutExpired:
+        case.update(met=False, problems=[f"still at it after {PATIENCE_S:g} s"])
+        return case
+    case["seconds"] = time.monotonic() - began
+    try:
+        summary = json.loads(done.stdout)
+        case.update(summary["scenario"])
+    except (ValueError, KeyError):
+        case.update(met=False, problems=[f"exit {done.returncode}: {done.stderr.strip()[-300:]}"])
+        return case
+    if "Traceback" in done.stderr:
+        case["met"] = False
+        case["problems"] = [*case["problems"], f"traceback: {done.stderr.strip()[-300:]}"]
+    if summary["log"] and "recorder" not in name and "log-full" not in name:
+        check_log(Path(summary["log"]), case)
+    return case
+
+
+def check_log(log: Path, case: Case) -> None:
+    """Every fault that held the axis is in the log, too, and the log is whole."""
+    reader = LogReader(log)
+    latched = 0
+    for tick in reader:
+        latched |= tick.latched
+    named = {name for bit, name in enumerate(reader.fault_names) if latched >> bit & 1}
+    held = {name for name in case["faults"] if name not in case["expect"]["faults"]} | (
+        set(case["expect"]["faults"]) if case["reaction"] in ("centre", "stop") else set()
+    )
+    unlogged = sorted(
+        name for name in held & set(case["faults"]) if name not in named and name != "receive_overflow"
+    )
+    if unlogged:
+        case["met"] = False
+        case["problems"] = [*case["problems"], f"not in the log: {', '.join(unlogged)}"]
+    if reader.truncated or reader.missing:
+        case["met"] = False
+        case["problems"] = [*case["problems"], f"log damaged: {reader.damage or f'{reader.missing} missing'}"]
+
+
+def refused(name: str, words: str, description: str, **options: Any) -> Case:
+    """A start that has to be refused in one line, with nothing on standard output."""
+    began = time.monotonic()
+    command = [*PNEUD, "--virtual", "--duration", "1", "--headless", "--json", *options.pop("arguments", [])]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False, **options)
+    problems = []
+    if done.returncode not in (2, 3):
+        problems.append(f"exit {done.returncode}")
+    if done.stdout:
+        problems.append("something on standard output")
+    if words not in done.stderr or "Traceback" in done.stderr:
+        problems.append(f"said: {done.stderr.strip()[-200:]}")
+    return Case(
+        name=name, description=description, reaction="refused", met=not problems, problems=problems,
+        seconds=time.monotonic() - began, faults=[],
+    )  # fmt: skip
+
+
+def starts(folder: Path) -> list[Case]:
+    """What is wrong before the start."""
+    cases = []
+    sealed = folder / "sealed"
+    sealed.mkdir(exist_ok=True)
+    file = sealed / "file"
+    file.write_text("")
+    cases.append(
+        refused(
+            "log-folder-unusable",
+            str(file),
+            "The folder for the log cannot be written to.",
+            arguments=["--log", str(file / "run.mcap")],
+        )
+    )
+    if os.geteuid() == 0 and mount("-t", "tmpfs", "-o", "ro,size=64k", "tmpfs", str(sealed)):
+        cases.append(
+            refused(
+                "log-folder-read-only",
+                "ead-only",
+                "The folder for the log is on a file system that is read-only.",
+                arguments=["--log", str(sealed / "run.mcap")],
+            )
+        )
+        subprocess.run(["umount", str(sealed)], check=False)
+    return cases
+
+
+def full_disk(bus: str, folder: Path) -> list[Case]:
+    """A real file system of 2 MB for the log."""
+    small = folder / "small"
+    small.mkdir(exist_ok=True)
+    if os.geteuid() != 0 or not mount("-t", "tmpfs", "-o", "size=128k", "tmpfs", str(small)):
+        return []
+    began = time.monotonic()
+    axis, _ = slowed("encoder-error", folder)
+    channel = f"unixcan:campaign-{os.getpid()}-full" if bus.startswith("unixcan") else f"socketcan:{bus}"
+    command = [
+        *PNEUD,
+        "--virtual",
+        "--config",
+        axis,
+        "--bus",
+        channel,
+        "--headless",
+        "--json",
+        "--duration",
+        "20",
+    ]
+    done = subprocess.run(
+        [*command, "--log", str(small / "run.mcap")], capture_output=True, text=True, timeout=120, check=False
+    )
+    subprocess.run(["umount", "-l", str(small)], check=False)
+    problems = []
+    try:
+        summary = json.loads(done.stdout)
+        if summary["faults"] or summary["state"] != "tracking":
+            problems.append(f"{summary['state']}, {summary['faults']}")
+        if not summary["log_dropped"]:
+            problems.append("lost nothing: the disk was not full")
+    except ValueError:
+        problems.append(f"exit {done.returncode}: {done.stderr.strip()[-300:]}")
+    return [
+        Case(
+            name="disk-full", description="The log's disk is full: the axis goes on.",
+            reaction="warn", met=not problems, problems=problems, seconds=time.monotonic() - began,
+            faults=["disk_full"],
+        )
+    ]  # fmt: skip
+
+
+def mount(*arguments: str) -> bool:
+    """Whether a file system could be mounted."""
+    return subprocess.run(["mount", *arguments], capture_output=True, check=False).returncode == 0
+
+
+def exceptions(case: Case) -> str:
+    """Why more travel than usual is expected."""
+    return str(case.get("expect", {}).get("reason", ""))
+
+
+COLUMNS = (
+    ("0 V after", "centred_ms", "{:.1f} ms"),
+    ("ticks", "ticks", "{}"),
+    ("allowed", "allowed_ticks", "{}"),
+    ("speed", "speed_m_s", "{:.3f} m/s"),
+    ("travel", "travel_mm", "{:.1f} mm"),
+    ("impact", "impact_m_s", "{:.2f} m/s"),
+    ("pressure", "peak_bar", "{:.2f} bar"),
+)
+
+
+def page(bus: str, cases: list[Case], left_out: dict[str, str], seconds: float) -> str:
+    """The matrix as a page that stands alone."""
+    good = sum(case["met"] for case in cases)
+    rows = []
+    for case in cases:
+        cells = []
+        for _, key, form in COLUMNS:
+            value = case.get(key)
+            shown = form.format(value) if value is not None else ""
+            cells.append(f'<td class="n">{shown}</td>')
+        notes = "; ".join(case["problems"]) or exceptions(case)
+        rows.append(
+            f'<tr class="{"met" if case["met"] else "not"}"><td>{"✓" if case["met"] else "✗"}</td>'
+            f"<td><b>{html.escape(case['name'])}</b><br><small>{html.escape(case['description'])}</small></td>"
+            f"<td>{html.escape(case.get('reaction', ''))}</td>"
+            f"<td>{html.escape(', '.join(case.get('faults', [])))}</td>{''.join(cells)}"
+            f"<td><small>{html.escape(notes)}</small></td></tr>"
+        )
+    others = "".join(f"<li>{html.escape(n)}: {html.escape(why)}</li>" for n, why in sorted(left_out.items()))
+    heads = "".join(f"<th>{head}</th>" for head, _, _ in COLUMNS)
+    return f"""<!doctype html><html lang="en"><head><meta charset="utf-8">
+<title>pneud: faults on {bus}</title>
+<style>
+body{{font:14px/1.4 system-ui,sans-serif;margin:2em;color:#222}} table{{border-collapse:collapse}}
+p{{max-width:60em}} th{{text-align:left;border-bottom:2px solid #888;padding:4px 8px}}
+td{{border-bottom:1px solid #ddd;padding:4px 8px;vertical-align:top}}
+td.n{{text-align:right;white-space:nowrap}}
+tr.met td:first-child{{color:#1a7f37}} tr.not{{background:#ffebe9}} small{{color:#555}}
+</style></head><body><h1>Faults on {html.escape(bus)}</h1>
+<p>{good} of {len(cases)} came as expected, in {seconds:.0f} s. <i>0 V after</i> counts from the fault's
+onset; <i>ticks</i> of the controller count from the first frame that shows the fault to the one with 0 V,
+both included; <i>travel</i> is the load's furthest way after that frame (where no frame shows the fault:
+after 0 V), <i>impact</i> its hardest meeting with an end stop, <i>pressure</i> the highest in a chamber, all from
+the true plant. What failed was played once more. The last column tells what went wrong, or why more than
+20 mm of travel or 0.05 m/s of impact is expected.</p>
+<table><tr><th></th><th>fault</th><th>reaction</th><th>named</th>{heads}<th></th></tr>
+{"".join(rows)}</table>{f"<h2>Not played here</h2><ul>{others}</ul>" if others else ""}</body></html>
+"""
+
+
+def main() -> int:
+    """The command."""
+    parser = argparse.ArgumentParser(description="Plays the fault scenarios and judges the axis's reactions.")
+    parser.add_argument("--bus", default="unixcan", help="sim, unixcan, or an interface such as vcan0")
+    parser.add_argument("--core", action="store_true", help="only those that every change has to pass")
+    parser.add_argument("--only", default="", help="names, separated by commas")
+    parser.add_argument("-o", "--output", type=Path, default=None, help="folder for matrix and logs")
+    o = parser.parse_args()
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = o.output or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
+        names = sorted(path.stem for path in resources.scenarios().glob("*.toml"))
+        real = o.bus not in ("sim", "unixcan")
+        if o.only:
+            names = o.only.split(",")
+        elif o.core:
+            names = [name for name in names if name in (CORE_VM if real else CORE)]
+        left_out = {name: why for name in names if (why := playable(name, o.bus))}
+        cases = []
+        for name in names:
+            if name in left_out:
+                continue
+            case = play(name, o.bus, folder)
+            if not case["met"] and o.bus != "sim":
+                case = play(name, o.bus, folder) | {"again": case["problems"]}  # type: ignore[assignment]
+            cases.append(case)
+            say(case)
+        if o.bus != "sim" and not o.only:
+            for case in [*starts(folder), *full_disk(o.bus, folder)]:
+                cases.append(case)
+                say(case)
+        seconds = time.monotonic() - began
+        (folder / "matrix.json").write_text(
+            json.dumps(
+                {"schema": 1, "bus": o.bus, "seconds": seconds, "cases": cases, "left_out": left_out},
+                indent=1,
+            )
+        )
+        (folder / "matrix.html").write_text(page(o.bus, cases, left_out, seconds))
+    good = sum(case["met"] for case in cases)
+    print(f"{good} of {len(cases)} as expected, {len(left_out)} left out, {seconds:.0f} s")
+    return 0 if good == len(cases) else 1
+
+
+def say(case: Case) -> None:
+    """One line on a case."""
+    words = "ok  " if case["met"] else "FAIL"
+    figures = ""
+    if case.get("ticks") is not None and case.get("travel_mm") is not None:
+        figures = f"{case['ticks']} ticks, {case['travel_mm']:.1f} mm"
+    again = f" (at the first try: {'; '.join(case['again'])})" if case.get("again") else ""
+    print(f"{words} {case['name']:28} {figures} {'; '.join(case['problems'])}{again}", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
