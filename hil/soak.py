@@ -130,14 +130,8 @@ def simulated(duration_s: float, seed: int) -> Findings:
         wait = 0
         return Request(RequestKind.ARM, (1.0,))
 
-    run = Simulation(
-        loaded,
-        duration_s,
-        seed,
-        law_of(loaded),
-        Scenario.model_validate(scenario_of(duration_s, seed)),
-        operator,
-    )
+    played = Scenario.model_validate(scenario_of(duration_s, seed))
+    run = Simulation(loaded, duration_s, seed, law_of(loaded), scenario=played, operator=operator)
     held_ns, latched, sizes = 0, 0, []
     rate = loaded.config.loop.rate_hz
     for count, record in enumerate(run.records()):

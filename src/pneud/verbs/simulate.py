@@ -60,7 +60,7 @@ def simulate(
         raise ConfigError(f"--duration {duration_s:g}: must lie between 0 and 1,000,000 s")
     loaded = load_axis(config_file, None, scenario)
     how = law_of(loaded)
-    run = Simulation(loaded, duration_s, seed, how, scenario)
+    run = Simulation(loaded, duration_s, seed, how, scenario=scenario)
     writer, path = None, None
     if output is not None:
         path = log_path(str(output), loaded.config.name)
