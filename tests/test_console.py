@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import random
+import re
 import tempfile
 import time
 from collections.abc import Iterator
@@ -19,7 +21,7 @@ from log_samples import tick_at
 from pneud.console import handoff, server
 from pneud.console.lease import Lease
 from pneud.console.peer import Peer, may_command
-from pneud.console.protocol import MAX_LINE, VERBS, ProtocolError, parse
+from pneud.console.protocol import MAX_LINE, VERBS, Error, ProtocolError, parse
 from pneud.console.server import BOUNDS
 from pneud.safety.faults import F
 from pneud.signals import Answer, Record, Request, RequestKind, State, Timing
@@ -124,8 +126,9 @@ COMMANDS: dict[str, dict[str, Any]] = {
     "track": {"what": "reference"},
     "upload": {"first": True, "pieces": [PIECE]},
     "mark": {"text": "x"},
+    "tune_set": {"gains": {"k1": 1.0}},
 }
-LOOKS = ("status", "attach", "observe")
+LOOKS = ("status", "attach", "observe", "tune_get")
 
 
 def test_a_wrong_user_may_look_but_not_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -220,7 +223,7 @@ def test_a_jog_that_is_only_renewed_is_one_command_in_the_log(desk: Bench) -> No
     assert len(desk.requests) == 6
 
 
-@pytest.mark.parametrize(("x_mm", "nearest_mm"), [(-5, 20.0), (19.999, 20.0), (981, 980.0), (1e6, 980.0)])
+@pytest.mark.parametrize(("x_mm", "nearest_mm"), [(-5, 21.0), (20.999, 21.0), (980, 979.0), (1e6, 979.0)])
 def test_a_target_outside_the_travel_is_refused_with_the_nearest_allowed(
     desk: Bench, x_mm: float, nearest_mm: float
 ) -> None:
@@ -319,6 +322,7 @@ def test_status_has_what_an_operator_needs(desk: Bench) -> None:
     assert found["faults"][1]["cure"] == "wait until it stands still"
     assert found["position_mm"] == pytest.approx(1e3 * tick.estimate.position_m, abs=1e-6)
     assert found["log"] == "/tmp/x.mcap"
+    assert found["config_changed"] is False
 
 
 # hostility
@@ -444,3 +448,69 @@ def test_whatever_comes_nothing_malformed_reaches_the_loop(lines: list[bytes]) -
         assert bool(b.requests) <= bool(good)
         assert all(isinstance(r["ok"], bool) and (r["ok"] or r["error"]["message"]) for r in replies)
         assert b.ask(b.connect(), "status")["ok"]
+
+
+def hostile(dice: random.Random) -> bytes:
+    """A line, or what is meant to be mistaken for one."""
+    verb = dice.choice([verb for verb in VERBS if verb not in LOOKS])
+    fields = {**message(verb), **COMMANDS.get(verb, {})}
+    match dice.randrange(7):
+        case 0:
+            return dice.randbytes(dice.randrange(300))
+        case 1:
+            return json.dumps(fields).encode()[: dice.randrange(40)]
+        case 2:
+            fields[dice.choice(list(fields))] = dice.choice(
+                [None, "", [], {}, -1, True, 1e308, 10**400, "\ud800"]
+            )
+        case 3:
+            fields["x_mm"] = dice.choice([-1e9, 1e5, float("nan"), float("-inf")])
+        case 4:
+            return b'{"v":1,"id":1,"verb":"' + dice.randbytes(20) + b'"}'
+        case 5:
+            return b"[" * dice.randrange(300) + json.dumps(fields).encode("utf-16")
+        case 6:
+            fields[dice.choice("abc")] = 1
+    return json.dumps(fields).encode()
+
+
+@pytest.mark.slow
+def test_a_hundred_thousand_hostile_messages_ask_nothing_of_the_loop(tmp_path: Path) -> None:
+    dice = random.Random(1)
+    with bench(tmp_path, BOUNDS._replace(rate_hz=1e9, burst=1e9)) as b:
+        client, sent, answered, wellformed = b.connect(), 0, 0, 0
+        while sent < 100_000:
+            lines = [hostile(dice) for _ in range(50)]
+            wellformed += sum(well_formed(part) for line in lines for part in line.split(b"\n"))
+            b.now_s += 0.01
+            replies = b.tell(client, b"\n".join(lines) + b"\n")
+            assert all(r["ok"] is False for r in replies if r["id"] is None)
+            sent += len(lines)
+            answered += len(replies)
+        assert b.error(b.connect(), "goto", x_mm=1e5) == "out_of_travel"
+        assert answered > 0.9 * sent
+        assert len(b.requests) <= wellformed
+        assert len(b.said) < 0.1 * sent + wellformed
+
+
+# the document
+
+
+def test_the_documented_conversation_takes_place(desk: Bench) -> None:
+    text = (Path(__file__).parent.parent / "docs" / "console.md").read_text()
+    (block,) = (b for b in text.split("```")[1::2] if "\n> " in b)
+    client = desk.connect()
+    seen = set()
+    for asked, expected in zip(*(iter(block.strip().splitlines()),) * 2, strict=True):
+        assert (asked[:2], expected[:2]) == ("> ", "< ")
+        (reply,) = desk.tell(client, asked[2:].encode() + b"\n")
+        wanted = json.loads(expected[2:])
+        if not wanted["ok"]:
+            assert wanted.pop("error").items() <= reply["error"].items()
+        assert wanted.items() <= reply.items()
+        if asked.startswith("> {"):
+            seen.add(json.loads(asked[2:])["verb"])
+    assert seen == set(VERBS)
+    documented = set(re.findall(r"`(\w+)`", text[text.index("| error |") : text.index("Up to 32 clients")]))
+    kinds = {e.value for e in Error} | {a.name.lower() for a in Answer if a > Answer.TAKEN}
+    assert documented == kinds

@@ -21,6 +21,9 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+tune = typer.Typer(help="Gains of the running daemon.", no_args_is_help=True)
+app.add_typer(tune, name="tune")
+
 ConfigOption = Annotated[
     str | None, typer.Option("--config", metavar="FILE", help="Configuration; default virtual.toml.")
 ]
@@ -419,6 +422,91 @@ def mark(
     if not 0 < len(text) <= 200:
         _fail("mark: TEXT has 1 to 200 characters")
     _ask(socket, json, "mark", text=text)
+
+
+@app.command(context_settings=NEGATIVE)
+def track(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME", help="sine (the configured one), chirp, steps, profile, FILE.csv or FILE.json."
+        ),
+    ],
+    positions: Annotated[list[float] | None, typer.Argument(metavar="[MM]...", help="Of steps.")] = None,
+    centre: Annotated[
+        float | None, typer.Option("--centre", metavar="MM", help="Of a chirp; default where it stands.")
+    ] = None,
+    amplitude: Annotated[float, typer.Option("--amplitude", metavar="MM", help="Of a chirp.")] = 10.0,
+    from_hz: Annotated[float, typer.Option("--from", metavar="HZ", help="First frequency of a chirp.")] = 0.2,
+    to_hz: Annotated[float, typer.Option("--to", metavar="HZ", help="Last frequency of a chirp.")] = 2.0,
+    duration: Annotated[float, typer.Option("--duration", metavar="S", help="Of a chirp.")] = 20.0,
+    dwell: Annotated[float, typer.Option("--dwell", metavar="S", help="Rest at each of the steps.")] = 1.0,
+    socket: SocketOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Follow the configured reference, a chirp, steps, or a profile from a file."""
+    from pneud.verbs.track import TrackOptions
+    from pneud.verbs.track import track as verb
+
+    _exit(
+        verb,
+        TrackOptions(name, positions or [], centre, amplitude, from_hz, to_hz, duration, dwell, socket, json),
+    )
+
+
+@tune.command("get")
+def tune_get(socket: SocketOption = None, json: JsonOption = False) -> None:
+    """The running gains."""
+    from pneud.verbs.tune import get
+
+    _exit(get, socket, json)
+
+
+@tune.command("set")
+def tune_set(
+    settings: Annotated[list[str], typer.Argument(metavar="NAME=VALUE...", help="As in tune get.")],
+    socket: SocketOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Change gains, all or none, without a step of the command."""
+    from pneud.verbs.tune import change
+
+    _exit(change, socket, json, settings)
+
+
+@tune.command("diff")
+def tune_diff(socket: SocketOption = None, json: JsonOption = False) -> None:
+    """What the running gains have that the file has not."""
+    from pneud.verbs.tune import diff
+
+    _exit(diff, socket, json)
+
+
+@tune.command("save")
+def tune_save(socket: SocketOption = None, json: JsonOption = False) -> None:
+    """Write the running gains into the daemon's configuration; comments stay."""
+    from pneud.verbs.tune import save
+
+    _exit(save, socket, json)
+
+
+@tune.command("reload")
+def tune_reload(socket: SocketOption = None, json: JsonOption = False) -> None:
+    """Take the gains of the daemon's configuration, as SIGHUP does."""
+    from pneud.verbs.tune import reload
+
+    _exit(reload, socket, json)
+
+
+@app.command()
+def top(
+    read_only: Annotated[bool, typer.Option("--read-only", help="Look only: no keys but q.")] = False,
+    socket: SocketOption = None,
+) -> None:
+    """The live screen of the running daemon; keys stop, arm, disarm, clear, hold and jog."""
+    from pneud.verbs.top import top as verb
+
+    _exit(verb, socket, read_only)
 
 
 def _ask(socket: str | None, json: bool, verb: str, **fields: object) -> NoReturn:

@@ -6,6 +6,7 @@ nothing that formats text.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import signal
@@ -113,10 +114,24 @@ class Loop:
         """Ask for a controlled stop and the end of the run; safe in a signal handler."""
         self._stop = True
 
-    def handle_signals(self) -> None:
-        """Let Ctrl-C, a closed terminal and a kill stop the run in good order."""
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
+    def handle_signals(self, console_pid: int = 0) -> None:
+        """Let Ctrl-C, a closed terminal and a kill stop the run in good order.
+
+        Args:
+            console_pid: process that a SIGHUP is handed on to, unless it says that the terminal has gone.
+        """
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT):
             signal.signal(number, lambda *_: self.stop())
+        had_terminal = _has_terminal()
+
+        def hang_up(*_: object) -> None:
+            if not console_pid or (had_terminal and not _has_terminal()):
+                self.stop()
+            else:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(console_pid, signal.SIGHUP)
+
+        signal.signal(signal.SIGHUP, hang_up)
         # stopped from the keyboard, the axis would be gone but not centred, and the screen in the way
         signal.signal(signal.SIGTSTP, signal.SIG_IGN)
 
@@ -316,6 +331,14 @@ class Loop:
             self._recorder_gone = _gone(self._recorder)
             failing = status.failing != 0 and not self.disk_full
             self.recorder_lost = failing or self._recorder_gone
+
+
+def _has_terminal() -> bool:
+    try:
+        os.close(os.open("/dev/tty", os.O_RDONLY | os.O_NOCTTY))
+    except OSError:
+        return False
+    return True
 
 
 def _gone(pid: int) -> bool:

@@ -28,7 +28,7 @@ from pneud.plant.scenario import Engine
 from pneud.plant.scenario_file import Scenario
 from pneud.plant.truth import TruthWriter
 from pneud.rt import setup
-from pneud.safety.faults import FAULT_NAMES
+from pneud.safety.faults import FAULT_CURES, FAULT_NAMES
 
 
 def fork(main: Callable[[], None]) -> int:
@@ -163,6 +163,7 @@ def fork_screen(ring: Ring, inherited: Link, config: Config, log_file: Path) -> 
             u_max_v=config.valve.u_max_v,
             note=note,
             fault_names=FAULT_NAMES,
+            cures=FAULT_CURES,
             log_path=str(log_file),
             sync=config.bus.sync,
         )

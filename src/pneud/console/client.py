@@ -6,6 +6,7 @@ import array
 import contextlib
 import json
 import os
+import select
 import socket
 from typing import Any
 
@@ -65,10 +66,7 @@ class Client:
             RefusedError: it is not done.
             PlaceError: the daemon has gone, or does not answer.
         """
-        self._number += 1
-        number = self._number
-        with contextlib.suppress(OSError):  # a refusal may lie there to be read
-            self._connection.sendall(line({"v": VERSION, "id": number, "verb": verb, **fields}))
+        number = self.send(verb, **fields)
         while True:
             reply: dict[str, Any] = json.loads(self._line())
             if reply.get("ok"):
@@ -79,6 +77,28 @@ class Client:
                 return reply
             if reply.get("id") in (number, None):
                 raise RefusedError(reply["error"])
+
+    def send(self, verb: str, **fields: Any) -> int:
+        """Ask without waiting.
+
+        Returns:
+            The number that the reply will have.
+        """
+        self._number += 1
+        with contextlib.suppress(OSError):  # a refusal may lie there to be read
+            self._connection.sendall(line({"v": VERSION, "id": self._number, "verb": verb, **fields}))
+        return self._number
+
+    def replies(self) -> list[dict[str, Any]]:
+        """The replies to what was sent that have come by now.
+
+        Raises:
+            PlaceError: the daemon has gone.
+        """
+        found = []
+        while b"\n" in self._received or select.select([self._connection], [], [], 0.0)[0]:
+            found.append(json.loads(self._line()))
+        return found
 
     def attach(self) -> tuple[dict[str, Any], int]:
         """The fields of `attach`, and the descriptor, which is the caller's to close.

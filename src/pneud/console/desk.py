@@ -10,9 +10,10 @@ from pneud.console import protocol
 from pneud.console.handoff import Outcome
 from pneud.console.protocol import Error, ProtocolError
 from pneud.console.server import Plan
+from pneud.console.tuning import Tuning
 from pneud.console.watch import Watch, faults
 from pneud.log.ring import Ring
-from pneud.safety.faults import BLOCKS_ARM, CENTRES, FAULT_NAMES, STOPS
+from pneud.safety.faults import BLOCKS_ARM, CENTRES, FAULT_CURES, FAULT_NAMES, STOPS
 from pneud.signals import Answer, Request, RequestKind, State
 
 _MM = 1e-3
@@ -50,6 +51,7 @@ class AxisDesk:
         self._run = run
         self._ring = ring
         self._watch = watch
+        self._tuning = Tuning(run.config, run.path, run.text)
 
     def status(self) -> dict[str, Any]:
         """The fields of the reply to `status`."""
@@ -60,13 +62,28 @@ class AxisDesk:
             "name": r.config.name,
             **self._watch.fields(),
             "rate_hz": r.config.loop.rate_hz,
+            "limits": self._limits(),
             "bus": r.bus,
             "log": r.log_path,
             "log_written": recorder.written,
             "log_dropped": recorder.lost,
             "log_error": recorder.error_text or None,
             "config": str(r.path),
+            "config_changed": self._tuning.changed_on_disk(),
         }
+
+    def _limits(self) -> dict[str, float]:
+        """What may be asked for."""
+        limits = self._run.config.limits
+        motion = limits.motion
+        found = {
+            "min_mm": limits.travel_min_m + motion.margin_m,
+            "max_mm": limits.travel_max_m - motion.margin_m,
+            "speed_mm_s": motion.speed_m_s,
+            "acceleration_mm_s2": motion.acceleration_m_s2,
+            "jerk_mm_s3": motion.jerk_m_s3,
+        }
+        return {name: round(value / _MM, 6) for name, value in found.items()}
 
     def attach(self) -> tuple[dict[str, Any], int]:
         """The fields of the reply to `attach`, and the descriptor that goes with it."""
@@ -83,9 +100,14 @@ class AxisDesk:
             "u_max_v": r.config.valve.u_max_v,
             "note": r.note,
             "faults": list(FAULT_NAMES),
+            "cures": list(FAULT_CURES),
             "log": r.log_path,
             "sync": r.config.bus.sync,
         }, self._ring.open_for_reading()
+
+    def gains(self) -> dict[str, Any]:
+        """The fields of the reply to `tune_get`."""
+        return {"gains": self._tuning.running, "config": str(self._run.path)}
 
     def plan(self, message: protocol.Request) -> Plan:
         """What to ask of the loop.
@@ -111,14 +133,18 @@ class AxisDesk:
                 requests = [Request(RequestKind.PIECE)] if first else []
                 requests += [Request(RequestKind.PIECE, tuple(piece)) for piece in pieces]
                 return Plan(f"upload of {len(pieces)} pieces", tuple(requests))
+            case protocol.TuneSet(gains=gains):
+                return self._tuning.set(gains)
+            case protocol.TuneReload():
+                return self._tuning.reload()
             case protocol.Mark(text=text):
                 shown = "".join(c if c.isprintable() else "?" for c in text)
                 return Plan(f"mark {shown}", (Request(RequestKind.MARK),), free=True)
         raise AssertionError(message)
 
     def _goto(self, m: protocol.Goto) -> Plan:
-        limits = self._run.config.limits
-        low_mm, high_mm = limits.travel_min_m / _MM, limits.travel_max_m / _MM
+        allowed = self._limits()
+        low_mm, high_mm = allowed["min_mm"], allowed["max_mm"]
         nearest_mm = min(max(m.x_mm, low_mm), high_mm)
         if nearest_mm != m.x_mm:
             raise ProtocolError(
@@ -137,11 +163,11 @@ class AxisDesk:
         return Plan(words, (Request(RequestKind.GOTO, values),))
 
     def _check_speed(self, speed_mm_s: float) -> None:
-        highest_mm_s = self._run.config.limits.speed_m_s / _MM
+        highest_mm_s = self._limits()["speed_mm_s"]
         if abs(speed_mm_s) > highest_mm_s:
             raise ProtocolError(
                 Error.BEYOND_LIMITS,
-                f"{speed_mm_s:g} mm/s is faster than limits.speed_m_s allows; at most {highest_mm_s:g} mm/s",
+                f"{speed_mm_s:g} mm/s is faster than limits.motion.speed_m_s; at most {highest_mm_s:g} mm/s",
                 nearest_mm_s=highest_mm_s,
             )
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
+import sys
 import time
 
+from pneud.console import protocol
 from pneud.console.desk import AxisDesk, Run
 from pneud.console.server import Server
 from pneud.console.watch import Watch
@@ -19,7 +22,7 @@ _WATCH_S = 0.1  # the ring keeps some seconds
 def serve(
     listener: socket.socket, loop: socket.socket, words: socket.socket, run: Run, ring: Ring, parent: int
 ) -> None:
-    """Serve until the ring is closed or the parent is gone.
+    """Serve until the ring is closed or the parent is gone; SIGHUP takes the gains of the file.
 
     Args:
         listener: bound and listening.
@@ -29,6 +32,13 @@ def serve(
         ring: where its records are.
         parent: process id of the loop.
     """
+    reload = False
+
+    def hang_up(*_: object) -> None:
+        nonlocal reload
+        reload = True
+
+    signal.signal(signal.SIGHUP, hang_up)
     teller = Teller(words, "console")
     watch = Watch(ring)
     server = Server(listener, loop, AxisDesk(run, ring, watch), teller.say)
@@ -38,5 +48,10 @@ def serve(
         if now_s >= due_s:
             watch.poll()
             due_s = now_s + _WATCH_S
+        if reload:
+            reload = False
+            problem = server.ask(protocol.TuneReload(v=1, id=0, verb="tune_reload"), "SIGHUP")
+            if problem is not None:
+                print(f"pneud: {problem}", file=sys.stderr, flush=True)
         server.step(_STEP_S)
     server.close()

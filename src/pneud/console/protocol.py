@@ -152,6 +152,25 @@ class Upload(Message):
     ]
 
 
+class TuneGet(Message):
+    """The running gains."""
+
+    verb: Literal["tune_get"]
+
+
+class TuneSet(Message):
+    """Change gains, all at once or none."""
+
+    verb: Literal["tune_set"]
+    gains: Annotated[dict[str, float | str], Field(min_length=1, max_length=9)]
+
+
+class TuneReload(Message):
+    """Take the gains of the configuration on the disk."""
+
+    verb: Literal["tune_reload"]
+
+
 class Mark(Message):
     """A remark for the log."""
 
@@ -161,6 +180,9 @@ class Mark(Message):
 
 Request = (
     Status | Attach | Observe | Arm | Disarm | Stop | Clear | Hold | Home | Goto | Jog | Track | Upload
+    | TuneGet
+    | TuneSet
+    | TuneReload
     | Mark
 )  # fmt: skip
 VERBS: dict[str, type[Request]] = {

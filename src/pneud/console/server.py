@@ -67,6 +67,9 @@ class Desk(Protocol):
     def attach(self) -> tuple[dict[str, Any], int]:
         """The fields of the reply to `attach`, and the descriptor that goes with it."""
 
+    def gains(self) -> dict[str, Any]:
+        """The fields of the reply to `tune_get`."""
+
     def plan(self, message: protocol.Request) -> Plan:
         """What to ask of the loop.
 
@@ -183,6 +186,23 @@ class Server:
         for client in list(self._clients):
             self._serve(client, now_s)
         self._hand_over()
+
+    def ask(self, message: protocol.Request, label: str) -> ProtocolError | None:
+        """Do what no client asks for, without a lease.
+
+        Returns:
+            Why it cannot be done; the axis's own answer goes to the log.
+        """
+        try:
+            plan = self._desk.plan(message)
+        except ProtocolError as e:
+            self._say(WARNING, f"{label}: {message.verb} → {e.kind}: {e.message}")
+            return e
+        if plan.requests:
+            self._jobs.append(_Job(None, None, plan, label))
+        elif plan.done is not None:
+            plan.done()
+        return None
 
     def close(self) -> None:
         """Leave all clients."""
@@ -344,6 +364,8 @@ class Server:
             case protocol.Status():
                 lease = self._lease_fields()
                 self._send(client, protocol.reply(number, **self._desk.status(), lease=lease))
+            case protocol.TuneGet():
+                self._send(client, protocol.reply(number, **self._desk.gains()))
             case protocol.Observe():
                 client.read_only = True
                 self._send(client, protocol.reply(number))

@@ -470,6 +470,7 @@ TABLE: tuple[Fault, ...] = (
 )
 
 
+FAULT_CURES = tuple(fault.cure for fault in sorted(TABLE, key=lambda fault: fault.bit))  # by bit number
 FAULT_NAMES = tuple(bit.name.lower() for bit in sorted(F))  # by bit number
 
 

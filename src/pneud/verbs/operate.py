@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json as json_
-import sys
 import time
 from typing import Any
 
 from pneud.console.client import Client, RefusedError
+from pneud.console.results import refused, show
 
 _JOG_LEASE_S = 0.3
 _RENEWALS = 3  # of a lease, before it would run out
@@ -29,24 +29,6 @@ def ask(socket: str | None, json: bool, verb: str, **fields: Any) -> int:
             return refused(e, json)
     show(reply, json, reply.get("state", "done"))
     return 0
-
-
-def show(reply: dict[str, Any], json: bool, words: str) -> None:
-    """Print a result."""
-    print(json_.dumps({"schema": 1, "ok": True, **reply}) if json else words)
-
-
-def refused(e: RefusedError, json: bool) -> int:
-    """Print a refusal.
-
-    Returns:
-        Exit status: 1.
-    """
-    if json:
-        print(json_.dumps({"schema": 1, "ok": False, "error": e.error}))
-    else:
-        print(f"pneud: {e}", file=sys.stderr)
-    return 1
 
 
 def jog(socket: str | None, json: bool, velocity_mm_s: float, duration_s: float | None) -> int:
@@ -123,5 +105,6 @@ def in_words(s: dict[str, Any]) -> list[str]:
     )
     lost = f", {s['log_dropped']} lost" if s["log_dropped"] else ""
     lines.append(f"log {s['log']}: {s['log_written']} records{lost}")
-    lines.append(f"configuration {s['config']}")
+    changed = " (changed since it was loaded: pneud tune diff)" if s["config_changed"] else ""
+    lines.append(f"configuration {s['config']}{changed}")
     return lines

@@ -192,7 +192,7 @@ def _run(
             recorder,
             handoff.LoopEnd(taking),
         )
-        loop.handle_signals()
+        loop.handle_signals(console)
         loop.run()
     finally:
         ring.set_closed()

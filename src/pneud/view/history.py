@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable
+from typing import NamedTuple
 
 from pneud.rt.histogram import Histogram
-from pneud.signals import ALL_SOURCES, Defect, Measurement, Record
+from pneud.signals import ALL_SOURCES, Defect, Measurement, Record, RequestKind, Tick
 
 BUCKET_NS = 20_000_000
 SPAN_S = 10.0
 _SPAN_BUCKETS = round(SPAN_S * 1e9 / BUCKET_NS)
 _LARGEST = 1e30  # squares of smaller values and their sums stay finite
 _SEEN_NS = 2**61  # a source's age above this means that it was never seen
+_EVENTS = 16
 _BLOCKS = " ▁▂▃▄▅▆▇█"
 
 Column = tuple[float, float] | None
@@ -115,6 +117,29 @@ def sparkline(columns: list[Column], low: float, high: float, height: int) -> li
     return ["".join([ramp[level + shift] for level in levels]) for shift in range(0, rest + 1, 8)]
 
 
+def shape(h: Histogram, low_ns: float, high_ns: float, width: int) -> str:
+    """A histogram as block characters over a logarithmic axis; what lies beyond its ends counts at them.
+
+    Heights are logarithmic, too, so that one tick among millions is still to be seen.
+    """
+    counts = [0] * width
+    scale = width / math.log(high_ns / low_ns)
+    for low, high, count in h.counts():
+        at = int(scale * math.log(max(0.5 * (low + high), low_ns) / low_ns))
+        counts[min(at, width - 1)] += count
+    top = math.log1p(max(counts, default=0)) or 1.0
+    return "".join(_BLOCKS[math.ceil(8 * math.log1p(n) / top)] for n in counts)
+
+
+class Event(NamedTuple):
+    """Something that happened in a tick."""
+
+    t_ns: int
+    kind: str  # request, fault or state
+    what: int  # a RequestKind, bits of faults, or the state before
+    then: int  # the Answer, nothing, or the state after
+
+
 class History:
     """Everything the screen shows that one record alone does not tell.
 
@@ -142,12 +167,13 @@ class History:
         self.command = Series()
         self.p1 = Series()
         self.p2 = Series()
-        self._first_ns = 0
+        self.events: deque[Event] = deque(maxlen=_EVENTS)
+        self.first_ns = 0
 
     @property
     def elapsed_s(self) -> float:
         """Time between the first and the newest tick."""
-        return (self.last.tick.t_ns - self._first_ns) * 1e-9 if self.last else 0.0
+        return (self.last.tick.t_ns - self.first_ns) * 1e-9 if self.last else 0.0
 
     def add(self, records: Iterable[Record]) -> None:
         """Take records in their order."""
@@ -159,9 +185,10 @@ class History:
         m = tick.measurement
         t_ns = tick.t_ns
         if self.last is None:
-            self._first_ns = t_ns
+            self.first_ns = t_ns
         else:
             self.skipped += m.skipped
+            self._note_events(self.last.tick, tick)
         self.last = record
         self.ticks += 1
         self.received += len(record.frames)
@@ -176,6 +203,24 @@ class History:
         self.command.add(t_ns, tick.command.voltage_v)
         self.p1.add(t_ns, m.p1_pa)
         self.p2.add(t_ns, m.p2_pa)
+
+    def _note_events(self, before: Tick, now: Tick) -> None:
+        if now.request is not None and not self._repeats(now):
+            self.events.append(Event(now.t_ns, "request", now.request.kind, now.answer))
+        if now.latched & ~before.latched:
+            self.events.append(Event(now.t_ns, "fault", now.latched & ~before.latched, 0))
+        if now.state != before.state:
+            self.events.append(Event(now.t_ns, "state", before.state, now.state))
+
+    def _repeats(self, now: Tick) -> bool:
+        """Whether a request is one of many alike, as those of a jog and an upload are."""
+        last = next((e for e in reversed(self.events) if e.kind == "request"), None)
+        return (
+            last is not None
+            and now.request is not None
+            and now.request.kind in (RequestKind.JOG, RequestKind.PIECE)
+            and (last.what, last.then) == (now.request.kind, now.answer)
+        )
 
     def _count_missing(self, m: Measurement) -> None:
         sources = (

@@ -13,8 +13,8 @@ from rich.segment import Segment
 from rich.style import Style
 
 from pneud.rt.histogram import Histogram
-from pneud.signals import Host, Record, State, ValveState
-from pneud.view.history import Column, History, Series, span_s, sparkline
+from pneud.signals import Answer, Host, Record, RequestKind, State, ValveState
+from pneud.view.history import Column, Event, History, Series, shape, span_s, sparkline
 from pneud.view.text import (
     DIM,
     HAT,
@@ -33,7 +33,9 @@ from pneud.view.text import (
 SILENT_S = 0.5
 
 _RANGE = 18  # width of what stands to the right of a curve
-_FIXED_ROWS = 18  # all rows but curves
+_FIXED_ROWS = 19  # all rows but curves and further events
+_MANY_EVENTS_ROWS, _MANY_EVENTS = 34, 5
+_SHAPE_NS, _SHAPE_WIDTH, _SHAPE_LABEL = (1e3, 1e7), 22, " 1 µs … 10 ms, logarithmic"
 # no curve is drawn on a finer scale than this, so that noise does not look like motion
 _LEAST_ERROR_M = 1e-6
 _LEAST_PRESSURE_PA = 5e3
@@ -71,6 +73,8 @@ class ScreenInfo(NamedTuple):
     fault_names: tuple[str, ...]  # by bit
     log_path: str
     sync: bool = True  # every source answers every SYNC
+    cures: tuple[str, ...] = ()  # by bit
+    message: str = ""  # for the moment, in place of the note
     keys: str = "Ctrl-C stops"
 
 
@@ -120,7 +124,7 @@ class Page:
 def _fill(rows: Rows, snapshot: Snapshot, history: History, height: int) -> None:
     info = snapshot.info
     record = snapshot.record
-    curves = _curve_heights(height)
+    curves = _curve_heights(height if height < _MANY_EVENTS_ROWS else height - _MANY_EVENTS + 1)
     rules = height >= _FIXED_ROWS
     _head(rows, snapshot, history)
     if record is None:
@@ -136,6 +140,7 @@ def _fill(rows: Rows, snapshot: Snapshot, history: History, height: int) -> None
         if rules:
             rows.rule("loop")
         _loop(rows, history)
+        _events(rows, history, info, 1 if height < _MANY_EVENTS_ROWS else _MANY_EVENTS)
     rows.row()
     rows.put(clean(info.keys), _BOLD)
     room = rows.width - len(info.keys) - 4
@@ -165,8 +170,11 @@ def _head(rows: Rows, snapshot: Snapshot, history: History) -> None:
     rows.row()
     if history.silent_s > SILENT_S:
         rows.put(f"no ticks for {history.silent_s:.1f} s", _BAD)
+    elif info.message:
+        rows.put(clean(info.message), _WARN)
     else:
-        rows.put(clean(info.note), DIM)
+        cure = "" if record is None else _cure(record, info)
+        rows.put(clean(cure or info.note), PLAIN if cure else DIM)
     rows.row("faults")
     if record is None:
         rows.put("-")
@@ -180,6 +188,15 @@ def _head(rows: Rows, snapshot: Snapshot, history: History) -> None:
             rows.put("  ")
     if not latched and not present:
         rows.put("none", _GOOD)
+
+
+def _cure(record: Record, info: ScreenInfo) -> str:
+    """What a person can do about the first fault that is latched, or else present."""
+    bits = record.tick.latched or record.tick.present
+    first = (bits & -bits).bit_length() - 1
+    return (
+        f"{bit_names(bits, info.fault_names)[0]}: {info.cures[first]}" if 0 <= first < len(info.cures) else ""
+    )
 
 
 def _motion(rows: Rows, record: Record, info: ScreenInfo, history: History, height: int) -> None:
@@ -281,6 +298,25 @@ def _loop(rows: Rows, history: History) -> None:
         _counts(rows, "log", ("written", h.log_written, False), ("dropped", h.log_dropped, True))
 
 
+def _events(rows: Rows, history: History, info: ScreenInfo, count: int) -> None:
+    """The newest events, the newest first."""
+    newest = list(history.events)[-count:][::-1]
+    for i in range(count):
+        rows.row("events" if i == 0 else "")
+        if i < len(newest):
+            event = newest[i]
+            rows.put(f"{clock((event.t_ns - history.first_ns) * 1e-9)} ", DIM)
+            rows.put(_in_words(event, info), _BAD if event.kind == "fault" else PLAIN)
+
+
+def _in_words(event: Event, info: ScreenInfo) -> str:
+    if event.kind == "fault":
+        return "fault " + ", ".join(bit_names(event.what, info.fault_names))
+    if event.kind == "state":
+        return f"{name_of(State, event.what)} > {name_of(State, event.then)}"
+    return f"{name_of(RequestKind, event.what)}: {name_of(Answer, event.then)}"
+
+
 def _cells(rows: Rows, *cells: tuple[str, str, Style]) -> None:
     """A row of three labels and values."""
     rows.row()
@@ -303,11 +339,10 @@ def _distribution(rows: Rows, label: str, histogram: Histogram) -> None:
     rows.row(label)
     for name, ns in zip(("p50", "p99", "max"), histogram.percentiles((50, 99, 100)), strict=True):
         rows.put(f"{name} ", DIM)
-        rows.put(duration(ns), PLAIN, 13)
-    if label == "latency":
-        rows.put("sensor to command", DIM)
-    elif label == "lateness":
-        rows.put("wake-up, from grid", DIM)
+        rows.put(duration(ns), PLAIN, 12)
+    rows.put(shape(histogram, *_SHAPE_NS, _SHAPE_WIDTH), _COMMAND)
+    if rows.room > len(_SHAPE_LABEL):
+        rows.put(_SHAPE_LABEL, DIM)
 
 
 def _curve_width(rows: Rows) -> int:

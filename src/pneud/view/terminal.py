@@ -32,6 +32,7 @@ def run(
     *,
     log_counts: Callable[[], tuple[int, int]] | None = None,
     console: Console | None = None,
+    attend: Callable[[ScreenInfo], ScreenInfo] | None = None,
 ) -> None:
     """Show an axis until told to stop; the terminal is as before afterwards.
 
@@ -44,6 +45,7 @@ def run(
         stop: looked at before every picture.
         log_counts: records written to the log and dropped.
         console: where to draw; standard output if not given.
+        attend: called before every picture; may change what does not come from the records.
 
     Raises:
         OSError: the terminal is gone.
@@ -63,6 +65,8 @@ def run(
                 history.add(records)
                 heard_s = now_s
             history.silent_s = now_s - heard_s
+            if attend is not None:
+                info = attend(info)
             if log_counts is not None:
                 history.log_written, history.log_dropped = log_counts()
             if now_s >= due_s - 0.5 * FRAME_S:
@@ -86,6 +90,7 @@ def run_child(
     parent_pid: int,
     *,
     log_counts: Callable[[], tuple[int, int]] | None = None,
+    attend: Callable[[ScreenInfo], ScreenInfo] | None = None,
 ) -> None:
     """`run` as the whole life of a forked process: leaves in order on SIGTERM, SIGHUP, or its parent's death.
 
@@ -99,6 +104,7 @@ def run_child(
         stop: as for `run`.
         parent_pid: os.getpid() of the parent, taken before the fork.
         log_counts: as for `run`.
+        attend: as for `run`.
     """
     leaving = False
 
@@ -121,4 +127,4 @@ def run_child(
     die_with_parent(parent_pid, signal.SIGTERM)
     os.nice(5)  # the picture may be late, the plant and the recorder beside it may not
     with contextlib.suppress(OSError, SystemExit):  # the terminal is gone; rich exits on a broken pipe
-        run(poll, info, told_to_stop, log_counts=log_counts)
+        run(poll, info, told_to_stop, log_counts=log_counts, attend=attend)

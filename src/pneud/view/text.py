@@ -15,7 +15,7 @@ PLAIN = Style()
 DIM = Style(dim=True)
 
 # one for one
-_ASCII = str.maketrans("µ·─├┤│●█▁▂▃▄▅▆▇…" + HAT, "u--|||O#_.:-=+*.^")
+_ASCII = str.maketrans("µ·─├┤│●█▁▂▃▄▅▆▇…←→" + HAT, "u--|||O#_.:-=+*.<>^")
 
 
 class Rows:

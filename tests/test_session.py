@@ -1,0 +1,293 @@
+"""An operator's session: the running daemon asked through its socket, and the log of it all replayed."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import re
+import secrets
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from commands import PNEUD, children, eventually, kill, object_of, pneud, pneud_here
+from pneud import resources
+from pneud.console.client import Client, RefusedError
+from pneud.log.reader import read_log
+from pneud.log.records import LoggedTick
+from pneud.signals import Answer, RequestKind
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def axis(tmp_path: Path) -> Path:
+    """The virtual axis with time-outs that a stall of a shared machine does not reach."""
+    text = (resources.configs() / "virtual.toml").read_text()
+    text = re.sub(r"_timeout_ms = 50\.0", "_timeout_ms = 250.0", text)
+    file = tmp_path / "patient.toml"
+    file.write_text(text)
+    return file
+
+
+@contextmanager
+def daemon(axis: Path, log: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A virtual run without a terminal, and its socket."""
+    path = f"/tmp/pneud-test-{os.getpid()}-{secrets.token_hex(3)}.sock"
+    process = subprocess.Popen(
+        [
+            *PNEUD,
+            "--virtual",
+            "--config",
+            str(axis),
+            "--headless",
+            "--json",
+            "--socket",
+            path,
+            "--log",
+            str(log),
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        eventually(lambda: Path(path).exists() or process.poll() is not None)
+        yield process, path
+    finally:
+        process.kill()
+        process.communicate()
+        Path(path).unlink(missing_ok=True)
+        Path(path + ".lock").unlink(missing_ok=True)
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:
+    """Stop the daemon in order: exit status, output, errors."""
+    process.send_signal(signal.SIGTERM)
+    out, err = process.communicate(timeout=60)
+    return process.returncode, out, err
+
+
+def until(client: Client, state: str) -> None:
+    eventually(lambda: client.ask("status")["state"] == state)
+
+
+def asked(log: Path) -> list[tuple[RequestKind, Answer]]:
+    """Requests and answers in the log."""
+    ticks: list[LoggedTick] = list(read_log(log))
+    return [(RequestKind(t.request.kind), Answer(t.answer)) for t in ticks if t.request is not None]
+
+
+def test_a_session_from_arming_to_disarming_and_its_replay(axis: Path, tmp_path: Path) -> None:
+    log = tmp_path / "session.mcap"
+    samples = tmp_path / "way.csv"
+    samples.write_text("t_s,x_mm\n0,450\n0.6,455\n1.2,450\n")
+    with daemon(axis, log) as (process, path):
+        with Client(path) as client:
+            until(client, "tracking")
+            assert client.ask("stop")["state"] == "stopping"
+            until(client, "holding")
+            client.ask("disarm")
+            until(client, "disarmed")
+
+            # arm → goto → retarget in motion
+            eventually(lambda: not client.ask("status")["faults"])
+            assert client.ask("arm")["state"] == "holding"
+            assert client.ask("goto", x_mm=520.0)["state"] == "moving"
+            time.sleep(0.2)
+            assert client.ask("goto", x_mm=450.0)["state"] == "moving"
+            until(client, "holding")
+            found = client.ask("status")
+            assert found["position_mm"] == pytest.approx(450.0, abs=0.5)
+            with pytest.raises(RefusedError) as refused:
+                client.ask("goto", x_mm=3.0)
+            assert refused.value.error["nearest_mm"] == 21.0
+
+            # jog → lease lost
+            assert client.ask("jog", velocity_mm_s=10.0, lease_s=0.2)["state"] == "moving"
+            until(client, "holding")
+            assert pneud_here("status", "--socket", path, "--json").returncode == 0
+            client.ask("jog", velocity_mm_s=-10.0, lease_s=1.0)
+        with Client(path) as client:  # the other one has gone while jogging
+            until(client, "holding")
+            client.ask("stop")
+
+            # fault → clear refused while it is present → cleared
+            plant = children(process.pid)[2]
+            kill(plant, signal.SIGSTOP)
+            until(client, "fault")
+            eventually(lambda: "encoder_missing" in [f["name"] for f in client.ask("status")["faults"]])
+            with pytest.raises(RefusedError) as refused:
+                client.ask("clear")
+            assert refused.value.kind == "blocked"
+            assert "encoder_missing" in [f["name"] for f in refused.value.error["faults"]]
+            kill(plant, signal.SIGCONT)
+
+            def cleared() -> bool:
+                try:
+                    return bool(client.ask("clear")["state"] == "disarmed")
+                except RefusedError:
+                    return False
+
+            eventually(cleared)
+            eventually(lambda: not client.ask("status")["faults"])
+            assert client.ask("arm")["state"] == "holding"
+
+        # what people type: track a file, tune, save, disarm
+        def said(*words: str, status: int = 0) -> dict[str, object]:
+            done = pneud_here(*words, "--socket", path, "--json")
+            assert done.returncode == status, (words, done.stdout, done.stderr)
+            return object_of(done)
+
+        assert said("track", str(samples))["state"] == "tracking"
+        assert said("tune", "set", "k1=90000", "k3=103")["changed"] == "k1 95000 → 90000, k3 104 → 103"
+        assert said("tune", "set", "k1=1e9", status=1)["error"]["type"] == "unstable"  # type: ignore[index]
+        assert said("tune", "diff")["changes"] == {
+            "k1": {"file": 95000.0, "running": 90000.0},
+            "k3": {"file": 104.0, "running": 103.0},
+        }
+        before = axis.read_text()
+        said("tune", "save")
+        assert said("tune", "diff")["changes"] == {}
+        assert axis.read_text() == before.replace("95000.0", "90000.0").replace("k3 = 104.0", "k3 = 103.0")
+
+        # the file is edited and the daemon told by a signal
+        axis.write_text(axis.read_text().replace("k1 = 90000.0", "k1 = 91000.0"))
+        process.send_signal(signal.SIGHUP)
+        with Client(path) as client:
+            eventually(lambda: client.ask("tune_get")["gains"]["k1"] == 91000.0)
+            until(client, "holding")
+        axis.write_text(axis.read_text().replace("travel_max_m = 0.98", "travel_max_m = 0.9"))
+        assert said("tune", "reload", status=1)["error"]["type"] == "configuration"  # type: ignore[index]
+        said("mark", "end of the session")
+        said("disarm")
+        with Client(path) as client:
+            until(client, "disarmed")
+        status, out, err = ended(process)
+    assert status == 1, err  # there was a fault
+    assert json.loads(out)["faults"]
+
+    kinds = [kind for kind, answer in asked(log) if answer == Answer.TAKEN]
+    for kind in RequestKind:
+        assert (kind in kinds) is (kind != RequestKind.HOME), kind
+    again = object_of(pneud("replay", log, "--json"))
+    assert again["identical"] is True
+    assert again["mismatches"] == 0
+    told = [e.message for e in read_log(log).events() if e.name == "console"]
+    who = f"uid {os.geteuid()} pid {os.getpid()}: "
+    assert who + "goto 520 mm → taken" in told
+    assert who + "clear → blocked" in told
+    assert who + "tune: k1 95000 → 90000, k3 104 → 103 → taken" in told
+    assert who + "mark end of the session → taken" in told
+    assert any("has gone while jogging: hold → taken" in words for words in told)
+    assert any(words.startswith("SIGHUP: tune from the file: k1 90000 → 91000") for words in told)
+
+
+def test_a_killed_console_is_reported_and_control_goes_on(axis: Path, tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    with daemon(axis, log) as (process, path):
+        with Client(path) as client:
+            until(client, "tracking")
+            client.ask("hold")
+            client.ask("jog", velocity_mm_s=5.0, lease_s=0.3)
+        kill(children(process.pid)[1])
+        time.sleep(1.0)
+        status, out, err = ended(process)
+    assert status == 0, err
+    assert err.count("the console is gone") == 1
+    assert json.loads(out)["state"] == "holding"
+    assert not Path(path).exists()
+    assert object_of(pneud("replay", log, "--json"))["identical"] is True
+
+
+def test_floods_and_hostile_lines_ask_nothing_of_the_loop(axis: Path, tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    dice = random.Random(7)
+    with daemon(axis, log) as (process, path):
+        with Client(path) as client:
+            until(client, "tracking")
+            crowd = []
+            for _ in range(100):
+                one = socket.socket(socket.AF_UNIX)
+                one.connect(path)
+                one.setblocking(False)
+                crowd.append(one)
+            end = time.monotonic() + 5.0
+            while time.monotonic() < end:
+                one = dice.choice(crowd)
+                line = dice.choice(
+                    [
+                        dice.randbytes(dice.randrange(200)) + b"\n",
+                        b'{"v":1,"id":1,"verb":"goto","x_mm":' + dice.randbytes(3) + b"}\n",
+                        b'{"v":1,"id":1,"verb":"goto","x_mm":99999}\n',
+                        b'{"v":1,"id":1,"verb":"status"}\n',
+                        b"[" * dice.randrange(20_000),
+                        b'{"v":1,"id":1,"verb":"st',
+                    ]
+                )
+                try:
+                    one.send(line)
+                except OSError:
+                    one.close()
+                    crowd.remove(one)
+                    crowd.append(one := socket.socket(socket.AF_UNIX))
+                    one.connect(path)
+                    one.setblocking(False)
+        with Client(path) as client:  # the idle one has been displaced by the crowd
+            assert client.ask("status")["state"] == "tracking"
+        status, out, err = ended(process)
+    assert status == 0, err
+    assert json.loads(out)["state"] == "tracking"
+    assert [kind for kind, _ in asked(log)] == [RequestKind.ARM, RequestKind.SHUTDOWN]
+
+
+def test_two_daemons_of_one_name_are_told_apart(axis: Path, tmp_path: Path) -> None:
+    environment = {**os.environ, "RUNTIME_DIRECTORY": str(tmp_path)}
+    environment.pop("PNEUD_SOCKET", None)
+
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [*PNEUD, *words], env=environment, capture_output=True, text=True, timeout=60, check=False
+        )
+
+    assert run("status").returncode == 3
+    ones = []
+    try:
+        for n in range(2):
+            arguments = [
+                "--virtual",
+                "--config",
+                str(axis),
+                "--headless",
+                "--log",
+                str(tmp_path / f"{n}.mcap"),
+            ]
+            ones.append(
+                subprocess.Popen(
+                    [*PNEUD, *arguments],
+                    env=environment,
+                    stderr=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                )
+            )
+            eventually(lambda: len(list(tmp_path.glob("*.sock"))) == len(ones))
+            time.sleep(0.3)
+        done = run("status")
+        assert done.returncode == 2
+        assert done.stdout == ""
+        assert "virtual.sock" in done.stderr
+        ones[1].send_signal(signal.SIGTERM)
+        ones[1].wait(30)
+        assert run("status", "--json").returncode == 0
+    finally:
+        for one in ones:
+            one.kill()
+            one.wait()
