@@ -11,7 +11,7 @@ DEBIAN_PYTHON := /usr/bin/python3
 PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 
 .DEFAULT_GOAL := help
-.PHONY: help virtual test lint types contracts ci-tests coverage vm systemd install-service soak clean
+.PHONY: help virtual test lint types contracts ci-tests coverage vm systemd install-service campaign campaign-vm soak clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 17
@@ -50,6 +50,13 @@ systemd: $(DEV) ## the service under systemd, in a virtual machine, from the whe
 	@$(BIN)/python -m hatchling build -t wheel -d build/wheels >/dev/null
 	@$(BIN)/python -m pip --python $(DEBIAN_PYTHON) wheel --quiet --disable-pip-version-check -w build/wheels build/wheels/*.whl
 	@exec hil/vm/run -s -t 230 -- $(CURDIR)/$(BIN)/python -m pytest -m systemd -p no:cacheprovider tests/vm/test_service.py $(ARGS)
+
+campaign: $(DEV) ## fault scenarios in real time: build/campaign/matrix.html (see docs/hil.md)
+	@exec $(BIN)/python hil/campaign.py --bus unixcan -o build/campaign $(ARGS)
+
+campaign-vm: $(DEV) ## the same over real SocketCAN, in a virtual machine
+	@mkdir -p build/campaign-vm
+	@exec hil/vm/run -t 1200 -w build/campaign-vm -- $(BIN)/python hil/campaign.py --bus vcan0 -o build/campaign-vm $(ARGS)
 
 soak: $(DEV) ## the tests that take minutes
 	@exec $(BIN)/python -m pytest -m soak $(ARGS)

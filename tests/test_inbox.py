@@ -397,6 +397,21 @@ def test_two_devices_with_one_identifier_clash() -> None:
     assert inbox.conditions == 0
 
 
+def test_a_clash_that_has_ended_is_forgotten_while_frames_go_on() -> None:
+    inbox = Inbox(CODECS, BUS)
+    count = 0
+    clashed = []
+    for n in range(1, 700):
+        inbox.begin(n * MS)
+        clashed.append(inbox.conditions == Host.IDENTIFIER_CLASH)
+        for _ in range(2 if n < 400 else 1):
+            count += 1
+            inbox.feed(pressure(n * MS + 1, count))
+        inbox.measurement(0, 0)
+    assert all(clashed[20:500])
+    assert not any(clashed[600:])
+
+
 def test_frames_that_come_late_or_not_at_all_are_no_clash() -> None:
     inbox = Inbox(CODECS, BUS)
     count = 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -143,6 +144,20 @@ def test_what_a_scenario_changes_stands_in_the_text_that_goes_into_the_log() -> 
     assert changed.config.limits.tracking_error_m == 0.4
     assert parse(changed.text, "again") == changed.config
     assert load("virtual.toml").config.limits.tracking_error_m != 0.4
+
+
+def test_the_example_of_the_documentation_is_a_scenario(tmp_path: Path) -> None:
+    page = Path(__file__).parent.parent / "docs" / "hil.md"
+    file = tmp_path / "example.toml"
+    file.write_text(page.read_text().partition("```toml\n")[2].partition("```")[0])
+    example = load_scenario(file)
+    trial.check_names(example)
+    load(example.config, None, example.change)
+    done = pneud("check", file)
+    assert (done.returncode, done.stdout) == (
+        0,
+        f"{file}: fine\nscenario hose-and-sensor on virtual: leak, silence → centre\n",
+    )
 
 
 # --- the engine -------------------------------------------------------------------------------------------

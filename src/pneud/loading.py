@@ -121,6 +121,14 @@ def load_scenario(file: str | Path) -> Scenario:
         raise ConfigError(f"{path}: {explain(e)}") from None
 
 
+def is_scenario(file: str | Path) -> bool:
+    """Whether a file says what it expects, as a scenario does and a configuration does not."""
+    try:
+        return "expect" in tomllib.loads(resources.find(file).read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # whoever loads it will say what is wrong
+        return False
+
+
 def toml_text(data: dict[str, Any], prefix: str = "") -> str:
     """Tables of plain values as TOML."""
     plain = [f"{key} = {_toml_value(v)}" for key, v in data.items() if not isinstance(v, dict)]

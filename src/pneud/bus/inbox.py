@@ -31,6 +31,7 @@ _HEARTBEATS = range(0x701, 0x780)
 _HEARTBEAT_BASE = 0x700
 _OPERATIONAL, _BOOT = 5, 0  # NMT states in a heartbeat
 _SURPLUS = 8  # frames of one source, more or fewer than SYNC asked for, that are put down to delay and loss
+_FORGET_TICKS = 16  # a surplus of one is forgotten in so many ticks, so that one that has ended does not stay
 _EMERGENCY, _HEARTBEAT_LOST = int(Host.EMERGENCY), int(Host.HEARTBEAT_LOST)
 _BUS_PASSIVE, _BUS_OFF = int(Host.BUS_PASSIVE), int(Host.BUS_OFF)
 _CLASH = int(Host.IDENTIFIER_CLASH)
@@ -123,6 +124,7 @@ class Inbox:
         # what was sampled before this is late; between ticks everything is
         self._not_before_ns = NEVER_NS if bus.sync else -NEVER_NS
         self._t_ns = 0
+        self._syncs = 0
         self._fresh = 0
         self._rx = self._lost = self._crc = self._stale = self._late = self._foreign = self._errors = 0
         self._emcy: dict[int, int] = {}
@@ -152,9 +154,11 @@ class Inbox:
         if self._sync:
             self._not_before_ns = t_ns
             clash = 0
+            self._syncs += 1
+            forget = self._syncs % _FORGET_TICKS == 0
             for origin in self._sources:
                 if origin.surplus > -_SURPLUS:
-                    origin.surplus -= 1
+                    origin.surplus -= 2 if forget and origin.surplus > 1 else 1
                     if origin.surplus > _SURPLUS:
                         clash = _CLASH
             self.conditions = self.conditions & ~_CLASH | clash
@@ -173,7 +177,8 @@ class Inbox:
             self._feed_other(stamp_ns, can_id, data)
             return
         self._rx += 1
-        origin.surplus += 1
+        if origin.surplus <= 2 * _SURPLUS:
+            origin.surplus += 1
         codec = origin.codec
         if not codec.valid(data):
             self._crc += 1

@@ -437,7 +437,7 @@ TABLE: tuple[Fault, ...] = (
         Reaction.CENTRE,
         "more frames of a source than SYNC asked for: another device uses its identifier",
         "find the device with the same identifier and give it another",
-        clears="as soon as the surplus has run down, a frame a tick",
+        clears="when the surplus is forgotten, one frame in 16 ticks",
     ),
     Fault(
         F.DISK_FULL,

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import json as json_
 
-from pneud import parameters
+from pneud import parameters, resources, trial
 from pneud.axis import Axis
 from pneud.design import predict, warnings
-from pneud.loading import load
+from pneud.loading import is_scenario, load, load_axis, load_scenario
 
 
 def check(config_file: str, json: bool) -> int:
-    """Load a configuration and its DBC as the daemon would, and say what they describe.
+    """Load a configuration and its DBC as the daemon would, or a scenario, and say what they describe.
 
     Raises:
         ConfigError: names the file, the key, the value and the bound.
         DatabaseError: names the DBC, the message and the signal.
     """
+    if is_scenario(config_file):
+        return _check_scenario(config_file, json)
     loaded = load(config_file)
     c, codecs = loaded.config, loaded.codecs
     Axis(parameters.axis_of(c, codecs.command_lsb_v))
@@ -35,4 +37,20 @@ def check(config_file: str, json: bool) -> int:
     print(f"law {c.control.law}, {c.control.discretisation}, on {c.bus.channel} with {loaded.dbc.name}")
     for doubt in doubts:
         print(f"warning: {doubt}")
+    return 0
+
+
+def _check_scenario(file: str, json: bool) -> int:
+    scenario = load_scenario(file)
+    trial.check_names(scenario)
+    axis = load_axis(None, None, scenario)
+    path = resources.find(file)
+    if json:
+        print(
+            json_.dumps({"schema": 1, "ok": True, "name": scenario.name, "file": str(path), "warnings": []})
+        )
+        return 0
+    kinds = ", ".join(fault.kind for fault in scenario.fault)
+    print(f"{path}: fine")
+    print(f"scenario {scenario.name} on {axis.config.name}: {kinds} → {scenario.expect.reaction}")
     return 0
