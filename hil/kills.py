@@ -88,7 +88,7 @@ def one(number: int, plant: Plant, bus: str, config: str, folder: Path, after_s:
     deadline = time.monotonic() + PATIENCE_S
     while not gone(others) and time.monotonic() < deadline:
         time.sleep(0.01)
-    reader = LogReader(log)
+    reader = LogReader([log])
     last_ns = 0
     engaged = False
     for tick in reader:
@@ -106,7 +106,7 @@ def one(number: int, plant: Plant, bus: str, config: str, folder: Path, after_s:
     summary = json.loads(done.stdout)
     if done.returncode or summary["state"] not in ("disarmed", "waiting"):
         problems.append(f"came up {summary['state']}, {summary['faults']}")
-    if any(tick.sent[1].data[:3] != bytes(3) for tick in LogReader(again)):
+    if any(tick.sent[1].data[:3] != bytes(3) for tick in LogReader([again])):
         problems.append("a command other than 0 V, disabled, after the restart")
     again.unlink()
     return problems

@@ -260,7 +260,7 @@ def operate(
 def read_back(log: Path, out: str, err: str, found: Findings) -> None:
     """Every fault is in the log, and the log is whole."""
     summary = json.loads(out)
-    reader = LogReader(log)
+    reader = LogReader([log])
     latched = 0
     for tick in reader:
         if tick.latched & ~latched:
