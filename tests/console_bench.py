@@ -59,9 +59,9 @@ class Bench:
         self.clients.append(client)
         return client
 
-    def turn(self, turns: int = 6) -> None:
+    def turn(self, turns: int = 6, timeout_s: float = 0.0) -> None:
         for _ in range(turns):
-            self.server.step(0.0)
+            self.server.step(timeout_s)
             request = self.loop.take()
             if request is not None:
                 self.requests.append(request)

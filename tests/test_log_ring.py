@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import gc
+import mmap
 import os
 import signal
 import tracemalloc
@@ -223,3 +224,36 @@ def test_of_several_states_the_newest_is_seen() -> None:
     reader.poll()
     reader.poll()
     assert reader.state() == (5_000_000, Leaf(5, 0.0, ()))
+
+
+def test_who_skims_sees_the_same_records() -> None:
+    ring = Ring.create(slots=64)
+    skimmer, reader = ring.reader(), ring.reader()
+    for record in noisy(40):
+        ring.put(record)
+    skimmer.skim()
+    reader.poll()
+    seen, read = skimmer.skim(), reader.poll()
+    assert len(read) == 40
+    assert seen == [(r.tick.measurement.skipped, r.timing.lateness_ns, r.timing.latency_ns) for r in read]
+    for record in noisy(200):
+        ring.put(record)
+    skimmer.skim()
+    skimmer.skim()
+    assert skimmer.delivered + skimmer.dropped == 240
+    assert skimmer.dropped > 0
+
+
+def test_memory_given_for_reading_cannot_be_written() -> None:
+    ring = Ring.create(slots=64)
+    other = Ring.attach(ring.open_for_reading(), ring.slots, ring.slot_bytes)
+    reader = other.reader()
+    records = list(noisy(5))
+    for record in records:
+        ring.put(record)
+    reader.poll()
+    assert [bits(r) for r in reader.poll()] == [bits(r) for r in records]
+    with pytest.raises(TypeError):
+        other.put(records[0])
+    with pytest.raises(OSError, match=r"not permitted|denied"):
+        mmap.mmap(ring.descriptor, mmap.PAGESIZE)

@@ -384,7 +384,12 @@ class Server:
 
     def _attach(self, client: _Client, number: int) -> None:
         """Reply with a descriptor, which goes with the first byte of the line."""
-        fields, descriptor = self._desk.attach()
+        try:
+            fields, descriptor = self._desk.attach()
+        except OSError as e:
+            error = ProtocolError(Error.FULL, f"no descriptor to give: {e.strerror}", number)
+            self._refuse(client, error)
+            return
         line = protocol.reply(number, **fields)
         try:
             sent = socket.send_fds(client.connection, [line], [descriptor])

@@ -8,7 +8,7 @@ from typing import Any
 from pneud.log.ring import Ring
 from pneud.rt.histogram import Histogram
 from pneud.safety.faults import TABLE
-from pneud.signals import Record, State
+from pneud.signals import State
 
 
 class Watch:
@@ -16,7 +16,6 @@ class Watch:
 
     def __init__(self, ring: Ring) -> None:
         """Begin with the oldest record that is still in the ring."""
-        self.last: Record | None = None
         self._ring = ring
         self._reader = ring.reader()
         self._skipped = 0
@@ -25,14 +24,11 @@ class Watch:
 
     def poll(self) -> None:
         """Take what the loop has done since the last call; to be called a few times a second."""
-        records = self._reader.poll()
-        for record in records:
-            self._skipped += record.tick.measurement.skipped
-            self._lateness.add(record.timing.lateness_ns)
-            if record.timing.latency_ns >= 0:
-                self._latency.add(record.timing.latency_ns)
-        if records:
-            self.last = records[-1]
+        for skipped, lateness_ns, latency_ns in self._reader.skim():
+            self._skipped += skipped
+            self._lateness.add(lateness_ns)
+            if latency_ns >= 0:
+                self._latency.add(latency_ns)
 
     def fields(self) -> dict[str, Any]:
         """The part of `status` that the records tell."""
@@ -47,9 +43,10 @@ class Watch:
             "lateness_us": _percentiles_us(self._lateness),
             "sensor_to_command_us": _percentiles_us(self._latency),
         }
-        if self.last is None:
+        last = self._reader.latest()
+        if last is None:
             return fields
-        tick = self.last.tick
+        tick = last.tick
         m, position_m, reference_m = tick.measurement, tick.estimate.position_m, tick.reference.position_m
         fields["state"] = State(tick.state).label
         fields["faults"] = faults(tick.present, tick.latched)

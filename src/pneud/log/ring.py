@@ -18,7 +18,8 @@ import os
 import pickle
 import struct
 import time
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
 from pneud.signals import (
     REQUEST_VALUES,
@@ -52,6 +53,13 @@ _VALUES = [struct.Struct(f"{n}d") for n in range(REQUEST_VALUES + 1)]
 # sent frames among them, before, tick with answer, kind and count of values, the values, timing, truth
 _BODY = "II" + _TICK + _REQUEST + "qqqqqq" + "d"
 
+# Where the few fields lie that `skim` reads.
+_SKIPPED = 3 + Measurement._fields.index("skipped")
+_SKIPPED_AT = struct.calcsize(f"{_PREFIX.format}{('II' + _TICK)[:_SKIPPED]}0I")
+_TIMING_AT = struct.calcsize(f"{_PREFIX.format}II{_TICK}{_REQUEST}0q")
+_LATENESS, _LATENCY = map(Timing._fields.index, ("lateness_ns", "latency_ns"))
+_SKIPPED_FIELD, _TIMING_FIELDS = struct.Struct("I"), struct.Struct("q" * len(Timing._fields))
+
 # Where the parts of an unpacked first slot begin.
 _M = 9
 _E = _M + len(Measurement._fields)
@@ -63,6 +71,8 @@ _TRUTH = _T + len(Timing._fields)
 _F = _TRUTH + 1
 
 RECORDER_FAILED = -1
+
+Item = TypeVar("Item")
 
 _SEAL_FUTURE_WRITE = 0x10  # what maps or opens the memory from now on can only read
 
@@ -344,6 +354,19 @@ class Ring:
         data = self._memory[offset : offset + self.slot_bytes]
         return data if self._words[first] == sequence else None
 
+    def _skim(self, sequence: int) -> tuple[int, int, Skimmed] | None:
+        """As `_read`, but for a few fields of the content."""
+        offset = _HEAD_BYTES + sequence % self.slots * self.slot_bytes
+        first, last = offset // 8, (offset + self.slot_bytes) // 8 - 1
+        if self._words[last] != sequence:
+            return None
+        _, number, part, parts, _, _ = _PREFIX.unpack_from(self._memory, offset)
+        (skipped,) = _SKIPPED_FIELD.unpack_from(self._memory, offset + _SKIPPED_AT)
+        timing = _TIMING_FIELDS.unpack_from(self._memory, offset + _TIMING_AT)
+        if part or self._words[first] != sequence:
+            return None
+        return number, parts, Skimmed(skipped, timing[_LATENESS], timing[_LATENCY])
+
     def _read(self, sequence: int) -> tuple[int, int, Record] | None:
         """Number, slots and content of the record that begins at a slot; None if it was overwritten."""
         slot = self._slot(sequence)
@@ -380,6 +403,14 @@ class Ring:
         return number, parts, Record(tick, timing, frames[:received], v[7], frames[received:], v[_TRUTH])
 
 
+class Skimmed(NamedTuple):
+    """A few fields of a record."""
+
+    skipped: int
+    lateness_ns: int
+    latency_ns: int
+
+
 class RingReader:
     """One reader's place in the ring."""
 
@@ -399,14 +430,21 @@ class RingReader:
 
         Those overwritten before they could be read are counted in `dropped`.
         """
+        return self._advance(self._ring._read)
+
+    def skim(self) -> list[Skimmed]:
+        """As `poll`, for who wants but a few fields, at a fraction of the cost."""
+        return self._advance(self._ring._skim)
+
+    def _advance(self, read: Callable[[int], tuple[int, int, Item] | None]) -> list[Item]:
         ring = self._ring
         head = ring._words[_HEAD]
         until, self._seen = self._seen, head
         # read after the head, so that a state is seen no later than the first record behind it
         self._state_until, self._states_seen = self._states_seen, ring._words[_STATES]
-        records: list[Record] = []
+        records: list[Item] = []
         while self._next <= until:
-            found = ring._read(self._next)
+            found = read(self._next)
             if found is None:
                 # Overrun: leave the writer some room, or the next slots are gone too before they are read.
                 self._next = max(self._next + 1, ring._words[_HEAD] - ring.slots + ring.slots // 16)

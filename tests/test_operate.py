@@ -1,0 +1,207 @@
+"""The verbs that talk to a running daemon, where none runs or a console without a loop stands in for it."""
+
+from __future__ import annotations
+
+import os
+import socket
+import stat
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from commands import object_of, pneud_here
+from console_bench import Bench, bench
+from pneud import resources
+from pneud.config import load_config
+from pneud.console import place
+from pneud.console.client import Client
+from pneud.console.place import PlaceError
+from pneud.console.tuning import gains_of
+from pneud.control.tuning import LAWS, TUNABLE, tunables
+from pneud.parameters import axis_of
+from pneud.signals import RequestKind
+
+
+@pytest.fixture
+def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A runtime folder in which nothing runs."""
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    monkeypatch.delenv("PNEUD_SOCKET", raising=False)
+    monkeypatch.setattr(place, "SYSTEM_FOLDER", tmp_path / "none")
+    return tmp_path
+
+
+@contextmanager
+def served(folder: Path, config: Path | None = None) -> Iterator[Bench]:
+    """A console that works in the background and whose loop takes everything."""
+    with bench(folder, config=config or resources.configs() / "virtual.toml") as b:
+        over = threading.Event()
+
+        def work() -> None:
+            while not over.is_set():
+                b.turn(1, 0.002)
+
+        thread = threading.Thread(target=work)
+        thread.start()
+        try:
+            yield b
+        finally:
+            over.set()
+            thread.join()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *("status", "arm", "disarm", "stop", "clear", "home", "hold", "goto 5", "goto -5", "jog -20.5"),
+        *("track sine", "track steps 100 200", "tune get", "tune set k1=3", "tune diff", "tune save"),
+        *("tune reload", "mark hello", "top"),
+    ],
+)
+def test_without_a_daemon_the_exit_status_is_3_and_one_line_says_what_helps(
+    words: str, runtime: Path
+) -> None:
+    done = pneud_here(*words.split())
+    assert done.returncode == 3, done.stderr
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1
+    assert "no running daemon" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(
+            "goto",
+            "goto here",
+            "goto nan",
+            "goto 5 --speed -1",
+            "jog inf",
+            "jog 5 --for 0",
+            "mark",
+            "tune set",
+        ),
+        *("tune set k1", "tune set k9=3", "tune set k1=x", "track sine 5", "tune nonsense"),
+    ],
+)
+def test_what_is_no_command_is_a_usage_error(words: str, runtime: Path) -> None:
+    done = pneud_here(*words.split())
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    assert done.stderr
+
+
+def test_several_daemons_are_listed_and_dead_ones_are_not(runtime: Path) -> None:
+    one = place.bind("one", None, virtual=False)
+    dead = socket.socket(socket.AF_UNIX)
+    dead.bind(str(runtime / "dead.sock"))
+    dead.close()
+    place.find(None).close()
+    two = place.bind("two", None, virtual=False)
+    with pytest.raises(PlaceError, match=r"one\.sock, .*two\.sock") as several:
+        place.find(None)
+    assert several.value.exit_code == 2
+    place.find(str(two.path)).close()
+    for it in (one, two):
+        it.listener.close()
+        os.close(it.lock)
+
+
+def test_a_living_daemon_keeps_its_socket_and_a_dead_ones_is_replaced(runtime: Path) -> None:
+    first = place.bind("axis", None, virtual=False)
+    assert stat.S_IMODE(first.path.stat().st_mode) in (0o660, 0o600)
+    with pytest.raises(PlaceError, match="another pneud") as taken:
+        place.bind("axis", None, virtual=False)
+    assert taken.value.exit_code == 3
+    beside = place.bind("axis", None, virtual=True)
+    assert beside.path.name == f"axis-{os.getpid()}.sock"
+    first.listener.close()
+    os.close(first.lock)  # as the kernel does when a process dies; the socket's name stays
+    again = place.bind("axis", None, virtual=False)
+    place.find(str(again.path)).close()
+    (runtime / "file").write_text("precious")
+    with pytest.raises(PlaceError, match="is no socket"):
+        place.bind("axis", str(runtime / "file"), virtual=False)
+    assert (runtime / "file").read_text() == "precious"
+    for it in (beside, again):
+        it.listener.close()
+        os.close(it.lock)
+
+
+def test_results_and_refusals_as_objects(tmp_path: Path) -> None:
+    with served(tmp_path) as b:
+        at = ("--socket", b.path, "--json")
+        assert object_of(pneud_here("goto", "-0.5e2", *at))["error"]["nearest_mm"] == 21.0
+        assert pneud_here("goto", "-50", "--socket", b.path).returncode == 1
+        assert object_of(pneud_here("goto", 120, "--accel", 500, *at)) == {
+            "schema": 1,
+            "ok": True,
+            "state": "holding",
+        }
+        assert object_of(pneud_here("status", *at))["name"] == "virtual"
+        assert "nobody commands" in pneud_here("status", "--socket", b.path).stdout
+        assert pneud_here("jog", "-20", "--for", 0.25, *at).returncode == 0
+        found = object_of(pneud_here("track", "steps", 100, 110, "--dwell", 0.1, *at))
+        assert found["pieces"] > 3
+        assert pneud_here("track", "steps", 100, 5, *at).returncode == 1
+        kinds = [r.kind for r in b.requests]
+    assert kinds[0] == RequestKind.GOTO
+    assert kinds[1 : kinds.index(RequestKind.HOLD)] == [RequestKind.JOG] * (kinds.index(RequestKind.HOLD) - 1)
+    assert kinds[-1] == RequestKind.TRACK
+    assert kinds.count(RequestKind.PIECE) == found["pieces"] + 1
+
+
+def test_tuning_changes_compares_and_saves_and_the_comments_stay(tmp_path: Path) -> None:
+    file = tmp_path / "axis.toml"
+    text = (resources.configs() / "virtual.toml").read_text()
+    file.write_text(text)
+    file.chmod(0o640)
+    with served(tmp_path, file) as b:
+        at = ("--socket", b.path, "--json")
+        settings = ("k1=90000", "gain_n_s2=2300", "law=ismc-explicit")
+        words = "law composite-implicit → ismc-explicit, k1 95000 → 90000, gain_n_s2 2400 → 2300"
+        assert object_of(pneud_here("tune", "set", *settings, *at))["changed"] == words
+        assert b.requests[-1].values[:2] == (3.0, 90000.0)
+        assert object_of(pneud_here("tune", "set", "law=pid", *at))["error"]["type"] == "invalid"
+        assert set(object_of(pneud_here("tune", "diff", *at))["changes"]) == {"law", "k1", "gain_n_s2"}
+        assert object_of(pneud_here("tune", "save", *at))["changed"] == words
+        saved = text.replace('law = "composite"', 'law = "ismc"').replace("95000.0", "90000.0")
+        saved = saved.replace("2400.0", "2300.0")
+        saved = saved.replace('discretisation = "implicit"', 'discretisation = "explicit"', 1)
+        assert file.read_text() == saved
+        assert stat.S_IMODE(file.stat().st_mode) == 0o640
+        assert object_of(pneud_here("tune", "get", *at))["gains"]["law"] == "ismc-explicit"
+
+        file.write_text(text.replace("amplitude_m = 0.05", "amplitude_m = 0.04"))
+        found = object_of(pneud_here("tune", "reload", *at))
+        assert found["at_restart"] == ["reference.amplitude_m"]
+        assert found["gains"]["k1"] == 95000.0
+        file.write_text(text.replace("tracking_error_m = 0.02", "tracking_error_m = 0.03"))
+        refused = object_of(pneud_here("tune", "reload", *at))["error"]
+        assert "limits.tracking_error_m changed" in refused["message"]
+        file.write_text("rubbish")
+        assert object_of(pneud_here("tune", "reload", *at))["error"]["type"] == "configuration"
+        assert pneud_here("tune", "diff", *at).returncode == 2
+    assert list(tmp_path.glob(".*")) == []
+
+
+@pytest.mark.parametrize("name", ["virtual.toml", "paper-case1.toml"])
+def test_the_gains_of_a_file_are_those_of_the_loop(name: str) -> None:
+    config = load_config(resources.configs() / name)
+    gains = gains_of(config)
+    assert tuple(gains) == TUNABLE
+    running = tunables(axis_of(config, 0.0005).controller)
+    assert [v for n, v in gains.items() if n != "law"] == list(running[1:])
+    assert LAWS[int(running[0])] == gains["law"]
+
+
+def test_a_client_is_told_when_the_console_hangs_up(tmp_path: Path) -> None:
+    with served(tmp_path) as b:
+        client = Client(str(b.path))
+        assert client.ask("status")["name"] == "virtual"
+    with pytest.raises(PlaceError, match="hung up"):
+        client.ask("status")
+    client.close()
