@@ -125,6 +125,7 @@ def skeleton(folder: Path, imports: dict[str, str]) -> subprocess.CompletedProce
         "console",
         "sim",
         "reporting",
+        "workbench",
         "verbs",
         "view",
     }
@@ -170,6 +171,7 @@ ALLOWED = {
     "processes": "from pneud.plant import part\nfrom pneud.view import x",
     "replaying": "from pneud.log import part\nfrom pneud import axis, loading",
     "reporting": "from pneud.log import part\nfrom pneud import loading",
+    "workbench": "from pneud.log import part\nfrom pneud import replaying",
     "summary": "from pneud.bus import part\nfrom pneud.rt import part as r",
     "bus": "from pneud import config, signals",
     "log": "from pneud import signals",
@@ -193,6 +195,7 @@ FORBIDDEN = {
     "parameters": "from pneud.bus import part",
     "replaying": "from pneud import daemon",
     "reporting": "from pneud import replaying",
+    "workbench": "from pneud import axis",
     "summary": "from pneud.log import part",
     "profiles": "from pneud import config",
     "asking": "from pneud import axis",

@@ -192,14 +192,38 @@ def reproduce(
 
 @app.command()
 def replay(
-    log: Annotated[str, typer.Argument(metavar="LOG", help="Log to feed through the axis again.")],
-    config: ConfigOption = None,
+    logs: Annotated[
+        list[str], typer.Argument(metavar="LOG…", help="A log, its parts, or the folder that they are in.")
+    ],
+    config: Annotated[
+        str | None, typer.Option("--config", metavar="FILE", help="What if: another configuration.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="What if: another value.")
+    ] = None,
+    against: Annotated[
+        str | None, typer.Option("--against", metavar="LOG2", help="Compare with another log instead.")
+    ] = None,
+    begin: Annotated[
+        float, typer.Option("--from", metavar="S", help="Begin so long after the log's start.")
+    ] = 0.0,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Both courses as a picture (.png).")
+    ] = None,
+    bus: Annotated[
+        str | None,
+        typer.Option("--bus", metavar="BUS", help="Play its frames on vcan0 or unixcan:NAME instead."),
+    ] = None,
+    speed: Annotated[
+        float, typer.Option("--speed", metavar="FACTOR", help="With --bus: how much faster than it was.")
+    ] = 1.0,
     json: JsonOption = False,
 ) -> None:
     """Feed a log's frames and requests through the axis again and compare every command."""
+    from pneud.verbs.replay import ReplayOptions
     from pneud.verbs.replay import replay as verb
 
-    _exit(verb, log, config, json)
+    _exit(verb, ReplayOptions(logs, config, settings or [], against, begin, output, bus, speed, json))
 
 
 @app.command()

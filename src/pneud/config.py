@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -338,6 +339,20 @@ class LogConfig(Section):
     """The record."""
 
     detail: Literal["compact", "full"] = "compact"
+    part_mb: Annotated[float, Field(ge=0, le=100_000)] = 256.0  # another file after so much; 0: never
+    part_s: Annotated[float, Field(ge=0, le=1e7)] = 3600.0  # or after so long; 0: never
+    quota_mb: Annotated[float, Field(ge=0, le=1e8)] = 20_000.0  # of all logs of the axis; 0: no bound
+    keep_before_s: Annotated[float, Field(ge=0, le=1e6)] = 60.0  # what goes last around a fault
+    keep_after_s: Annotated[float, Field(ge=0, le=1e6)] = 30.0
+
+    @model_validator(mode="after")
+    def _quota_of_several_parts(self) -> LogConfig:
+        if self.quota_mb and not 0.0 < self.part_mb <= self.quota_mb / 4.0:
+            raise ValueError(
+                f"quota_mb = {self.quota_mb:g} needs part_mb above 0 and at most a quarter of it, since whole"
+                f" parts are deleted; part_mb is {self.part_mb:g}"
+            )
+        return self
 
 
 class PlantValveConfig(Section):
@@ -524,6 +539,41 @@ def parse(text: str, name: str) -> Config:
         return Config.model_validate(data)
     except ValidationError as e:
         raise ConfigError(f"{name}: {explain(e)}") from None
+
+
+def with_settings(text: str, name: str, settings: Sequence[str]) -> Config:
+    """A configuration with some of its values replaced.
+
+    Args:
+        text: TOML.
+        name: what to call it in messages.
+        settings: such as "control.k1=2500", the value as in TOML; a string needs no quotes.
+
+    Raises:
+        ConfigError: as `parse`, or a setting has not this form.
+    """
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as e:
+        raise ConfigError(f"{name}: not valid TOML: {e}") from None
+    for setting in settings:
+        key, equals, value = setting.partition("=")
+        *tables, last = key.strip().split(".")
+        if not equals or not last:
+            raise ConfigError(f"--set {setting}: give key=value, such as control.k1=2500")
+        table = data
+        for part in tables:
+            table = table.setdefault(part, {})
+            if not isinstance(table, dict):
+                raise ConfigError(f"--set {setting}: {part} is no table")
+        try:
+            table[last] = tomllib.loads(f"x = {value}")["x"]
+        except tomllib.TOMLDecodeError:
+            table[last] = value.strip()
+    try:
+        return Config.model_validate(data)
+    except ValidationError as e:
+        raise ConfigError(f"{name} with --set: {explain(e)}") from None
 
 
 def load_config(file: str | Path) -> Config:

@@ -19,6 +19,7 @@ from pneud.bus.inbox import Inbox
 from pneud.bus.link import Link
 from pneud.config import Config
 from pneud.console.handoff import LoopEnd
+from pneud.log.header import SNAPSHOT_S
 from pneud.log.ring import Ring
 from pneud.plant.truth import TruthReader
 from pneud.rt.histogram import Histogram
@@ -33,7 +34,7 @@ SYNC_COUNTERS = 240
 END_TICKS = 20  # times that the valve is told to centre before the loop ends
 FAULT_S = 0.1  # how long a run that ends on a fault goes on telling the valve to centre
 CHECKS_S = 0.5  # how often the recorder is looked at
-SNAPSHOT_S = 2.0  # how often the log gets the state of the axis, so that a replay can begin there
+SNAPSHOT_PIECES = 128  # of a profile; the state with a longer one would take too long to hand over
 FOREIGN_S = 1.0  # how long another controller counts as present after its last frame
 NAN = float("nan")
 
@@ -263,7 +264,8 @@ class Loop:
                 )
             )
             if count % snapshot_ticks == snapshot_ticks - 1:
-                ring.put_state(t_ns, {"axis": axis.freeze(), "inbox": inbox.freeze()})
+                state = {"axis": axis.freeze(), "inbox": inbox.freeze()}
+                ring.put_state(t_ns, state if len(axis.state.profile) <= SNAPSHOT_PIECES else None)
             record_ns = clock() - end_ns
             if asked and console is not None:
                 self.operated = True

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from pneud import parameters
-from pneud.bus.inbox import Inbox
+from pneud.axis import AxisState
+from pneud.bus.inbox import Inbox, InboxState
 from pneud.compiled.law import law
 from pneud.config import Config, parse
 from pneud.loading import at_rate, codecs_of
+from pneud.log.files import LogError
 from pneud.log.fingerprint import numeric_fingerprint
-from pneud.log.reader import LogReader
+from pneud.log.reader import LoggedState, LogReader
 from pneud.log.records import COARSE, COARSE_ERROR, FLOAT_ERROR, LoggedTick, crc_of
+from pneud.log.snapshot import SnapshotError, from_json
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import State, Tick
 
@@ -59,17 +62,34 @@ class Outcome(NamedTuple):
         return self.engaged_ticks > 0 and (self.identical or (self.equivalent and not self.same_fingerprint))
 
 
-def replay(log: LogReader, config: Config | None = None) -> Outcome:
+class Snapshot(NamedTuple):
+    """What a log holds of the state between two ticks."""
+
+    axis: AxisState
+    inbox: InboxState
+
+
+def replay(
+    log: LogReader,
+    config: Config | None = None,
+    from_s: float = 0.0,
+    look: Callable[[LoggedTick, Tick], None] | None = None,
+) -> Outcome:
     """Feed a log through the axis again.
+
+    It begins at the last snapshot before `from_s`, and goes on at the next one where records are missing.
 
     Args:
         log: the log.
         config: another configuration than the log's own.
+        from_s: compare from so long after the log's start.
+        look: called with every tick compared, as it is in the log and as it comes out.
 
     Raises:
         ConfigError: the configuration in the log cannot be used by this version.
         DatabaseError: nor its DBC.
         BuildError: it requires the compiled law, which cannot be had.
+        LogError: a snapshot that is needed is of another version's axis.
     """
     chosen = config or parse(log.config_text, f"{log.path}:{log.config_name}")
     if chosen.loop.rate_hz != log.rate_hz:
@@ -84,10 +104,23 @@ def replay(log: LogReader, config: Config | None = None) -> Outcome:
     first: Difference | None = None
     same_states = True
     gap = ""
-    for logged in log:
-        if logged.number != ticks + 1:
-            gap = f"records {ticks + 1} to {logged.number - 1} are missing"
-            break
+    exact = log.metadata.get("detail") == "full"
+    expected = 1
+    from_ns = log.start_ns() + round(from_s * 1e9) if from_s > 0.0 else 0
+    for logged in log.items(from_ns):
+        if isinstance(logged, LoggedState):
+            if logged.number + 1 != expected:  # the start, or behind missing records
+                state = _thawed(log, logged)
+                if expected > 1 or not (from_ns or log.records_before):
+                    gap = gap or f"records {expected} to {logged.number} are missing"
+                axis.thaw(state.axis)
+                inbox.thaw(state.inbox)
+                expected = logged.number + 1
+            continue
+        if logged.number != expected:
+            gap = gap or f"records {expected} to {logged.number - 1} are missing"
+            continue
+        expected += 1
         for frame in logged.frames[: logged.before]:
             inbox.feed(frame)
         inbox.begin(logged.t_ns)
@@ -95,8 +128,11 @@ def replay(log: LogReader, config: Config | None = None) -> Outcome:
             inbox.feed(frame)
         measurement = inbox.measurement(logged.skipped, logged.host)
         tick = axis.cycle(measurement, logged.request, logged.t_ns)
-        different = crc_of(tick) != logged.check or _states(tick) != _states(logged.record.tick)
-        same_states = same_states and _states(tick) == _states(logged.record.tick)
+        if logged.log_time_ns < from_ns:
+            continue
+        states_differ = _states(tick) != _states(logged)
+        different = states_differ or crc_of(tick) != logged.check
+        same_states = same_states and not states_differ
         sent = {f.can_id: f.data for f in logged.sent}
         sync, data = sent.get(codecs.sync.can_id, b""), sent.get(command.can_id, b"")
         whole = len(logged.sent) == 2 and codecs.sync.valid(sync) and command.valid(data)
@@ -117,7 +153,9 @@ def replay(log: LogReader, config: Config | None = None) -> Outcome:
         if different:
             mismatches += 1
             if first is None:
-                first = _difference(ticks, logged, tick, whole)
+                first = _difference(logged.number - 1, logged, tick, whole, exact)
+        if look is not None:
+            look(logged, tick)
         engaged += is_engaged(tick.state)
         ticks += 1
     return Outcome(
@@ -134,32 +172,56 @@ def replay(log: LogReader, config: Config | None = None) -> Outcome:
     )
 
 
-def _states(t: Tick) -> tuple[int, int, int, int, int]:
+def _thawed(log: LogReader, state: LoggedState) -> Snapshot:
+    try:
+        found: Snapshot = from_json(Snapshot, state.data)
+    except SnapshotError as e:
+        raise LogError(
+            f"{log.path}: the snapshot after record {state.number} is of another version's axis: {e};"
+            f" replay from the start, or with pneud {log.metadata.get('pneud', 'of the log')}"
+        ) from None
+    return found
+
+
+def _states(t: Tick | LoggedTick) -> tuple[int, int, int, int, int]:
     return t.state, t.present, t.latched, t.answer, t.command.enable
 
 
-def _difference(number: int, logged: LoggedTick, tick: Tick, whole: bool) -> Difference:
+def _difference(number: int, logged: LoggedTick, tick: Tick, whole: bool, exact: bool) -> Difference:
     """The first value that differs, in the order in which a cycle makes them."""
     if not whole:
         return Difference(number, "frames sent", "not one valid SYNC and one valid command", "both")
-    for name, was, now in _pairs(logged, tick):
-        if repr(was) != repr(now):  # which makes NaN equal to itself
-            # a compact log holds floats of 32 bits or fewer
-            error = COARSE_ERROR if name.rpartition(".")[2] in COARSE else FLOAT_ERROR
-            if isinstance(was, float) and isinstance(now, float) and abs(was - now) <= error * abs(now):
-                continue
+    for name, was, now in pairs(logged, tick):
+        if differ(name, was, now, exact=exact):
             return Difference(number, name, f"{was!r}", f"{now!r}")
     return Difference(number, "the checksum of the states", f"{logged.check:08x}", f"{crc_of(tick):08x}")
 
 
-def _pairs(logged: LoggedTick, tick: Tick) -> Iterator[tuple[str, float | str, float | str]]:
+def differ(name: str, was: float | str, now: float | str, *, exact: bool) -> bool:
+    """Whether a value is another one than the log's.
+
+    Args:
+        name: of the variable.
+        was: its value in the log.
+        now: its other value.
+        exact: the log holds it to the bit; else, as in a compact log, 32 bits or fewer.
+    """
+    if was == now or repr(was) == repr(now):  # the latter makes NaN equal to itself
+        return False
+    if not exact and isinstance(was, float) and isinstance(now, float):
+        error = COARSE_ERROR if name.rpartition(".")[2] in COARSE else FLOAT_ERROR
+        return not abs(was - now) <= error * abs(now)
+    return True
+
+
+def pairs(logged: LoggedTick, tick: Tick | LoggedTick) -> Iterator[tuple[str, float | str, float | str]]:
+    """Name, value in the log and value now of all in a tick, in the order in which a cycle makes it."""
     for group in ("measurement", "estimate", "reference"):
         old, new = getattr(logged, group), getattr(tick, group)
-        for name in new._fields:
-            yield f"{group}.{name}", getattr(old, name), getattr(new, name)
+        for name, was, now in zip(new._fields, old, new, strict=True):
+            yield f"{group}.{name}", was, now
     yield "state", State(logged.state).label, State(tick.state).label
     yield "present", logged.present, tick.present
     yield "latched", logged.latched, tick.latched
-    yield "answer", logged.answer, tick.answer
-    for name in tick.command._fields:
-        yield f"command.{name}", getattr(logged.command, name), getattr(tick.command, name)
+    for name, was, now in zip(tick.command._fields, logged.command, tick.command, strict=True):
+        yield f"command.{name}", was, now

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+SNAPSHOT_S = 2.0  # how often a log gets the state of the axis, so that a replay can begin there
+
 Detail = Literal["compact", "full"]
 
 

@@ -1,48 +1,136 @@
-"""Feed a log through the axis again."""
+"""Feed a log through the axis again, compare it with another one, or play it on a bus."""
 
 from __future__ import annotations
 
 import json as json_
+import math
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from pneud.config import load_config
-from pneud.log.reader import read_log
+from pneud.bus.link import open_link, refuse_if_driven
+from pneud.config import Config, ConfigError, check_channel, with_settings
+from pneud.config import load_with_text as load_text
+from pneud.log.files import LogError
+from pneud.log.reader import LogReader, read_log
+from pneud.replaying import Outcome
 from pneud.replaying import replay as run
+from pneud.reporting.pictures import PicturesError, require
+from pneud.workbench import pictures
+from pneud.workbench.differences import Differences, compare
+from pneud.workbench.playing import play
+
+_ROWS = 12  # of the table of differences
 
 
-def replay(log: str, config_file: str | None, json: bool) -> int:
+class ReplayOptions(NamedTuple):
+    """What was asked for on the command line."""
+
+    logs: Sequence[str]
+    config: str | None
+    settings: Sequence[str]  # key=value
+    against: str | None
+    from_s: float
+    output: Path | None
+    bus: str | None
+    speed: float
+    json: bool
+
+
+def replay(o: ReplayOptions) -> int:
     """Replay a log and say how it compares.
 
     Returns:
         Exit status: 0 where every command is the same (or equivalent on another numeric machine), 1 where
-        one differs or the log was never engaged.
+        one differs or the log was never engaged; of a log that is played on a bus 0 if all frames were sent.
 
     Raises:
         LogError: not a log that this version reads.
-        ConfigError: its configuration cannot be used.
+        ConfigError: an option, or its configuration, cannot be used.
         DatabaseError: its DBC cannot be used.
+        LinkError: the bus cannot be used.
+        BuildError: it requires the compiled law, which cannot be had.
     """
-    reader = read_log(log)
-    o = run(reader, load_config(config_file) if config_file is not None else None)
-    if json:
-        print(
-            json_.dumps(
-                {
-                    "schema": 1,
-                    "ticks": o.ticks,
-                    "commands": o.commands,
-                    "mismatches": o.mismatches,
-                    "first_mismatch_tick": o.first.tick if o.first is not None else None,
-                    "engaged_ticks": o.engaged_ticks,
-                    "identical": o.identical,
-                    "equivalent": o.equivalent,
-                    "fingerprint": "same" if o.same_fingerprint else "different",
-                    "truncated": o.truncated,
-                }
-            )
-        )
-        return 0 if o.good else 1
+    _check(o)
+    log = read_log(*o.logs)
+    if o.bus is not None:
+        return _play(o, log, _channel(o.bus))
+    if o.against is not None:
+        return _against(o, log, read_log(o.against))
+    what_if = o.config is not None or bool(o.settings)
+    differences = (
+        Differences(exact=log.metadata.get("detail") == "full") if what_if or o.output is not None else None
+    )
+    outcome = run(log, _config(o, log), o.from_s, differences.add if differences is not None else None)
+    if differences is not None and o.output is not None:
+        _draw(differences, ("log", "replay"), o.output)
+    if o.json:
+        result = _result(outcome)
+        if what_if and differences is not None:
+            result["differences"] = _spreads(differences)
+        print(json_.dumps(result))
+    else:
+        _say(outcome)
+        if what_if and differences is not None:
+            _tell(differences)
+    return 0 if outcome.good else 1
+
+
+def _check(o: ReplayOptions) -> None:
+    if not o.from_s >= 0.0 or not math.isfinite(o.from_s):
+        raise ConfigError(f"--from {o.from_s:g}: must be a time in seconds, not below 0")
+    if not o.speed > 0.0 or not math.isfinite(o.speed):
+        raise ConfigError(f"--speed {o.speed:g}: must be above 0")
+    others: dict[str, object] = {"--config": o.config, "--set": o.settings, "-o": o.output}
+    if o.against is not None:
+        others = {"--config": o.config, "--set": o.settings, "--from": o.from_s, "--bus": o.bus}
+        wrong = [name for name, given in others.items() if given]
+        if wrong:
+            raise ConfigError(f"--against compares two logs as they are; {wrong[0]} does not go with it")
+    elif o.bus is not None:
+        wrong = [name for name, given in others.items() if given]
+        if wrong:
+            raise ConfigError(f"--bus plays the log's frames; {wrong[0]} does not go with it")
+    if o.output is not None:
+        if o.output.suffix.lower() not in (".png", ".svg", ".pdf"):
+            raise ConfigError(f"{o.output}: a picture's name ends in .png, .svg or .pdf")
+        if not o.output.absolute().parent.is_dir():
+            raise ConfigError(f"{o.output}: there is no folder {o.output.parent}; create it or name another")
+        try:
+            require()
+        except PicturesError as e:
+            raise ConfigError(str(e)) from None
+
+
+def _config(o: ReplayOptions, log: LogReader) -> Config | None:
+    if o.config is None and not o.settings:
+        return None
+    if o.config is not None:
+        _, text, path = load_text(o.config)
+        return with_settings(text, str(path), o.settings)
+    return with_settings(log.config_text, f"{log.path}:{log.config_name}", o.settings)
+
+
+def _result(o: Outcome) -> dict[str, Any]:
+    return {
+        "schema": 1,
+        "ticks": o.ticks,
+        "commands": o.commands,
+        "mismatches": o.mismatches,
+        "first_mismatch_tick": o.first.tick if o.first is not None else None,
+        "engaged_ticks": o.engaged_ticks,
+        "identical": o.identical,
+        "equivalent": o.equivalent,
+        "fingerprint": "same" if o.same_fingerprint else "different",
+        "truncated": o.truncated,
+    }
+
+
+def _say(o: Outcome) -> None:
     if o.truncated:
-        print(f"cut short: {o.damage}; {o.ticks} ticks could be read")
+        print(f"not whole: {o.damage}; {o.ticks} ticks could be replayed")
     if o.first is not None:
         print(f"{o.mismatches} of {o.ticks} ticks differ; first at {o.first}")
     if o.identical:
@@ -54,4 +142,108 @@ def replay(log: str, config_file: str | None, json: bool) -> int:
         )
     if o.engaged_ticks == 0:
         print("the axis was never engaged in this log, so the replay proves nothing")
-    return 0 if o.good else 1
+
+
+def _spreads(d: Differences) -> dict[str, dict[str, float | None]]:
+    return {
+        name: {
+            "ticks": s.ticks,
+            "first_tick": s.first_tick,
+            "max": s.most if math.isfinite(s.most) else None,
+            "max_tick": s.most_tick,
+            "rms": s.rms if math.isfinite(s.rms) else None,
+        }
+        for name, s in d.spreads().items()
+    }
+
+
+def _tell(d: Differences) -> None:
+    spreads = d.spreads()
+    if not spreads:
+        return
+    print(f"{'variable':28} {'ticks':>8} {'first at':>9} {'max':>11} {'at':>9} {'rms':>11}")
+    for name, s in list(spreads.items())[:_ROWS]:
+        print(f"{name:28} {s.ticks:8} {s.first_tick:9} {s.most:11.4g} {s.most_tick:9} {s.rms:11.4g}")
+    if len(spreads) > _ROWS:
+        print(f"and {len(spreads) - _ROWS} more (--json lists all)")
+
+
+def _draw(d: Differences, names: tuple[str, str], path: Path) -> None:
+    try:
+        pictures.write(d.points, names, path)
+    except OSError as e:
+        raise LogError(f"{path}: cannot be written: {e.strerror or e}") from None
+
+
+def _against(o: ReplayOptions, one: LogReader, other: LogReader) -> int:
+    c = compare(one, other)
+    d = c.differences
+    if o.output is not None:
+        _draw(d, (one.path.name, other.path.name), o.output)
+    spreads = d.spreads()
+    if o.json:
+        first = next(iter(spreads.values())).first_tick if spreads else None
+        result = {
+            "schema": 1,
+            "ticks": d.ticks,
+            "mismatches": d.differing,
+            "first_mismatch_tick": first,
+            "engaged_ticks": c.engaged_ticks,
+            "shift_ticks": c.shift_ticks,
+            "identical": d.ticks > 0 and not spreads,
+            "differences": _spreads(d),
+        }
+        print(json_.dumps(result))
+    elif spreads:
+        name, s = next(iter(spreads.items()))
+        print(f"{d.differing} of {d.ticks} ticks differ; first at tick {s.first_tick}: {name}")
+        _tell(d)
+    else:
+        print(f"the same in {d.ticks} ticks, {c.engaged_ticks} of them engaged")
+    if c.shift_ticks and not o.json:
+        print(f"the second log is engaged {c.shift_ticks:+} ticks later and was shifted by that")
+    return 0 if d.ticks and not spreads else 1
+
+
+def _channel(name: str) -> str:
+    channel = name if ":" in name else f"socketcan:{name}"
+    try:
+        check_channel(channel)
+    except ValueError as e:
+        raise ConfigError(f"--bus: {e}") from None
+    if channel == "auto":
+        raise ConfigError("--bus auto: name the bus that the other program listens on")
+    return channel
+
+
+def _play(o: ReplayOptions, log: LogReader, channel: str) -> int:
+    stopped = False
+
+    def stop(*_: object) -> None:
+        nonlocal stopped
+        stopped = True
+
+    ids = {frame.can_id for tick in _first(log) for frame in tick}
+    with open_link(channel, virtual=True) as link:
+        refuse_if_driven(link, ids, what="another node answers there")
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, stop)
+        done = play(log, link, o.speed, o.from_s, lambda: stopped)
+    if o.json:
+        result = {"schema": 1, "frames": done.frames, "failed": done.failed, "late_ms": done.late_ms}
+        print(json_.dumps({**result, "truncated": log.truncated}))
+    else:
+        print(f"{done.frames} frames on {channel}, the latest {done.late_ms:.1f} ms after its time")
+        if done.failed:
+            print(f"pneud: {done.failed} frames could not be sent", file=sys.stderr)
+    return 0 if done.frames and not done.failed else 1
+
+
+def _first(log: LogReader) -> list[tuple[Any, ...]]:
+    """The frames of the first ticks, by which one knows who sends on a bus already."""
+    found = []
+    for tick in log:
+        found.append(tick.frames)
+        if len(found) == 100:
+            break
+    return found

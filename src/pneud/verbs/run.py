@@ -14,14 +14,14 @@ from pneud.axis import Axis
 from pneud.bus.inbox import Inbox
 from pneud.bus.link import Link, LinkError, open_link, refuse_if_driven
 from pneud.compiled.law import Law, law
-from pneud.config import Config, ConfigError
+from pneud.config import Config, ConfigError, LogConfig
 from pneud.console import handoff, place
 from pneud.console.desk import Run
 from pneud.daemon import Loop, options_of
 from pneud.loading import Loaded, bus_name, listening_s, load_axis, load_scenario
 from pneud.log import messages
 from pneud.log.files import open_log
-from pneud.log.header import LogHeader
+from pneud.log.header import LogHeader, Rotation
 from pneud.log.recorder import start_recorder
 from pneud.log.ring import Ring
 from pneud.plant.scenario_file import Scenario
@@ -139,7 +139,9 @@ def _run(
     try:
         words, heard = messages.pair()
         asking, taking = handoff.pair()
-        recorder = start_recorder(ring, descriptor, header, (path, dbc), heard)
+        recorder = start_recorder(
+            ring, descriptor, header, (path, dbc), heard, _rotation(config.log, o.log, log_file)
+        )
         # before the others, who must not hold its sockets open
         console = fork_console(
             socket.listener,
@@ -213,6 +215,18 @@ def _run(
         seen = trial.Seen(loop.ever_present, loop.ever_latched, loop.state, effects["engaged"])
         result = trial.judge(scenario, config, seen, effects)
     return _report(o, config, loop, ring, log_file, reports, finished, result)
+
+
+def _rotation(c: LogConfig, option: str | None, log_file: Path) -> Rotation:
+    return Rotation(
+        path=log_file.absolute(),
+        part_bytes=round(c.part_mb * 1e6),
+        part_ns=round(c.part_s * 1e9),
+        quota_bytes=round(c.quota_mb * 1e6),
+        folder=not (option or "").endswith(".mcap"),
+        keep_before_ns=round(c.keep_before_s * 1e9),
+        keep_after_ns=round(c.keep_after_s * 1e9),
+    )
 
 
 def _report(

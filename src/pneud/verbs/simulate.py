@@ -12,7 +12,7 @@ from pneud.axis import FOLLOWING
 from pneud.config import ConfigError
 from pneud.loading import load_axis, load_scenario
 from pneud.log.files import create_log, log_path
-from pneud.log.header import LogHeader
+from pneud.log.header import SNAPSHOT_S, LogHeader
 from pneud.log.writer import LogWriter
 from pneud.safety.faults import FAULT_NAMES
 from pneud.signals import State
@@ -83,6 +83,7 @@ def simulate(
     tracking = Tracking(True)
     state, ticks, faults = int(State.STARTING), 0, 0
     seen = trial.Seen()
+    snapshot_ticks, written = max(1, round(SNAPSHOT_S * loaded.config.loop.rate_hz)), 0
     for record in run.records():
         tick = record.tick
         faults |= tick.latched
@@ -93,6 +94,9 @@ def simulate(
                 tracking.add(tick, run.axis.state.phase_ns, record.truth_m)
         if writer is not None:
             writer.write(record)
+            written += 1
+            if written % snapshot_ticks == 0:
+                writer.snapshot({"axis": run.axis.freeze(), "inbox": run.inbox.freeze()})
     lost = 0
     if writer is not None and not writer.close():
         lost = writer.unwritten
