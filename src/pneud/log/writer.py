@@ -239,7 +239,7 @@ class LogWriter:
             self._part.output.start_sync()
         if self._tidying is not None:
             for words in self._tidying.done():
-                self._message(self._last_t_ns, Level.INFO, words)
+                self.say(Message(self._last_t_ns, int(Level.INFO), "log", words))
 
     def flush(self) -> None:
         """Close the chunk and hand it to the operating system."""
