@@ -322,6 +322,7 @@ def test_status_has_what_an_operator_needs(desk: Bench) -> None:
     assert found["faults"][1]["cure"] == "wait until it stands still"
     assert found["position_mm"] == pytest.approx(1e3 * tick.estimate.position_m, abs=1e-6)
     assert found["log"] == "/tmp/x.mcap"
+    assert found["silent_s"] > 1.0  # the last record is from long ago
     assert found["config_changed"] is False
 
 

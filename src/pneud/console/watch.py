@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import Any
 
 from pneud.log.ring import Ring
@@ -38,6 +39,7 @@ class Watch:
             **dict.fromkeys(("position_mm", "velocity_mm_s", "reference_mm", "error_mm")),
             "pressures_bar": None,
             "command_v": None,
+            "silent_s": None,
             "ticks": self._ring.put_count,
             "skipped": self._skipped,
             "lateness_us": _percentiles_us(self._lateness),
@@ -49,6 +51,7 @@ class Watch:
         tick = last.tick
         m, position_m, reference_m = tick.measurement, tick.estimate.position_m, tick.reference.position_m
         fields["state"] = State(tick.state).label
+        fields["silent_s"] = round(max(0, time.monotonic_ns() - tick.t_ns) * 1e-9, 3)
         fields["faults"] = faults(tick.present, tick.latched)
         fields["position_mm"] = _scaled(position_m if math.isfinite(position_m) else m.position_m, 1e3)
         fields["velocity_mm_s"] = _scaled(tick.estimate.velocity_m_s, 1e3)

@@ -10,6 +10,7 @@ from pneud.console.client import Client, RefusedError
 from pneud.console.results import refused, show
 
 _JOG_LEASE_S = 0.3
+_SILENT_S = 0.5
 _RENEWALS = 3  # of a lease, before it would run out
 
 
@@ -78,6 +79,8 @@ def in_words(s: dict[str, Any]) -> list[str]:
         return "–" if value is None else f"{value:{form}}"
 
     lines = [f"{s['name']} on {s['bus']}: {s['state']}"]
+    if s["silent_s"] is not None and s["silent_s"] > _SILENT_S:
+        lines.append(f"no ticks for {s['silent_s']:.1f} s")
     for fault in s["faults"]:
         kind = " and ".join(k for k in ("latched", "present") if fault[k])
         lines.append(f"fault {fault['name']} ({kind}; {fault['effect']}): {fault['cure']}")
