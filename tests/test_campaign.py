@@ -34,7 +34,7 @@ def test_the_core_can_be_played(campaign: ModuleType) -> None:
 
 
 def test_what_changes_the_machine_stays_in_the_virtual_one(campaign: ModuleType) -> None:
-    for name in ("link-down", "link-deleted", "queue-full", "clock-step"):
+    for name in ("link-down", "link-deleted", "queue-full-for-long", "clock-step"):
         assert campaign.playable(name, "unixcan")
         assert not campaign.playable(name, "vcan0")
     assert campaign.playable("recorder-killed", "sim")
