@@ -150,9 +150,11 @@ def test_a_stop_fault_and_the_requests_to_end_stop_under_control(steps: list[Ste
     for s, present, request, at_rest, after in steps:
         if is_engaged(s.state) and s.state != State.STOPPING and not present & centres():
             leaves = bool(present & stops()) or request in (DISARM, SHUTDOWN)
-            if leaves or request == STOP:
+            if (leaves or request == STOP) and s.state == State.HOMING:
+                assert after.state == (State.FAULT if after.latched else State.DISARMED)
+            elif leaves or request == STOP:
                 assert after.state == State.STOPPING
-                assert after.centring == (leaves or s.state == State.HOMING)
+                assert after.centring == leaves
             elif s.state != State.HOMING and request in STEERED:
                 assert after.state == STEERED[RequestKind(request)]
             else:

@@ -10,6 +10,7 @@ from itertools import zip_longest
 from operator import gt
 from typing import NamedTuple
 
+from pneud.control.homing import HomingParameters
 from pneud.control.plan import COMING_TO_REST, FOLLOWING, GOING, JOINING, Plan, halting, resting
 from pneud.control.profile import (
     LONGEST_S,
@@ -41,7 +42,7 @@ from pneud.control.tuning import is_sound, is_stable, tuned
 from pneud.safety.checks import Limits
 from pneud.safety.faults import BLOCKS_ARM, CENTRES, STOPS, F
 from pneud.safety.output import OutputLimits
-from pneud.safety.supervisor import Supervisor, is_engaged
+from pneud.safety.supervisor import BLOCKS, Supervisor, is_engaged
 from pneud.signals import Answer, Estimate, Reference, Request, RequestKind, State
 
 TAKEN, WRONG_STATE, BLOCKED = int(Answer.TAKEN), int(Answer.WRONG_STATE), int(Answer.BLOCKED)
@@ -51,6 +52,7 @@ MALFORMED, CLOSING, UNSTABLE = int(Answer.MALFORMED), int(Answer.CLOSING), int(A
 ARM, DISARM, CLEAR = int(RequestKind.ARM), int(RequestKind.DISARM), int(RequestKind.CLEAR)
 SHUTDOWN, MARK, STOP = int(RequestKind.SHUTDOWN), int(RequestKind.MARK), int(RequestKind.STOP)
 HOLD, GOTO, JOG = int(RequestKind.HOLD), int(RequestKind.GOTO), int(RequestKind.JOG)
+HOME = int(RequestKind.HOME)
 TRACK, PIECE, GAINS = int(RequestKind.TRACK), int(RequestKind.PIECE), int(RequestKind.GAINS)
 STEERED = (int(State.TRACKING), int(State.MOVING), int(State.HOLDING))  # may be asked to go elsewhere
 
@@ -58,6 +60,7 @@ CONFIGURED, UPLOADED = 0.0, 1.0  # what TRACK asks for
 ARRIVED_M = 1e-9  # no way is shorter
 LONGEST_LEASE = 1e9  # ticks
 HARDENINGS = 3
+UNREFERENCED = 1 << F.ENCODER_UNREFERENCED
 
 # how many values each request has
 COUNTS = {
@@ -72,6 +75,7 @@ COUNTS = {
     TRACK: (1,),
     PIECE: (0, 9),
     GAINS: (9,),
+    HOME: (0,),
 }
 
 
@@ -85,6 +89,7 @@ class AxisParameters(NamedTuple):
     transfer: Bounds  # of ways that join a reference
     motion: Bounds  # of all other ways
     travel_margin_m: float  # how far from the ends of the travel a way to a position stays
+    homing: HomingParameters
     stop_centres: bool  # after a stop that was asked for
     join_at_once: bool  # start on the reference without a transfer
 
@@ -143,6 +148,8 @@ def ask(
         return Asked(TAKEN, SHUTDOWN)
     if kind == ARM:
         return _arm(values == (1.0,), s, present, e, now_ns, p)
+    if kind == HOME:
+        return _home(s, present, p)
     if kind == CLEAR:
         if s.state != State.FAULT:
             return Asked(WRONG_STATE)
@@ -158,7 +165,8 @@ def ask(
     if kind == PIECE:
         return _piece(values, plan, profile, p)
     if s.state not in STEERED:
-        return Asked(WRONG_STATE)
+        unknown = s.state == State.DISARMED and present & UNREFERENCED
+        return Asked(NOT_REFERENCED if unknown else WRONG_STATE)
     if present & (CENTRES | STOPS):
         return Asked(BLOCKED)
     if kind == GOTO:
@@ -179,7 +187,7 @@ def _arm(track: bool, s: Supervisor, present: int, e: Estimate, now_ns: int, p: 
     if s.closing:
         return Asked(CLOSING)
     if present & BLOCKS_ARM:
-        alone = present & BLOCKS_ARM == 1 << F.ENCODER_UNREFERENCED
+        alone = present & BLOCKS_ARM == UNREFERENCED
         return Asked(NOT_REFERENCED if alone else BLOCKED)
     here = rest(e.position_m)
     if not track:
@@ -193,6 +201,14 @@ def _arm(track: bool, s: Supervisor, present: int, e: Estimate, now_ns: int, p: 
         reachable = stays(path, p.limits.travel_min_m, p.limits.travel_max_m)
         plan = Plan(JOINING, now_ns, path)
     return Asked(TAKEN, TRACK, plan) if reachable else Asked(BLOCKED, faults=1 << F.UNREACHABLE)
+
+
+def _home(s: Supervisor, present: int, p: AxisParameters) -> Asked:
+    if not p.homing.incremental or s.state not in (State.DISARMED, State.HOLDING):
+        return Asked(WRONG_STATE)
+    if s.closing:
+        return Asked(CLOSING)
+    return Asked(BLOCKED) if present & BLOCKS[HOME] else Asked(TAKEN, HOME)
 
 
 def _bounds(wanted: tuple[float, ...], most: Bounds) -> Bounds | int:

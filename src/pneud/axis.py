@@ -9,9 +9,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from pneud.asking import BLOCKED, NOTHING, TAKEN, AxisParameters, ask
+from pneud.control import homing
+from pneud.control.homing import NOWHERE, Homing
 from pneud.control.plan import FOLLOWING, IDLE, Plan, follow, halting, resting
 from pneud.control.profile import Profile
-from pneud.control.reference import Way
+from pneud.control.reference import Way, rest
 from pneud.control.step import Controller, ControllerState, act, change, join, observe, start
 from pneud.safety import checks
 from pneud.safety.faults import NO_SENSORS, F
@@ -37,6 +39,11 @@ __all__ = ["FOLLOWING", "Axis", "AxisParameters", "AxisState"]
 NAN = float("nan")
 # operations on the enum's flags are slow
 ENCODER, VALVE = int(Source.ENCODER), int(Source.VALVE)
+# an encoder that was silent, wrong or jumped may have lost count
+LOSES_REFERENCE = sum(
+    1 << fault
+    for fault in (F.ENCODER_MISSING, F.ENCODER_CORRUPT, F.ENCODER_FROZEN, F.ENCODER_ERROR, F.ENCODER_JUMP)
+)
 NO_ESTIMATE = Estimate(NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN)
 NO_REFERENCE = Reference(NAN, NAN, NAN, NAN)
 
@@ -56,6 +63,9 @@ class AxisState(NamedTuple):
     limited: int  # 1 where it was less than the law had asked for
     watch: Watch
     law: Controller  # with its present gains
+    zero_m: float  # where an incremental encoder shows 0
+    referenced: bool  # whether that is known
+    homing: Homing
 
     @property
     def phase(self) -> int:
@@ -79,7 +89,9 @@ class Axis:
     def __init__(self, parameters: AxisParameters) -> None:
         """An axis that has just been switched on."""
         self.parameters = parameters
-        self.state = AxisState(INITIAL, None, 0, 0, 0, 0, IDLE, (), 0.0, 0, WATCHFUL, parameters.controller)
+        self.state = AxisState(
+            INITIAL, None, 0, 0, 0, 0, IDLE, (), 0.0, 0, WATCHFUL, parameters.controller, 0.0, False, NOWHERE
+        )
         self.failure: Exception | None = None  # the first exception in a cycle
 
     def freeze(self) -> AxisState:
@@ -129,6 +141,9 @@ class Axis:
         h = law.h
         before = state.supervisor
         engaged = is_engaged(before.state)
+        incremental, zero_m, referenced = p.homing.incremental, state.zero_m, state.referenced
+        if incremental:
+            m = homing.placed(m, zero_m, referenced)
 
         present = checks.lacking(m, limits)
         measured = bool(m.fresh & ENCODER)
@@ -159,6 +174,8 @@ class Axis:
             read_ns = started_ns = sampled_ns
 
         present |= checks.measured(m, limits) | checks.of_host(m.host)
+        if incremental and (not referenced or before.state == State.HOMING):
+            present &= ~(1 << F.TRAVEL)  # the stop lies beyond it
         watched, found = watch(
             state.watch, m, estimate, before.state, engaged, state.last_v, state.limited, limits
         )
@@ -170,9 +187,19 @@ class Axis:
             present |= checks.believed(estimate, (read_ns - state.read_ns) * 1e-9, limits)
             if not engaged:
                 present |= checks.unready(estimate, sampled_ns - started_ns, h)
-        plan, reference, at_rest = state.plan, NO_REFERENCE, False
+        plan, reference, at_rest, way = state.plan, NO_REFERENCE, False, state.homing
         if engaged:
             present |= checks.engaged(m, estimate, before.state, before.ticks, h, limits)
+        if before.state == State.HOMING:
+            way, found_stop, at_rest, failed = homing.proceed(
+                way, estimate, sampled_ns, h, law.cylinder.rod_force_n, p.homing
+            )
+            present |= failed << F.HOMING_FAILED
+            if found_stop:
+                zero_m, referenced = zero_m + p.homing.stop_m - m.position_m, True
+                controller = start(p.homing.stop_m, m.p1_pa, m.p2_pa, m.supply_pa, law)
+                watched = watched._replace(position_m=NAN, changed1_m=NAN, changed2_m=NAN)
+        elif engaged:
             plan, reference, at_rest = follow(plan, sampled_ns, p.reference, state.profile)
             error_m = reference.position_m - estimate.position_m
             if controller is not None and not abs(error_m) <= limits.tracking_error_m:
@@ -180,7 +207,7 @@ class Axis:
             if plan.jog_m_s != 0.0:
                 plan = plan._replace(lease=plan.lease - 1 - m.skipped)
         else:
-            arming = request is not None and request.kind == RequestKind.ARM
+            arming = request is not None and request.kind in (RequestKind.ARM, RequestKind.HOME)
             present |= checks.disengaged(m, before.ticks, arming and before.state == State.DISARMED)
 
         asked = NOTHING
@@ -189,6 +216,8 @@ class Axis:
                 request, before, present, plan, state.profile, reference, estimate, sampled_ns, law, p
             )
             present |= asked.faults
+        if present & LOSES_REFERENCE:
+            referenced = False
         profile = state.profile if asked.profile is None else asked.profile
         after = advance(before, present, asked.kind, at_rest)
 
@@ -198,9 +227,17 @@ class Axis:
             assert controller is not None  # else a fault has centred an engaged axis, or kept it from arming
             if asked.plan is not None:
                 plan = asked.plan
+            if after.state == State.HOMING and before.state != State.HOMING:
+                way, referenced, plan = homing.set_out(estimate.position_m, sampled_ns), False, IDLE
             if plan.lease < 0:
                 present |= 1 << F.OPERATOR_LOST
-            if not engaged:
+            if after.state == State.HOMING:
+                velocity = homing.direction(way.part, p.homing) * p.homing.speed_m_s
+                reference = Reference(estimate.position_m, velocity, 0.0, 0.0)
+            elif before.state == State.HOMING:
+                plan, reference = resting(estimate.position_m, sampled_ns), rest(estimate.position_m)
+                controller = join(controller, estimate, reference, law)
+            elif not engaged:
                 plan, reference, _ = follow(plan, sampled_ns, p.reference, profile)
                 controller = join(controller, estimate, reference, law)
             elif after.state == State.HOLDING and before.state != State.HOLDING:
@@ -209,10 +246,13 @@ class Axis:
                 plan = halting(
                     plan, reference, sampled_ns, p.motion, limits.travel_min_m, limits.travel_max_m
                 )
-            if asked.law is not None:
+            if asked.law is not None and after.state != State.HOMING:
                 controller = change(controller, estimate, reference, law, asked.law)
-            controller, answer = act(controller, estimate, reference, asked.law or law)
-            law_v, s, ustar = answer.u_v, answer.s, answer.ustar
+            if after.state == State.HOMING:
+                law_v, s, ustar = homing.command(way, m, estimate, p.homing, law), 0.0, 0.0
+            else:
+                controller, answer = act(controller, estimate, reference, asked.law or law)
+                law_v, s, ustar = answer.u_v, answer.s, answer.ustar
             command = emit(law_v, state.last_v, (1 + m.skipped) * h, p.output)
             if command.saturated:
                 present |= 1 << F.SATURATED
@@ -237,6 +277,9 @@ class Axis:
             command.saturated,
             watched,
             asked.law or law,
+            zero_m,
+            referenced,
+            way,
         )
         return Tick(
             t_ns,

@@ -266,6 +266,22 @@ class ControlConfig(Section):
         return self
 
 
+class HomingConfig(Section):
+    """How the zero of an incremental encoder is found: against an end stop, slowly, with bounded force."""
+
+    stop: Literal["rear", "front"] = "rear"
+    speed_m_s: Annotated[float, Field(gt=0, le=0.1)] = 0.02
+    force_n: Positive = 120.0  # above friction, below what harms
+    back_off_m: Positive = 0.03
+
+
+class EncoderConfig(Section):
+    """What the encoder knows when it is switched on."""
+
+    kind: Literal["absolute", "incremental"] = "absolute"
+    homing: HomingConfig = HomingConfig()
+
+
 class ReferenceConfig(Section):
     """The motion tracked after arming; positions in the paper's effective coordinate."""
 
@@ -400,6 +416,7 @@ class Config(Section):
     loop: LoopConfig = LoopConfig()
     realtime: RealtimeConfig = RealtimeConfig()
     bus: BusConfig = BusConfig()
+    encoder: EncoderConfig = EncoderConfig()
     control: ControlConfig
     reference: ReferenceConfig
     limits: LimitsConfig
@@ -436,6 +453,14 @@ class Config(Section):
                 f" {self.limits.supply_min_pa:g} … {self.limits.supply_max_pa:g}"
             )
         limits = self.limits
+        back_off_m = self.encoder.homing.back_off_m
+        rear = self.encoder.homing.stop == "rear"
+        homed_m = back_off_m if rear else stroke - back_off_m
+        if self.encoder.kind == "incremental" and not (limits.travel_min_m < homed_m < limits.travel_max_m):
+            raise ValueError(
+                f"encoder.homing.back_off_m = {back_off_m:g} ends at {homed_m:g} m, outside limits.travel"
+                f" {limits.travel_min_m:g} … {limits.travel_max_m:g} m"
+            )
         if 2.0 * limits.motion.margin_m >= limits.travel_max_m - limits.travel_min_m:
             raise ValueError(f"limits.motion.margin_m = {limits.motion.margin_m:g} leaves no travel")
         x1 = self.plant.initial_x1_m - self.cylinder.dead_length_1_m
@@ -516,6 +541,8 @@ def plant_of(c: Config) -> PlantParameters:
         encoder_resolution_m=p.sensors.encoder_resolution_m,
         pressure_resolution_pa=p.sensors.pressure_resolution_pa,
         pressure_noise_pa=p.sensors.pressure_noise_pa,
+        encoder_zero_m=p.initial_x1_m - cylinder.x_e1 if c.encoder.kind == "incremental" else 0.0,
+        encoder_referenced=c.encoder.kind == "absolute",
         bitrate_bit_s=p.bitrate_bit_s,
         node_delay_s=p.node_delay_us * 1e-6,
     )

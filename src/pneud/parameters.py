@@ -7,6 +7,7 @@ import math
 from pneud.axis import AxisParameters
 from pneud.config import BusConfig, Config, cylinder_of, friction_of, gas_of, plant_of, valve_of
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
+from pneud.control.homing import HomingParameters
 from pneud.control.homogeneous import feedback
 from pneud.control.motion import MotionFilter, kalman, quickened, triple_pole
 from pneud.control.reference import Bounds, Sine
@@ -20,6 +21,7 @@ __all__ = ["axis_of", "command_delay_s", "plant_of"]
 
 COMPUTING_S = 80e-6  # from the last sensor frame to the command's place on the wire
 FRAME_BITS, STUFFING = 47, 1.1
+LONGEST_SHARE, LONGEST_S = 2.0, 10.0  # a stroke of homing may take so much longer than at its speed
 BLEND_S = 0.1  # in which one set of gains gives way to another
 
 
@@ -63,6 +65,20 @@ def _swings_pa_m_s(c: Config) -> tuple[float, float]:
     flow = k.c1 * c.valve.u_max_v * g.gamma_choked * upstream_pa
     moved = g.k * c.limits.chamber_max_pa * c.limits.speed_m_s
     return flow / k.A1 + moved, flow / k.A2 + moved
+
+
+def _homing_of(c: Config) -> HomingParameters:
+    h = c.encoder.homing
+    rear = h.stop == "rear"
+    return HomingParameters(
+        incremental=c.encoder.kind == "incremental",
+        side=-1.0 if rear else 1.0,
+        stop_m=0.0 if rear else c.cylinder.stroke_m,
+        speed_m_s=h.speed_m_s,
+        force_n=h.force_n,
+        back_off_m=h.back_off_m,
+        longest_ns=round((LONGEST_SHARE * c.cylinder.stroke_m / h.speed_m_s + LONGEST_S) * 1e9),
+    )
 
 
 def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
@@ -151,6 +167,7 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
             limits.motion.jerk_m_s3,
         ),
         travel_margin_m=limits.motion.margin_m,
+        homing=_homing_of(c),
         stop_centres=limits.stop_then == "centre",
         join_at_once=c.reference.join == "at_once",
     )

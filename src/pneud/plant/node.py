@@ -230,10 +230,11 @@ class PlantNode:
 
     def _sample(self, t_ns: int, sync_ns: int) -> None:
         p, state, codecs, valve = self.p, self._state, self._codecs, self.valve
-        position = quantised(stroke_position(state, p), p.encoder_resolution_m)
+        position = quantised(stroke_position(state, p) - p.encoder_zero_m, p.encoder_resolution_m)
+        status = int(EncoderStatus.REFERENCED) if p.encoder_referenced else 0
         read = self._pressure.read
         readings: tuple[tuple[Codec, tuple[float, ...]], ...] = (
-            (codecs.encoder, (position, int(EncoderStatus.REFERENCED), self._age_s)),
+            (codecs.encoder, (position, status, self._age_s)),
             (codecs.pressure, (read(state.p1), read(state.p2), read(p.gas.supply_pa))),
             (codecs.valve_status, (valve.output_v, int(valve.state))),
         )

@@ -29,4 +29,6 @@ class PlantParameters(NamedTuple):
     pressure_resolution_pa: float
     pressure_noise_pa: float  # standard deviation
     bitrate_bit_s: float  # inf switches the bus timing off
+    encoder_zero_m: float  # stroke position at which the encoder shows 0
+    encoder_referenced: bool  # it says that it knows where it is
     node_delay_s: float  # from the end of SYNC to hand-over of the answers

@@ -81,6 +81,7 @@ class F(IntEnum):
     CONFIG_CHANGED = 55
     RECEIVE_OVERFLOW = 56
     OPERATOR_LOST = 57
+    HOMING_FAILED = 58
 
 
 class Fault(NamedTuple):
@@ -466,6 +467,12 @@ TABLE: tuple[Fault, ...] = (
         "nobody has renewed a jog in time; the load is brought to rest and held",
         "check the operator's connection; jog again",
         clears="with the next tick",
+    ),
+    Fault(
+        F.HOMING_FAILED,
+        Reaction.CENTRE,
+        "homing found the load stuck, or no stop in the time that a stroke takes",
+        "check that the load is free, encoder.homing.force_n against friction, and the supply; home again",
     ),
 )
 

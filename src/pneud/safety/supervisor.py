@@ -54,13 +54,14 @@ def advance(s: Supervisor, present: int, request: int, at_rest: bool) -> Supervi
         if present & CENTRES:
             return Supervisor(FAULT, s.latched | (present & (CENTRES | STOPS)), 0, closing)
         latched = s.latched | (present & STOPS)
-        # an axis that has no reference yet cannot hold
-        centring = s.centring or bool(present & STOPS) or request in (DISARM, SHUTDOWN) or s.state == HOMING
+        centring = s.centring or bool(present & STOPS) or request in (DISARM, SHUTDOWN)
         if s.state == STOPPING:
             if not at_rest:
                 return Supervisor(STOPPING, latched, s.ticks + 1, closing, centring)
             return Supervisor(FAULT if latched else DISARMED if centring else HOLDING, latched, 0, closing)
         if present & STOPS or request in (DISARM, SHUTDOWN, STOP):
+            if s.state == HOMING:  # slow, with little force, and with no position to stop at
+                return Supervisor(FAULT if latched else DISARMED, latched, 0, closing)
             return Supervisor(STOPPING, latched, 0, closing, centring)
         goal = s.state
         if s.state != HOMING and request in STEERS:
