@@ -165,3 +165,14 @@ def test_the_opening_is_dead_about_the_centre_and_never_more_than_full(y: float)
 
 def test_subsonic_factor_meets_the_choked_one() -> None:
     assert subsonic_factor(GAS.critical_ratio, GAS.k) == GAS.gamma_choked
+
+
+def test_without_reverse_flow_a_chamber_above_supply_takes_nothing_back() -> None:
+    one_way = CYLINDER._replace(reverse_flow=False)
+    over = 1.2 * GAS.supply_pa
+    for f1 in (F1_fill, F1_exhaust):
+        usual = f1(0.5, 3e5, 3e5, GAS.supply_pa, CYLINDER, GAS)
+        assert f1(0.5, 3e5, 3e5, GAS.supply_pa, one_way, GAS) == usual
+    assert F1_fill(0.5, over, 3e5, GAS.supply_pa, one_way, GAS) > F1_fill(
+        0.5, over, 3e5, GAS.supply_pa, CYLINDER, GAS
+    )

@@ -239,6 +239,7 @@ class ControlConfig(Section):
     alpha: Annotated[float, Field(gt=0.5, le=1)]
     eta_m_s3: NonNegative
     rod_force: bool = True  # the law knows of the atmosphere on the rod's side
+    reverse_flow: bool = True  # the law's orifice lets air back into the supply
     smooth_x3: bool = False  # the observer's x̂3 in place of the measured x3
     estimate_force: bool = True
     force_rate_bandwidth_rad_s: Annotated[float, Field(ge=0, le=5_000)] = 0.0  # fed forward; 0: not

@@ -93,6 +93,7 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
     valve = valve_of(c)
     delay_s = min(command_delay_s(c.bus), h)
     ahead_s = lead_s(delay_s, valve) if law.predict else 0.0
+    cylinder = cylinder_of(c) if law.rod_force else cylinder_of(c)._replace(rod_force_n=0.0)
     controller = Controller(
         h=h,
         delay_s=delay_s,
@@ -100,7 +101,7 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
         lead_s=ahead_s,
         spool_ahead=spool_transition(0.5 * ahead_s, valve),
         gas=gas_of(c),
-        cylinder=cylinder_of(c) if law.rod_force else cylinder_of(c)._replace(rod_force_n=0.0),
+        cylinder=cylinder._replace(reverse_flow=law.reverse_flow),
         valve=valve,
         friction=friction_of(law.friction),
         motion=motion_of(c),

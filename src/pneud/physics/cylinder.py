@@ -22,6 +22,7 @@ class Cylinder(NamedTuple):
     c1: float  # k √(R k T) A0max/umax [m²/s · √.. per V], the factor of F1 with the temperature's root in it
     F1_nominal: float  # F1 at mid-stroke, chambers at half the supply pressure [N/(s V)]
     rod_force_n: float  # Patm (A1 − A2), static force of the atmosphere on the rod side
+    reverse_flow: bool = True  # F1 has air go back into a supply that is below a chamber
 
 
 def cylinder(
@@ -65,11 +66,16 @@ def F0(x1: float, p1_pa: float, p2_pa: float, c: Cylinder, g: Gas) -> float:
 
 def F1_fill(x1: float, p1_pa: float, p2_pa: float, supply_pa: float, c: Cylinder, g: Gas) -> float:
     """F1 of (8) for u ≥ 0 [N/(s V)]: supply to chamber 1, chamber 2 to atmosphere; signed flow, floored."""
-    f1 = c.c1 * (signed_flow(supply_pa, p1_pa, g) / x1 + signed_flow(p2_pa, g.atmosphere_pa, g) / (c.L - x1))
+    f1 = c.c1 * (_flow(supply_pa, p1_pa, c, g) / x1 + _flow(p2_pa, g.atmosphere_pa, c, g) / (c.L - x1))
     return max(f1, F1_FLOOR * c.F1_nominal)
 
 
 def F1_exhaust(x1: float, p1_pa: float, p2_pa: float, supply_pa: float, c: Cylinder, g: Gas) -> float:
     """F1 of (8) for u < 0 [N/(s V)]: chamber 1 to atmosphere, supply to chamber 2; signed flow, floored."""
-    f1 = c.c1 * (signed_flow(p1_pa, g.atmosphere_pa, g) / x1 + signed_flow(supply_pa, p2_pa, g) / (c.L - x1))
+    f1 = c.c1 * (_flow(p1_pa, g.atmosphere_pa, c, g) / x1 + _flow(supply_pa, p2_pa, c, g) / (c.L - x1))
     return max(f1, F1_FLOOR * c.F1_nominal)
+
+
+def _flow(upstream_pa: float, downstream_pa: float, c: Cylinder, g: Gas) -> float:
+    flow = signed_flow(upstream_pa, downstream_pa, g)
+    return flow if flow > 0.0 or c.reverse_flow else 0.0
