@@ -21,8 +21,9 @@ from log_samples import tick_at
 from pneud.console import handoff, server
 from pneud.console.lease import Lease
 from pneud.console.peer import Peer, may_command
-from pneud.console.protocol import MAX_LINE, VERBS, Error, ProtocolError, parse
+from pneud.console.protocol import VERBS, Error, ProtocolError, parse
 from pneud.console.server import BOUNDS
+from pneud.console.wire import MAX_LINE
 from pneud.safety.faults import F
 from pneud.signals import Answer, Record, Request, RequestKind, State, Timing
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import socket
 import stat
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -205,3 +207,14 @@ def test_a_client_is_told_when_the_console_hangs_up(tmp_path: Path) -> None:
     with pytest.raises(PlaceError, match="hung up"):
         client.ask("status")
     client.close()
+
+
+def test_a_stop_loads_none_of_the_heavy_libraries(runtime: Path) -> None:
+    code = (
+        "import sys; from pneud.cli import app\n"
+        "try: app(['stop'])\n"
+        "except SystemExit as e: assert e.code == 3, e.code\n"
+        "print(*({'numpy', 'cantools', 'can', 'google.protobuf', 'rich'} & sys.modules.keys()))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []

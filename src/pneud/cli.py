@@ -534,9 +534,16 @@ def top(
 
 
 def _ask(socket: str | None, json: bool, verb: str, **fields: object) -> NoReturn:
+    from pneud.console.place import PlaceError
     from pneud.verbs.operate import ask
 
-    _exit(lambda: ask(socket, json, verb, **fields))
+    try:  # not `_exit`, which loads more than a stop has time for
+        status = ask(socket, json, verb, **fields)
+    except PlaceError as e:
+        _fail(str(e), e.exit_code)
+    except KeyboardInterrupt:
+        status = 130
+    raise typer.Exit(status)
 
 
 def _fail(text: str, status: int = USAGE) -> NoReturn:

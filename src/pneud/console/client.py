@@ -11,7 +11,7 @@ import socket
 from typing import Any
 
 from pneud.console.place import PlaceError, find
-from pneud.console.protocol import VERSION, line
+from pneud.console.wire import VERSION, line
 
 _PATIENCE_S = 5.0
 

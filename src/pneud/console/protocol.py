@@ -6,15 +6,14 @@ well formed; whether it may be done is for the console and the axis to say.
 
 from __future__ import annotations
 
-import json
 from enum import StrEnum
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import from_json
 
-VERSION = 1
-MAX_LINE = 16 * 1024  # bytes, its end included
+from pneud.console.wire import VERSION, line
+
 MAX_PIECES = 32  # of a profile in one line
 
 
@@ -231,11 +230,6 @@ def refusal(error: ProtocolError) -> bytes:
     """The line that says that a request was not done, and why."""
     told = {"type": error.kind, "message": error.message, **error.more}
     return line({"v": VERSION, "id": error.number, "ok": False, "error": told})
-
-
-def line(what: dict[str, Any]) -> bytes:
-    """An object as a line; it must not hold a number that is not finite."""
-    return json.dumps(what, allow_nan=False, separators=(",", ":")).encode() + b"\n"
 
 
 def _one_line(text: str) -> str:

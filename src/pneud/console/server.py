@@ -19,6 +19,7 @@ from pneud.console import handoff, protocol
 from pneud.console.lease import LEASE_S, Lease
 from pneud.console.peer import GROUP, Peer, commanding_group, may_command, peer_of
 from pneud.console.protocol import Error, ProtocolError
+from pneud.console.wire import MAX_LINE
 from pneud.signals import Answer, Request, RequestKind, State
 
 INFO, WARNING = 2, 3  # levels of the log's events
@@ -101,11 +102,11 @@ class _Client:
         Raises:
             ProtocolError: it is, or is going to be, too long.
         """
-        end = self.received.find(b"\n", 0, protocol.MAX_LINE)
+        end = self.received.find(b"\n", 0, MAX_LINE)
         if end < 0:
-            if len(self.received) >= protocol.MAX_LINE:
+            if len(self.received) >= MAX_LINE:
                 raise ProtocolError(
-                    Error.TOO_LONG, f"a line has at most {protocol.MAX_LINE} bytes; the connection ends here"
+                    Error.TOO_LONG, f"a line has at most {MAX_LINE} bytes; the connection ends here"
                 )
             return None
         found = bytes(self.received[:end])
@@ -279,7 +280,7 @@ class Server:
             self._report_mistakes(client)
         waiting = False
         while not client.ended and not client.unsent:
-            waiting = b"\n" in client.received or len(client.received) >= protocol.MAX_LINE
+            waiting = b"\n" in client.received or len(client.received) >= MAX_LINE
             if not waiting or client.tokens < 1.0:
                 break
             try:
