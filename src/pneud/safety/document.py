@@ -21,10 +21,10 @@ _STATES = {
     State.WAITING: "a sensor or the valve node does not answer",
     State.DISARMED: "everything answers; the valve is centred",
     State.TRACKING: "the load is led to the reference, then follows it",
-    State.MOVING: "the load moves to a position that was asked for (not in this version)",
-    State.HOLDING: "the load is held where it is (not in this version)",
-    State.HOMING: "the axis looks for its reference (not in this version)",
-    State.STOPPING: "the load is brought to rest under control; then the valve is centred",
+    State.MOVING: "the load moves as a goto, a jog or a hold asks; then it is held",
+    State.HOLDING: "the load is held still",
+    State.HOMING: "the load is led against an end stop to find an incremental encoder's zero",
+    State.STOPPING: "the load is brought to rest under control; then it is held, or the valve is centred",
     State.FAULT: "the valve is centred, and stays so until the fault is cleared",
 }
 _REACTIONS = {
@@ -110,19 +110,24 @@ held as hard as it is pushed looks the same as an encoder that stands still.
 *Engaged* are {engaged}: only in these can a voltage leave. In every other state each tick sends 0 V and
 Enable 0.
 
-* Only the request *arm* engages, only from `disarmed`, and only while no fault is present that keeps from
-  arming.
+* Only the requests *arm* and *home* engage, only from `disarmed`, and only while no fault is present that
+  keeps from it. An armed axis holds still. An incremental encoder has to be homed before anything else
+  moves; a jump of it, or its silence, loses the reference.
+* A jog goes on only while it is renewed: its lease is counted in ticks, in the axis itself.
 * Only the request *clear* leaves `fault`, and only when what led there is gone. It leads to `disarmed`:
   after a fault it takes *clear* and then *arm*. Nothing arms again by itself.
-* *disarm*, and the end of the program, stop the load under control before the valve is centred. After the
-  end of the program was asked for, the axis does not arm again.
+* *disarm*, and the end of the program, stop the load under control before the valve is centred; *stop*
+  holds it then, or centres, as `limits.stop_then` says. While homing each of them centres at once: the load
+  is slow, with little force behind it, and its position is not known. After the end of the program was
+  asked for, the axis does not arm again.
 
 The column CiA 402 names the state that an electric drive of that profile would be in. A drive has two steps
 more between its states *ready to switch on* and *operation enabled*; here *arm* takes them in one.
 
-Arming does not step: a way with bounded acceleration and jerk (`limits.transfer`) leads from the measured
-position to the reference. A way that would leave `limits.travel` is not begun (`unreachable`). A stop
-that would leave it is made harder than `limits.transfer` instead.
+No reference steps: a way with bounded acceleration and jerk (`limits.transfer`) leads from any motion to a
+reference that is tracked, one within `limits.motion` to a position or to rest. A way that would leave
+`limits.travel` is not begun; asked for when arming, that is `unreachable`. A stop that would leave it is
+made harder than `limits.motion` instead. A jog brakes in time to rest at the end of the travel.
 
 ## Reactions
 
