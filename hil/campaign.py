@@ -106,7 +106,7 @@ def play(name: str, bus: str, folder: Path) -> Case:
             "--log",
             str(log),
         ]
-        command += ["--duration", f"{scenario.duration_s + 2.0:g}"]
+        command += ["--duration", f"{scenario.duration_s + 2.0:g}", "--socket", str(folder / "s")]
     case = Case(name=name, description=scenario.description, expect=scenario.expect.model_dump())
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
@@ -211,7 +211,11 @@ def full_disk(bus: str, folder: Path) -> list[Case]:
         "20",
     ]
     done = subprocess.run(
-        [*command, "--log", str(small / "run.mcap")], capture_output=True, text=True, timeout=120, check=False
+        [*command, "--log", str(small / "run.mcap"), "--socket", str(folder / "s")],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
     )
     subprocess.run(["umount", "-l", str(small)], check=False)
     problems = []

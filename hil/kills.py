@@ -71,7 +71,8 @@ def one(number: int, plant: Plant, bus: str, config: str, folder: Path, after_s:
     problems: list[str] = []
     log = folder / f"{number}.mcap"
     began = time.monotonic()
-    command = [*PNEUD, "--config", config, "--bus", bus, "--headless", "--json", "--log"]
+    command = [*PNEUD, "--config", config, "--bus", bus, "--headless", "--json"]
+    command += ["--socket", str(folder / "s"), "--log"]
     daemon = subprocess.Popen(
         [*command, str(log), "--arm"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     )
@@ -103,6 +104,8 @@ def one(number: int, plant: Plant, bus: str, config: str, folder: Path, after_s:
     done = subprocess.run(
         [*command, str(again), "--duration", "0.2"], capture_output=True, text=True, timeout=60, check=False
     )
+    if not done.stdout:
+        return [*problems, f"did not come up again: {done.stderr.strip()}"]
     summary = json.loads(done.stdout)
     if done.returncode or summary["state"] not in ("disarmed", "waiting"):
         problems.append(f"came up {summary['state']}, {summary['faults']}")

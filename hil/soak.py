@@ -226,6 +226,7 @@ def operate(
         found.problems.append("no console")
         return
     end, next_sample, held = time.monotonic() + duration_s, 0.0, 0.0
+    refusal = "none"
     sizes: list[tuple[int, int]] = []
     with client:
         while time.monotonic() < end and daemon.poll() is None and plant.poll() is None:
@@ -242,16 +243,18 @@ def operate(
                     if state == "fault":
                         client.ask("clear")
                     elif state == "disarmed":
-                        client.ask("track", name="reference")
-                except RefusedError:
-                    pass
+                        client.ask("arm")
+                    elif state == "holding":
+                        client.ask("track", what="reference")
+                except RefusedError as e:
+                    refusal = str(e)  # asked again as long as it holds
             if now > next_sample:
                 next_sample = now + SAMPLE_S / 2
                 sizes.append(size_of(daemon.pid))
     if daemon.poll() is not None or plant.poll() is not None:
         found.problems.append("a process has ended")
     if held:
-        found.problems.append("not tracking at the end")
+        found.problems.append(f"not tracking at the end; the last refusal: {refusal}")
     check_growth([size for size, _ in sizes], found)
     if len({files for _, files in sizes[1:]}) > 1:
         found.problems.append(f"open files: {[files for _, files in sizes]}")
