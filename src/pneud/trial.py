@@ -83,6 +83,7 @@ def judge(scenario: Scenario, config: Config, seen: Seen, effects: dict[str, Any
         problems += [] if is_engaged(seen.state) else [f"ended {State(seen.state).label}, not engaged"]
     if expect.reaction != "centre":  # the end of the run centres, too
         effects = effects | dict.fromkeys(("centred_ms", "ticks", "onset_ticks", "travel_mm"))
+        limit = None
     return {
         "name": scenario.name,
         "met": not problems,
