@@ -252,6 +252,45 @@ def report(
 
 
 @app.command()
+def export(
+    log: Annotated[str, typer.Argument(metavar="LOG", help="Log to hand to other tools.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="Frames as .log (candump), .asc or .blf; ticks as .csv or .parquet.",
+        ),
+    ],
+) -> None:
+    """A log's frames as a recording of the bus, or its ticks as a table."""
+    from pneud.verbs.export import export as verb
+
+    _exit(verb, log, output)
+
+
+@app.command("import")
+def import_(
+    recording: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Recording: .log (candump -l), .asc or .blf.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="LOG", help="The log (.mcap).")],
+    dbc: Annotated[
+        Path | None, typer.Option("--dbc", metavar="FILE", help="Its messages; an exported log has them.")
+    ] = None,
+    config: Annotated[
+        str | None,
+        typer.Option("--config", metavar="FILE", help="Of the axis; default the exported, else rig.toml."),
+    ] = None,
+) -> None:
+    """A recording of a bus as a log that replay and report understand."""
+    from pneud.verbs.import_ import import_recording as verb
+
+    _exit(verb, recording, dbc, output, config)
+
+
+@app.command()
 def recover(
     log: Annotated[str, typer.Argument(metavar="LOG", help="Log that was cut short.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help="The mended log.")],

@@ -1,0 +1,43 @@
+"""A log handed to other tools: its frames as a recording of the bus, or its ticks as a table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pneud.config import ConfigError, parse
+from pneud.exchange import export as to
+from pneud.exchange.traffic import FORMATS
+from pneud.loading import codecs_of
+from pneud.log.reader import read_log
+
+
+def export(log: str, output: Path) -> int:
+    """Write a log in another format, which the suffix names.
+
+    Raises:
+        ConfigError: the format is not known, or the log's configuration cannot be used by this version.
+        DatabaseError: nor its DBC.
+        LogError: not a log, the output is in the way, or a package is missing.
+    """
+    suffix = output.suffix
+    if suffix not in (*to.TABLES, *FORMATS):
+        known = ", ".join((*to.TABLES, *FORMATS))
+        raise ConfigError(f"{output}: no such format; its name must end in one of {known}")
+    if not output.parent.is_dir():
+        raise ConfigError(f"{output}: there is no folder {output.parent}; create it or name another file")
+    reader = read_log(log)
+    try:
+        if suffix in to.TABLES:
+            done, what = to.table(reader, output), "ticks"
+        else:
+            config = parse(reader.config_text, f"{reader.path}:{reader.config_name}")
+            codecs = codecs_of(config.bus, reader.dbc_name, reader.dbc)
+            done, what = to.frames(reader, codecs, output), "frames"
+    except OSError as e:
+        raise ConfigError(f"{e.filename or output}: cannot be written: {e.strerror}") from None
+    print(f"{', '.join(map(str, done.files))}: {done.rows} {what}")
+    if done.unsent_ticks:
+        print(f"left out: {done.unsent_ticks} ticks whose SYNC could not be sent")
+    if reader.truncated:
+        print(f"the log: {reader.damage}")
+    return 0
