@@ -70,6 +70,12 @@ def daemon(
     scenario: ScenarioOption = None,
     seed: SeedOption = 0,
     socket: SocketOption = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="Serve Foxglove and Lichtblick on this machine.")
+    ] = False,
+    live_at: Annotated[
+        str | None, typer.Option("--live-at", metavar="ADDRESS:PORT", help="Where; default 127.0.0.1:8765.")
+    ] = None,
     version: Annotated[  # noqa: ARG001
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
@@ -90,6 +96,8 @@ def daemon(
             ("--scenario", scenario),
             ("--seed", seed),
             ("--socket", socket),
+            ("--live", live),
+            ("--live-at", live_at),
         )
         if value
     ]
@@ -127,6 +135,7 @@ def daemon(
             scenario=scenario,
             seed=seed,
             socket=socket,
+            live=live_at or ("127.0.0.1:8765" if live else None),
         ),
     )
 

@@ -19,6 +19,7 @@ from pneud.bus.link import Link, LinkError, open_link
 from pneud.config import Config
 from pneud.console.desk import Run
 from pneud.console.process import serve as serve_console
+from pneud.log.header import LogHeader
 from pneud.log.recorder import leave_the_parents_files
 from pneud.log.ring import Ring
 from pneud.plant.node import Advance, PlantNode
@@ -174,6 +175,20 @@ def fork_screen(ring: Ring, inherited: Link, config: Config, log_file: Path) -> 
             return status.written, status.lost
 
         run_child(reader.poll, info, lambda: ring.closed, parent, log_counts=log_counts)
+
+    return fork(main)
+
+
+def fork_live(ring: Ring, inherited: Link, header: LogHeader, config: Config, host: str, port: int) -> int:
+    """The server for viewers."""
+    parent = os.getpid()
+
+    def main() -> None:
+        inherited.close()
+        from pneud import live  # noqa: PLC0415
+
+        parameters = config.model_dump(mode="json", by_alias=True)
+        live.serve(ring.reader().poll, header, parameters, host, port, lambda: ring.closed, parent)
 
     return fork(main)
 

@@ -12,7 +12,7 @@ from pneud.exchange import sidecar, traffic
 from pneud.log.columns import Block, blocks
 from pneud.log.files import LogError
 from pneud.log.reader import LogReader
-from pneud.signals import Frame, Timing
+from pneud.signals import Frame
 
 TABLES = (".csv", ".parquet")
 
@@ -98,8 +98,6 @@ def _columns(block: Block) -> dict[str, list[int | float]]:
     }
     for name in block.ticks.dtype.names or ():
         columns[name] = block.ticks[name].tolist()
-    for i, name in enumerate(Timing._fields):
-        columns[f"timing.{name}"] = block.timing[:, i].tolist()
     kinds = dict(block.requests)
     columns["request.kind"] = [kinds[i].kind if i in kinds else 0 for i in range(len(block.number))]
     return columns

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
+import socket as socket_
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +28,7 @@ from pneud.log.recorder import start_recorder
 from pneud.log.ring import Ring
 from pneud.plant.scenario_file import Scenario
 from pneud.plant.truth import TruthReader, truth_memory
-from pneud.processes import Stage, end, end_screen, fork_console, fork_plant, fork_screen, wait
+from pneud.processes import Stage, end, end_screen, fork_console, fork_live, fork_plant, fork_screen, wait
 from pneud.rt import setup
 from pneud.sabotage import Victims, fork_saboteur
 from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES, names
@@ -54,6 +56,7 @@ class RunOptions:
     scenario: str | None
     seed: int
     socket: str | None
+    live: str | None  # ADDRESS:PORT to serve viewers at
 
 
 def run(o: RunOptions) -> int:
@@ -70,6 +73,7 @@ def run(o: RunOptions) -> int:
         BuildError: the compiled law is required and cannot be had.
         PlaceError: the console's socket cannot be made.
     """
+    viewers = _viewers(o.live) if o.live is not None else None
     if o.arm and ("INVOCATION_ID" in os.environ or "NOTIFY_SOCKET" in os.environ):
         raise ConfigError("--arm is for benches and tests; a service is armed by an operator: pneud arm")
     scenario = load_scenario(o.scenario) if o.scenario is not None else None
@@ -101,9 +105,33 @@ def run(o: RunOptions) -> int:
         if link.note:
             print(f"pneud: {link.note}", file=sys.stderr)
         try:
-            return _run(o, axis, how.axis(p), how, scenario, link, socket, log_file, descriptor)
+            return _run(o, axis, how.axis(p), how, scenario, link, socket, log_file, descriptor, viewers)
         finally:
             socket.path.unlink(missing_ok=True)
+
+
+def _viewers(where: str) -> tuple[str, int]:
+    """Address and port to serve viewers at.
+
+    Raises:
+        ConfigError: it is none, or taken, or the package that serves is missing.
+    """
+    host, colon, port = where.rpartition(":")
+    if not colon or not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise ConfigError(f"--live-at {where}: must be ADDRESS:PORT, such as 127.0.0.1:8765")
+    if importlib.util.find_spec("foxglove") is None:
+        raise ConfigError("--live needs foxglove-sdk; install it with: pip install 'pneud[live]'")
+    host = host.strip("[]")
+    try:
+        with socket_.create_server((host, int(port)), family=_family(host)):
+            pass
+    except OSError as e:
+        raise ConfigError(f"--live-at {where}: cannot listen there: {e.strerror}; name another") from None
+    return host, int(port)
+
+
+def _family(host: str) -> socket_.AddressFamily:
+    return socket_.AF_INET6 if ":" in host else socket_.AF_INET
 
 
 def _run(
@@ -116,6 +144,7 @@ def _run(
     socket: place.Place,
     log_file: Path,
     descriptor: int,
+    viewers: tuple[str, int] | None,
 ) -> int:
     config, path, text, dbc, codecs = loaded
     ring = Ring.create()
@@ -132,7 +161,7 @@ def _run(
         realtime_offset_ns=link.realtime_offset_ns,
         extra={"law": how.name, **({"seed": str(o.seed)} if o.virtual else {})},
     )
-    plant, screen, recorder, console, saboteur, truth = 0, 0, 0, 0, 0, None
+    plant, screen, recorder, console, live, saboteur, truth = 0, 0, 0, 0, 0, 0, None
     stage, report, orders = None, 0, 0
     effects: dict[str, Any] | None = None
     reports: list[setup.Report] = []
@@ -174,6 +203,8 @@ def _run(
                 saboteur = fork_saboteur(stage.scenario, orders, victims)
         if not o.headless and sys.stdout.isatty() and not o.json:
             screen = fork_screen(ring, link, config, log_file)
+        if viewers is not None:
+            live = fork_live(ring, link, header, config, *viewers)
         reports = setup.apply(config.realtime.priority, config.realtime.cpu, config.realtime.lock_memory)
         ring.set_notes(setup.as_text(reports))
         fifo = next(r for r in reports if r.name == "fifo")
@@ -202,6 +233,8 @@ def _run(
             end_screen(screen)
         if saboteur:
             end(saboteur, PATIENCE_S)
+        if live:
+            end(live, 2.0)
         if plant:
             end(plant, PATIENCE_S if stage is not None else 2.0)
         if stage is not None:
