@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from mangled import mangle, simulated
+from mangled import simulated
 from pneud.log.reader import read_log
 from pneud.reporting.figures import FIGURES
 from pneud.reporting.gather import gather
@@ -92,8 +92,8 @@ def browse(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
 @pytest.fixture(scope="module")
 def text(tmp_path_factory: pytest.TempPathFactory) -> str:
     folder = tmp_path_factory.mktemp("logs")
-    simulated(folder / "one.mcap", 3.0, mangle)
-    simulated(folder / "two.mcap", 2.0)
+    simulated(folder / "one.mcap", 3.0, seed=1)
+    simulated(folder / "two.mcap", 2.0, seed=2)
     return page([gather(read_log(folder / f"{name}.mcap")) for name in ("one", "two")])
 
 
