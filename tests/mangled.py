@@ -10,9 +10,11 @@ from pneud.bus.inbox import Counts
 from pneud.loading import load
 from pneud.log.files import create_log
 from pneud.log.header import LogHeader
+from pneud.log.messages import Message
+from pneud.log.schema import Level
 from pneud.log.writer import LogWriter
 from pneud.safety.faults import FAULT_NAMES
-from pneud.signals import Frame
+from pneud.signals import Frame, Request, RequestKind
 from pneud.sim.lockstep import Simulation
 
 EMERGENCY = Frame(0, 0x081, b"\x10\x23\x01\0\0\0\0\0")
@@ -46,8 +48,9 @@ def simulated(
     change: Callable[[Frame, random.Random], list[Frame]] = unchanged,
     config: str = "virtual.toml",
     seed: int = 1,
+    remark: str = "",
 ) -> Counts:
-    """Write a log; what the axis's inbox counted comes back."""
+    """Write a log, with an operator's remark in its 300th tick; what the axis's inbox counted comes back."""
     loaded = load(config)
     run = Simulation(loaded, duration_s, seed)
     rng = random.Random(seed)
@@ -69,7 +72,11 @@ def simulated(
         extra={},
     )
     writer = LogWriter(create_log(path), header)
-    for record in run.records():
+    for number, record in enumerate(run.records(), start=1):
+        if remark and number == 300:
+            request = Request(int(RequestKind.MARK))
+            record = record._replace(tick=record.tick._replace(request=request))  # noqa: PLW2901
+            writer.say(Message(record.tick.t_ns, Level.INFO, "console", f"uid 0: mark {remark} → taken"))
         writer.write(record)
     assert writer.close()
     return run.inbox.counts()

@@ -160,7 +160,7 @@ def test_health_counts_as_the_inbox_does(mangled_log: Any, size: int) -> None:
 @pytest.fixture(scope="module")
 def calm_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("logs") / "calm.mcap"
-    simulated(path, 1.0)
+    simulated(path, 1.0, remark="air at 5 bar")
     return path
 
 
@@ -173,7 +173,7 @@ def test_a_run(run: Run) -> None:
     assert run.ticks == run.log.missing + sum(1 for _ in run.log)
     labels = [State(span.value - 1).label for span in run.states]
     assert labels == ["starting", "waiting", "disarmed", "tracking", "stopping", "disarmed"]
-    assert [mark.text for mark in run.marks] == ["arm 1", "shutdown"]
+    assert [mark.text for mark in run.marks] == ["arm 1", "air at 5 bar", "shutdown"]
     assert run.first_engaged_s == pytest.approx(run.marks[0].t_s)
     assert run.error_against == "true position"
     assert set(COLUMNS) == {s.column for f in FIGURES for s in f.series}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -26,6 +27,7 @@ AFTER_S = 5.0  # from when on after it began to track an axis is judged
 EVENTS = 1000  # kept of the first ones, the rest is counted
 MARKS = 400
 
+_REMARK = re.compile(r": mark (.*) → taken")
 _MM, _UM, _BAR = 1e3, 1e6, 1e-5
 _ENGAGED = np.array([is_engaged(state) for state in range(max(State) + 1)])
 
@@ -190,6 +192,7 @@ class _Gatherer:
             self._take(block, t_s)
         if not self.ticks:
             raise EmptyError(f"{self.log.path}: no tick in it")
+        self._name_marks()
         end_s = self.last_s + 1e-9 * self.period_ns
         log = self.log
         return Run(
@@ -283,6 +286,18 @@ class _Gatherer:
             before = float(t_s[index - 1]) if index else self.last_s
             kind = 2 if dropped[index] else 1
             self.gaps.add(np.array([before, float(t_s[index])]), np.array([kind, 0]))
+
+    def _name_marks(self) -> None:
+        """Give the operator's remarks, which stand in the events, to their marks."""
+        for event in self.events:
+            words = _REMARK.search(event.message)
+            if event.name != "console" or words is None:
+                continue
+            t_s = 1e-9 * event.log_time_ns - self.start_unix_s
+            plain = [i for i, mark in enumerate(self.marks) if mark.text == "mark"]
+            nearest = min(plain, key=lambda i: abs(self.marks[i].t_s - t_s), default=None)
+            if nearest is not None and abs(self.marks[nearest].t_s - t_s) < 1.0:
+                self.marks[nearest] = self.marks[nearest]._replace(text=words[1])
 
     def _mark(self, t_s: float, request: Request) -> None:
         if len(self.marks) >= MARKS:
