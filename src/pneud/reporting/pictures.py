@@ -84,9 +84,10 @@ def write(runs: Sequence[Run], stem: Path) -> list[Path]:
     axes = figure.subplots()
     for y, (run, shift, bit) in enumerate(reversed(rows)):
         if bit is None:
-            for span in run.states:
-                colour = STATE_COLOURS.get(State(span.value - 1), "#000000")
-                axes.barh(y, span.end_s - span.begin_s, 0.8, span.begin_s - shift, color=colour)
+            for value in sorted({span.value for span in run.states}):
+                state = State(value - 1)
+                bars = [(s.begin_s - shift, s.end_s - s.begin_s) for s in run.states if s.value == value]
+                axes.broken_barh(bars, (y - 0.4, 0.8), color=STATE_COLOURS[state], label=state.label)
         else:
             for spans, height, colour in (
                 (run.present[bit], 0.8, "#f4c7a8"),
@@ -110,5 +111,13 @@ def _finish(axes: Axes, title: str, y: str, x: str) -> None:
     axes.set_ylabel(y, fontsize=8)
     axes.tick_params(labelsize=8)
     axes.grid(color="#dddddd", linewidth=0.5)
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(fontsize=8, loc="upper right")
+    handles, labels = axes.get_legend_handles_labels()
+    if handles:
+        one_each = dict(zip(labels, handles, strict=True))
+        axes.legend(
+            list(one_each.values()),
+            list(one_each),
+            fontsize=8,
+            loc="upper left",
+            bbox_to_anchor=(1.0, 1.0),
+        )

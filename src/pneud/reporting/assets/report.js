@@ -21,7 +21,7 @@
   // all plots over time share their left edge
   const longest = Math.max(8, ...runs.flatMap(r => [several ? r.name.length : 0, ...r.faults.map(f => f.name.length)]));
   const narrow = document.body.clientWidth < 700;
-  const LEFT = narrow ? 64 : Math.min(180, Math.max(64, 14 + 7 * longest));
+  const LEFT = narrow ? 84 : Math.min(180, Math.max(64, 14 + 7 * longest));
 
   const plots = [];
   let linking = false, phase = null;
@@ -132,7 +132,7 @@
     const element = document.getElementById("timeline");
     heading(element, "States, faults and requests", "a fault is light while it is present, dark while it is latched");
     const count = rows.length;
-    const fitting = Math.floor((LEFT - 12) / 6.5);
+    const fitting = Math.floor((LEFT - 20) / 6.6);
     const short = name => name.length > fitting ? name.slice(0, fitting - 1) + "…" : name;
     const bands = {
       hooks: {
@@ -166,14 +166,15 @@
             } else {
               let free = -Infinity;
               ctx.fillStyle = INK;
-              for (const [t, text] of row.run.marks) {
-                if (t < min || t > max) continue;
+              const seen = row.run.marks.filter(([t]) => t >= min && t <= max);
+              for (const [k, [t, text]] of seen.entries()) {
                 const x = u.valToPos(t, "x", true), y = bbox.top + high * (i + 0.5);
+                const next = k + 1 < seen.length ? u.valToPos(seen[k + 1][0], "x", true) : Infinity;
                 ctx.beginPath(); ctx.arc(x, y, 3 * ratio, 0, 7); ctx.fill();
                 const wide = ctx.measureText(text).width;
                 let at = x + 6 * ratio;
                 if (at + wide > bbox.left + bbox.width) at = x - wide - 6 * ratio;
-                if (at > free) { ctx.fillText(text, at, y); free = at + wide + 6 * ratio; }
+                if (at > free && at + wide < next - 3 * ratio) { ctx.fillText(text, at, y); free = at + wide + 6 * ratio; }
               }
             }
           });
