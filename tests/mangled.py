@@ -42,6 +42,23 @@ def mangle(frame: Frame, rng: random.Random) -> list[Frame]:
     return [frame]
 
 
+def header_of(config: str) -> LogHeader:
+    loaded = load(config)
+    return LogHeader(
+        name=loaded.config.name,
+        bus="simulated",
+        rate_hz=loaded.config.loop.rate_hz,
+        detail="compact",
+        config_name=loaded.path.name,
+        config_text=loaded.text,
+        dbc_name=loaded.dbc.name,
+        dbc=loaded.dbc.read_bytes(),
+        fault_names=FAULT_NAMES,
+        realtime_offset_ns=OFFSET_NS,
+        extra={},
+    )
+
+
 def simulated(
     path: Path,
     duration_s: float,
@@ -58,20 +75,7 @@ def simulated(
     run.node.poll = lambda t_ns, **how: [  # type: ignore[method-assign]
         after for before in poll(t_ns, **how) for after in change(before, rng)
     ]
-    header = LogHeader(
-        name=loaded.config.name,
-        bus="simulated",
-        rate_hz=loaded.config.loop.rate_hz,
-        detail="compact",
-        config_name=loaded.path.name,
-        config_text=loaded.text,
-        dbc_name=loaded.dbc.name,
-        dbc=loaded.dbc.read_bytes(),
-        fault_names=FAULT_NAMES,
-        realtime_offset_ns=OFFSET_NS,
-        extra={},
-    )
-    writer = LogWriter(create_log(path), header)
+    writer = LogWriter(create_log(path), header_of(config))
     for number, record in enumerate(run.records(), start=1):
         if remark and number == 300:
             request = Request(int(RequestKind.MARK))

@@ -132,6 +132,8 @@ them as a recording that other tools read.
 
     pneud report run.mcap -o report.html       # one page; several logs are compared
     pneud report run.mcap -o part.html --from 120 --to 125
+    pneud bench --json > bench.json            # what this machine can do …
+    pneud report run.mcap -o report.html --reference bench.json   # … beside the run's own timing
     pneud export run.mcap -o run.parquet       # or .csv: a row a tick
     pneud export run.mcap -o run.log           # frames: candump log; or .asc, .blf
     cantools decode configs/pneud.dbc < run.log
