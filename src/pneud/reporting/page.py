@@ -183,13 +183,18 @@ def _utc(run: Run) -> str:
     return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(run.start_unix_s))
 
 
+def _length(run: Run) -> str:
+    first_s = float(run.series.t_s[0])
+    return f"{run.last_s:.1f} s" if first_s == 0.0 else f"{first_s:.3f} to {run.last_s:.3f} s"
+
+
 def _subtitle(runs: Sequence[Run], names: Sequence[str]) -> str:
     lines = []
     for run, name, colour in zip(runs, names, COLOURS * len(runs), strict=False):
         key = f'<i class="key" style="background:{colour}"></i>' if len(runs) > 1 else ""
         log = run.log
         lines.append(
-            f"<p>{key}<b>{html.escape(name)}</b>: {_utc(run)}, {run.last_s:.1f} s at {log.rate_hz:g} Hz on"
+            f"<p>{key}<b>{html.escape(name)}</b>: {_utc(run)}, {_length(run)} at {log.rate_hz:g} Hz on"
             f" {html.escape(log.metadata.get('bus', 'an unknown bus'))}, pneud"
             f" {html.escape(log.metadata.get('pneud', '?'))}</p>"
         )

@@ -12,10 +12,8 @@
     run.t = Array.from(doubles(run.t));
     for (const name in run.columns) run.columns[name] = floats(run.columns[name]);
     run.phase = { t: doubles(run.phase.t), x: floats(run.phase.x), y: floats(run.phase.y) };
-    const ends = run.states.length ? run.states[run.states.length - 1][1] : run.t[run.t.length - 1];
-    run.span = [run.t[0], Math.max(ends, run.t[run.t.length - 1])];
   }
-  const whole = [Math.min(...runs.map(r => r.span[0])), Math.max(...runs.map(r => r.span[1]))];
+  const whole = [Math.min(...runs.map(r => r.t[0])), Math.max(...runs.map(r => r.t[r.t.length - 1]))];
   if (whole[0] === whole[1]) whole[1] += 1e-3;
 
   // all plots over time share their left edge
@@ -27,8 +25,13 @@
   let linking = false, phase = null;
 
   const width = element => Math.max(280, Math.floor(element.clientWidth));
+  // as many decimals as the distance of the ticks has; uPlot's own stop at three
+  const numbers = (u, splits, index, space, step) => {
+    const decimals = step >= 1e-6 ? (String(step).split(".")[1] || "").length : 9;
+    return splits.map(v => Math.abs(v) >= 1e5 ? v.toExponential(2) : v.toFixed(decimals));
+  };
   const axis = (label, extra) => Object.assign({
-    stroke: SOFT, grid: { stroke: GRID, width: 1 }, ticks: { stroke: GRID, width: 1 }, label, labelSize: 20,
+    stroke: SOFT, values: numbers, grid: { stroke: GRID, width: 1 }, ticks: { stroke: GRID, width: 1 }, label, labelSize: 20,
     labelFont: "12px system-ui, sans-serif", font: "12px system-ui, sans-serif",
   }, extra);
   const timeAxis = last => axis(last ? (data.aligned ? "s from engaging" : "s") : null, last ? {} : { label: null });
@@ -182,7 +185,7 @@
         }],
       },
     };
-    const options = common(element, 26 * count + 46);
+    const options = common(element, 24 * count + 66);
     options.plugins.push(bands);
     options.legend = { show: true };
     options.scales.y = { range: [0, count] };
