@@ -254,6 +254,17 @@ def test_every_refusal_of_the_axis_has_a_type_and_words(desk: Bench, answer: Ans
         assert "check the node's power" in reply["error"]["message"]
 
 
+@pytest.mark.parametrize(
+    ("verb", "named"),
+    [("arm", ["encoder_unreferenced", "moving"]), ("home", ["moving"]), ("hold", [])],
+)
+def test_only_faults_that_forbid_what_is_asked_are_named(desk: Bench, verb: str, named: list[str]) -> None:
+    desk.answer = lambda _: Answer.BLOCKED
+    desk.present = 1 << F.ENCODER_UNREFERENCED | 1 << F.MOVING
+    error = desk.ask(desk.connect(), verb)["error"]
+    assert [f["name"] for f in error["faults"]] == named
+
+
 def test_a_refused_piece_ends_the_upload(desk: Bench) -> None:
     desk.answer = lambda r: Answer.MALFORMED if r.values[:1] == (0.7,) else Answer.TAKEN
     pieces = [PIECE, [0.7, *PIECE[1:]], PIECE]

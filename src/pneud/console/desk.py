@@ -13,7 +13,8 @@ from pneud.console.server import Plan
 from pneud.console.tuning import Tuning
 from pneud.console.watch import Watch, faults
 from pneud.log.ring import Ring
-from pneud.safety.faults import BLOCKS_ARM, CENTRES, FAULT_CURES, FAULT_NAMES, STOPS
+from pneud.safety.faults import CENTRES, FAULT_CURES, FAULT_NAMES, STOPS
+from pneud.safety.supervisor import BLOCKS
 from pneud.signals import Answer, Request, RequestKind, State
 
 _MM = 1e-3
@@ -23,6 +24,7 @@ _SIMPLE = {
     protocol.Hold: RequestKind.HOLD,
     protocol.Home: RequestKind.HOME,
 }
+_BLOCKS = {"arm": BLOCKS[RequestKind.ARM], "home": BLOCKS[RequestKind.HOME]}  # faults, by what they forbid
 _URGENT = {protocol.Disarm: RequestKind.DISARM, protocol.Stop: RequestKind.STOP}
 
 
@@ -183,7 +185,7 @@ class AxisDesk:
             case Answer.WRONG_STATE:
                 text = f"{words}: not while the axis is {state}"
             case Answer.BLOCKED:
-                blocking = CENTRES | STOPS if words == RequestKind.CLEAR.name.lower() else BLOCKS_ARM
+                blocking = _BLOCKS.get(words, CENTRES | STOPS)
                 found = faults(outcome.present & blocking, outcome.latched)
                 more["faults"] = [f for f in found if f["present"]]
                 text = f"{words}: blocked by " + (
