@@ -110,7 +110,7 @@ def test_all_records_of_a_killed_loop_are_written_and_the_file_is_finished(tmp_p
 def test_a_killed_recorder_loses_little_and_the_rest_reads(tmp_path: Path) -> None:
     """At most what lies between two flushes and two polls is lost, counted in the recorder's own rounds.
 
-    A round lasts 20 ms or more, a chunk stays open for five of them, and a record waits for two to be taken.
+    A round lasts 40 ms or more, a chunk stays open for three of them, and a record waits for two to be taken.
     """
     ring = Ring.create()
     path = tmp_path / "x.mcap"

@@ -10,7 +10,7 @@ FAILED = -1
 
 
 class Output:
-    """What the MCAP writer writes into: kept until the disk has taken it.
+    """What a log is written into: kept until the disk has taken it.
 
     Attributes:
         error: errno of the last failure, `FAILED` for one without, 0 for none.
@@ -33,9 +33,6 @@ class Output:
     def tell(self) -> int:
         """Bytes taken so far."""
         return self._size
-
-    def flush(self) -> None:
-        """Nothing: see `settle`."""
 
     @property
     def settled_bytes(self) -> int:

@@ -10,8 +10,7 @@ import os
 import time
 import zlib
 
-from mcap.writer import CompressionType, IndexType, Writer
-
+from pneud.log.container import Container
 from pneud.log.fingerprint import numeric_fingerprint, versions
 from pneud.log.header import LogHeader
 from pneud.log.output import Output
@@ -19,7 +18,6 @@ from pneud.log.schema import COPY, METADATA, SCHEMA, topics
 
 CRC = "crc32"  # key of the metadata's checksum, which MCAP has none for
 CONFIG_TEXT, DBC = "config_text", "dbc_base64"  # keys in the copy of the head
-_OVERHEAD_BYTES = 31  # MCAP's own head of a message
 
 
 def crc_of_metadata(data: dict[str, str]) -> str:
@@ -58,7 +56,6 @@ class Part:
 
     Attributes:
         output: where its bytes go.
-        chunk_bytes: size of the chunk that is open.
     """
 
     def __init__(self, descriptor: int, header: LogHeader, more: dict[str, str]) -> None:
@@ -72,28 +69,23 @@ class Part:
         self.output = Output(descriptor)
         with contextlib.suppress(OSError):  # tells retention that it is being written
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        self.chunk_bytes = 0
-        self._header = header
-        self._writer = w = Writer(
-            self.output,  # type: ignore[arg-type]  # only write, tell and flush are used
-            chunk_size=1 << 30,  # closed by us, between two ticks
-            compression=CompressionType.ZSTD,
-            index_types=IndexType.ALL,
-        )
-        h = header
-        w.start(profile="", library=f"pneud {versions().get('pneud', '')}".strip())
+        self._header = h = header
+        self._container = c = Container(self.output, f"pneud {versions().get('pneud', '')}".strip())
         now_ns = time.time_ns()
-        w.add_attachment(now_ns, now_ns, h.config_name, "application/toml", h.config_text.encode())
-        w.add_attachment(now_ns, now_ns, h.dbc_name, "application/vnd.can-dbc", h.dbc)
+        c.attach(now_ns, h.config_name, "application/toml", h.config_text.encode())
+        c.attach(now_ns, h.dbc_name, "application/vnd.can-dbc", h.dbc)
         self._head = checked(head_of(h, more))
-        w.add_metadata(METADATA, self._head)
+        c.metadata(METADATA, self._head)
         self._channels = {
-            t.topic: w.register_channel(
-                t.topic, t.encoding, w.register_schema(t.schema, t.schema_encoding, t.descriptors)
-            )
+            t.topic: c.register(t.topic, t.encoding, t.schema, t.schema_encoding, t.descriptors)
             for t in topics(h.detail)
         }
         self.output.settle()
+
+    @property
+    def chunk_bytes(self) -> int:
+        """Size of the chunk that is open, uncompressed."""
+        return self._container.chunk_bytes
 
     def message(self, topic: str, number: int, log_time_ns: int, data: bytes) -> None:
         """Add a message to the open chunk.
@@ -104,17 +96,15 @@ class Part:
             log_time_ns: Unix time.
             data: the message.
         """
-        self._writer.add_message(self._channels[topic], log_time_ns, data, log_time_ns, number & 0xFFFF_FFFF)
-        self.chunk_bytes += len(data) + _OVERHEAD_BYTES
+        self._container.message(self._channels[topic], number & 0xFFFF_FFFF, log_time_ns, data)
 
     def metadata(self, name: str, data: dict[str, str]) -> None:
         """Add metadata, before the chunk that is open."""
-        self._writer.add_metadata(name, checked(data))
+        self._container.metadata(name, checked(data))
 
     def close_chunk(self) -> None:
         """What comes next goes into another chunk."""
-        self._writer.flush()  # type: ignore[no-untyped-call]
-        self.chunk_bytes = 0
+        self._container.close_chunk()
 
     def finish(self) -> None:
         """Repeat the head, write the index."""
@@ -122,4 +112,4 @@ class Part:
         h = self._header
         copy = {**self._head, CONFIG_TEXT: h.config_text, DBC: base64.b64encode(h.dbc).decode()}
         self.metadata(COPY, copy)
-        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._container.finish()

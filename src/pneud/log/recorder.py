@@ -21,8 +21,8 @@ from pneud.signals import Record
 if TYPE_CHECKING:
     from pneud.log.writer import LogWriter
 
-_POLL_S = 0.02
-_LOOK_POLLS = 50  # how often the watched files are looked at
+_POLL_S = 0.04  # with an open chunk of 100 ms, a kill costs less than 0.2 s
+_LOOK_POLLS = 25  # how often the watched files are looked at
 _NICE = 5
 _ERROR = 4  # a `Level`; their module is heavy to load
 

@@ -383,8 +383,9 @@ class Ring:
                 return None
             n = _PREFIX.unpack_from(rest)[4]
             flat += self._more_layouts[n].unpack_from(rest)[6:]
+        new = tuple.__new__  # half the time of Frame(…)
         frames = tuple(
-            Frame(flat[i], flat[i + 1], flat[i + 3][: flat[i + 2]]) for i in range(0, len(flat), 4)
+            [new(Frame, (flat[i], flat[i + 1], flat[i + 3][: flat[i + 2]])) for i in range(0, len(flat), 4)]
         )
         received = len(frames) - v[6]
         tick = Tick(
