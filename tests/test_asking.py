@@ -224,6 +224,16 @@ def test_a_hold_repeated_does_not_take_longer() -> None:
     assert two.tick(HOLD).state == State.HOLDING
 
 
+def test_a_stop_after_a_hold_goes_on_with_its_way() -> None:
+    rig = moving()
+    rig.tick(HOLD)
+    rig.ticks(20)
+    way = rig.axis.state.path
+    assert rig.tick(STOP).state == State.STOPPING
+    assert rig.axis.state.path is way
+    rig.until(State.HOLDING)
+
+
 def test_a_stop_fault_stops_under_control_centres_and_latches(monkeypatch: pytest.MonkeyPatch) -> None:
     bit = 1 << F.SUPPLY_PRESSURE
     rig = moving()
