@@ -95,12 +95,12 @@ class Rig:
 
 def ready() -> Rig:
     """Disarmed, with nothing that keeps it from arming."""
-    return _copy(_ready())
+    return twin(_ready())
 
 
 def tracking() -> Rig:
     """Armed, and on its way to the reference."""
-    return _copy(_tracking())
+    return twin(_tracking())
 
 
 @cache
@@ -120,7 +120,7 @@ def _tracking() -> Rig:
     return rig
 
 
-def _copy(rig: Rig) -> Rig:
+def twin(rig: Rig) -> Rig:
     codecs = loaded().codecs
     shared = (
         codecs,
