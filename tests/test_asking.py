@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import pytest
 
-from axis_rig import ARM, CLEAR, DISARM, PERIOD_NS, SHUTDOWN, Rig, _copy, ready
+from axis_rig import ARM, CLEAR, DISARM, PERIOD_NS, SHUTDOWN, Rig, ready, twin
 from pneud import profiles
 from pneud.asking import soft_limits
 from pneud.axis import Axis
@@ -26,7 +26,7 @@ H = PERIOD_NS * 1e-9
 
 def holding() -> Rig:
     """Armed, and holding still."""
-    return _copy(_holding())
+    return twin(_holding())
 
 
 @cache

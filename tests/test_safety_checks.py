@@ -10,7 +10,17 @@ import pytest
 from pneud.safety import checks
 from pneud.safety.checks import LEAVING_TICKS, MOVING_M_S, OFF_CENTRE_V, SETTLING_NS, SETTLING_TICKS, Limits
 from pneud.safety.faults import NO_SENSORS, F, names
-from pneud.signals import ALL_SOURCES, EncoderStatus, Estimate, Host, Measurement, Source, State, ValveState
+from pneud.signals import (
+    ALL_SOURCES,
+    Defect,
+    EncoderStatus,
+    Estimate,
+    Host,
+    Measurement,
+    Source,
+    State,
+    ValveState,
+)
 
 LIMITS = Limits(
     travel_min_m=0.02,
@@ -221,6 +231,14 @@ def test_the_load_has_to_be_able_to_come_to_rest_within_the_travel(speed: float)
         assert names(checks.engaged(GOOD, e, State.TRACKING, 0, H, LIMITS)) == found, (x, v)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_load_that_comes_to_rest_on_the_limit_is_within_it(sign: float) -> None:
+    exact = LIMITS._replace(travel_min_m=0.25, travel_max_m=0.75, braking_m_s2=2.0)
+    for x, found in ((0.5, []), (0.5 + sign * 2.0**-40, ["braking_distance"])):
+        e = STILL._replace(position_m=x, velocity_m_s=sign)
+        assert names(checks.engaged(GOOD, e, State.TRACKING, 0, H, exact)) == found
+
+
 @pytest.mark.parametrize(
     ("changes", "active"),
     [
@@ -262,3 +280,36 @@ def test_estimates_have_to_be_so_old_to_arm_on(h: float, settled_ns: int, found:
 def test_the_load_has_to_stand_still_to_arm(sign: float) -> None:
     for speed, found in ((MOVING_M_S, []), (above(MOVING_M_S), ["moving"])):
         assert names(checks.unready(STILL._replace(velocity_m_s=sign * speed), SETTLING_NS, H)) == found
+
+
+def test_whatever_is_wrong_at_once_is_shown_at_once() -> None:
+    silent = GOOD._replace(
+        encoder_age_ns=1 << 62,
+        pressure_age_ns=1 << 62,
+        valve_age_ns=1 << 62,
+        encoder_defects=int(Defect.CORRUPT),
+        pressure_defects=int(Defect.FROZEN),
+        valve_defects=int(Defect.LATE),
+    )
+    assert names(checks.lacking(silent, LIMITS)) == ["encoder_corrupt", "pressure_frozen", "valve_late"]
+    silent = silent._replace(encoder_defects=0, pressure_defects=int(Defect.CORRUPT), valve_defects=0)
+    assert names(checks.lacking(silent, LIMITS)) == ["encoder_missing", "pressure_corrupt", "valve_missing"]
+    silent = silent._replace(encoder_defects=int(Defect.LATE), valve_defects=int(Defect.CORRUPT))
+    assert names(checks.lacking(silent, LIMITS)) == ["encoder_late", "pressure_corrupt", "valve_corrupt"]
+    silent = silent._replace(encoder_defects=int(Defect.FROZEN), valve_defects=int(Defect.FROZEN))
+    assert names(checks.lacking(silent, LIMITS)) == ["encoder_frozen", "pressure_corrupt", "valve_frozen"]
+
+    wrong = GOOD._replace(encoder_status=4, position_m=2.0, p1_pa=2e6, supply_pa=math.nan)
+    shown = ["encoder_error", "encoder_unreferenced", "chamber_pressure", "supply_pressure"]
+    for state, fault in ((ValveState.TIMED_OUT, "valve_timed_out"), (ValveState.FAULT, "valve_fault")):
+        found = names(checks.measured(wrong._replace(valve_state=int(state)), LIMITS))
+        assert found == [*shown, fault, "travel", "not_finite"]
+
+    jumped = STILL._replace(velocity_m_s=5.0, innovation_m=1.0)
+    assert names(checks.believed(jumped, H, LIMITS)) == ["overspeed", "encoder_jump"]
+
+    late = GOOD._replace(skipped=50, valve_state=int(ValveState.BOOT), encoder_status=0)
+    assert names(checks.engaged(late, jumped, State.TRACKING, 1000, H, LIMITS)) == [
+        "valve_rebooted", "deadline", "encoder_lost_reference", "braking_distance",
+    ]  # fmt: skip
+    assert names(checks.unready(jumped, 0, H)) == ["moving", "unsettled"]

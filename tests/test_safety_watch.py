@@ -209,6 +209,39 @@ def test_a_pressure_changes_no_faster_than_valve_and_piston_make_it(
         axis.m = axis.m._replace(p1_pa=3e5, p2_pa=3e5)
 
 
+@pytest.mark.parametrize("field", ["p1_pa", "p2_pa"])
+def test_the_room_for_a_jump_is_met_exactly(field: str) -> None:
+    exact = LIMITS._replace(
+        dead_length_1_m=0.0, dead_length_2_m=0.0, swing_1_pa_m_s=1_024_000.0, swing_2_pa_m_s=1_024_000.0
+    )
+    for ms, change, found in (
+        (1, 2048.0, []),
+        (1, 2048.25, ["pressure_jump"]),
+        (0, 0.0, []),
+        (0, 0.25, ["pressure_jump"]),
+    ):
+        axis = Axis(exact)
+        assert axis.tick() == []
+        changed: dict[str, Any] = {field: 3e5 + CHAMBER_PA + change}
+        assert axis.tick(ms=ms, **changed) == found
+
+
+def test_a_jump_hides_no_pressure_that_stands_still(axis: Axis) -> None:
+    far = 0.5 + 2.0 * LIMITS.stuck_travel_m
+    for field in ("p1_pa", "p2_pa"):
+        jumped: dict[str, Any] = {field: 9e5, "position_m": far}
+        assert axis.tick(**jumped) == ["pressure_stuck", "pressure_jump"]
+        axis.tick(p1_pa=4e5, p2_pa=4e5)
+        axis.tick(p1_pa=3e5, p2_pa=3e5)
+
+
+def test_a_condition_may_begin_with_the_clock() -> None:
+    axis = Axis()
+    for n in range(60):
+        assert axis.tick(ms=min(n, 1), applied_v=1.0) == (["valve_disagrees"] if n >= 50 else [])
+    assert sorted(axis.w.since_ns) == [-1] * (len(axis.w.since_ns) - 1) + [0]
+
+
 def test_between_readings_a_pressure_has_time_to_change(axis: Axis) -> None:
     without = int(ALL_SOURCES & ~Source.PRESSURE)
     assert all(axis.tick(fresh=without) == [] for _ in range(9))
