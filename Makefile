@@ -7,11 +7,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 RUNTIME := $(VENV)/.runtime
 DEV := $(VENV)/.dev
+MUTATION := $(VENV)/.mutation
 DEBIAN_PYTHON := /usr/bin/python3
 PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 
 .DEFAULT_GOAL := help
-.PHONY: help virtual test lint types contracts ci-tests coverage vm systemd install-service campaign campaign-vm soak clean
+.PHONY: help virtual test lint types contracts ci-tests coverage mutation vm systemd install-service campaign campaign-vm soak clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 17
@@ -42,6 +43,9 @@ coverage: $(DEV) ## every branch of safety/ and control/ is taken by a test
 	    --cov-report=term-missing:skip-covered --cov-fail-under=100 $(ARGS) || \
 	  { echo 'coverage: a test failed, or src/pneud/safety and src/pneud/control are not covered to the last branch' >&2; exit 1; }
 
+mutation: $(MUTATION) ## what of safety/ can be changed without a test that fails (minutes)
+	@exec .ci/mutation $(ARGS)
+
 vm: $(DEV) ## the tests over real SocketCAN, in a virtual machine (see hil/README.md)
 	@exec hil/vm/run -t 600 -- $(BIN)/python -m pytest -m vm -p no:cacheprovider tests/vm $(ARGS)
 
@@ -62,13 +66,13 @@ soak: $(DEV) ## the tests that take minutes
 	@exec $(BIN)/python -m pytest -m soak $(ARGS)
 
 clean: ## remove the environment and everything made
-	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .coverage
+	rm -rf $(VENV) build dist mutants .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .coverage
 	find src tests hil -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # True: .venv works and holds this checkout. False: it was moved or copied, its scripts name another folder.
 SOUND := $(shell $(BIN)/python -c 'import os, pneud; print(os.path.samefile(pneud.__path__[0], "src/pneud"))' 2>/dev/null)
 ifneq ($(SOUND),True)
-.PHONY: $(RUNTIME) $(DEV)
+.PHONY: $(RUNTIME) $(DEV) $(MUTATION)
 endif
 
 # Makes the environment where there is no usable one, then installs $(1). All words go to stderr: the standard
@@ -107,5 +111,9 @@ $(RUNTIME): pyproject.toml
 $(DEV): pyproject.toml
 	$(call environment,'.[dev$(comma)sim]')
 	@touch $(RUNTIME) $@
+
+$(MUTATION): pyproject.toml
+	$(call environment,'.[dev$(comma)sim$(comma)mutation]')
+	@touch $(RUNTIME) $(DEV) $@
 
 comma := ,

@@ -120,6 +120,10 @@ Enable 0.
   holds it then, or centres, as `limits.stop_then` says. While homing each of them centres at once: the load
   is slow, with little force behind it, and its position is not known. After the end of the program was
   asked for, the axis does not arm again.
+* No request widens a limit.
+
+What these sentences say is checked by tests that go through every state with every request, every fault and
+every two faults at once, and by running the safety layer alone over logs.
 
 The column CiA 402 names the state that an electric drive of that profile would be in. A drive has two steps
 more between its states *ready to switch on* and *operation enabled*; here *arm* takes them in one.
