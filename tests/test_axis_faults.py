@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 
 import pneud.axis
 from axis_rig import ARM, CLEAR, ENCODER, PERIOD_NS, PRESSURE, VALVE, Rig, ready, tracking
+from commands import pneud_here
 from pneud.control import step
 from pneud.control.sliding import SlidingOutput
 from pneud.safety.faults import TABLE, F, Reaction, names
@@ -433,3 +436,34 @@ def test_moves_over_the_whole_travel_show_nothing_but_limits() -> None:
         assert tick.measurement.position_m == pytest.approx(target, abs=2e-3)
         present |= rig.ticks(200)[-1].present
     assert names(present & ~(1 << F.SATURATED)) == []
+
+
+PUSH = """
+schema = 1
+name = "push"
+description = "Something pushes the load, and lets go."
+
+[[fault]]
+kind = "force"
+force_n = {force_n}
+for_s = 0.3
+at_s = 0.4
+
+[expect]
+reaction = "none"
+faults = []
+reason = "the axis is allowed to be that far away, and comes back"
+
+[change.limits]
+tracking_error_m = 0.5
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("force_n", [-500.0, 500.0])
+def test_pushes_and_what_comes_back_from_them_are_no_fault(tmp_path: Path, force_n: float) -> None:
+    scenario = tmp_path / "push.toml"
+    scenario.write_text(PUSH.format(force_n=force_n))
+    done = pneud_here("sim", "virtual.toml", "--scenario", scenario, "--duration", 3, "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["faults"] == []
