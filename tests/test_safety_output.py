@@ -97,6 +97,11 @@ def test_the_last_step_never_rounds_beyond_the_greatest_command(sign: float) -> 
     assert out.voltage_v == pytest.approx(sign * 4.9995, abs=1e-12)
 
 
+def test_where_one_step_is_too_much_nothing_leaves_but_zero() -> None:
+    for sign in (1.0, -1.0):
+        assert emit(sign * 5.0, 0.0, 1.0, OutputLimits(0.6 * LSB, 1e6, LSB)) == Output(0.0, 1, 1, 0)
+
+
 @pytest.mark.parametrize("u_max", [6.0, -1.0, math.nan])
 def test_a_bound_that_is_wrong_centres(u_max: float) -> None:
     assert emit(5.5, 5.4, 1.0, OutputLimits(u_max, 1e6, LSB)) == Output(0.0, 0, 0, 1 << F.COMMAND_RANGE)

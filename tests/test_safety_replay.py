@@ -130,7 +130,8 @@ def test_over_a_golden_log(log: Path) -> None:
     config = parse(reader.config_text, str(log))
     p = parameters.axis_of(config, loaded().codecs.command_lsb_v)
     # a compact log holds what the law wanted only as a single
-    assert is_engaged(max(agrees((t.record.tick for t in reader), p, lsb=1.01 * p.output.lsb_v)))
+    states = agrees((t.record.tick for t in reader), p, lsb=1.01 * p.output.lsb_v)
+    assert any(is_engaged(state) for state in states)
 
 
 def test_over_a_run_to_its_end() -> None:
