@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from axis_rig import ARM, CLEAR, DISARM, ENCODER, SHUTDOWN, Rig, _copy, loaded
+from axis_rig import ARM, CLEAR, DISARM, ENCODER, SHUTDOWN, Rig, loaded, twin
 from pneud import parameters, resources
 from pneud.axis import Axis
 from pneud.config import Config, ConfigError, parse
@@ -62,7 +62,7 @@ def _holding() -> Rig:
 
 def holding() -> Rig:
     """Homed, and holding."""
-    return _copy(_holding())
+    return twin(_holding())
 
 
 def known(rig: Rig) -> bool:
