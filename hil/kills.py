@@ -128,9 +128,8 @@ def main() -> int:
             plant.said("plant", 0.0, PATIENCE_S)
             for number in range(count):
                 problems = one(number, plant, bus, "virtual.toml", Path(temporary), chance.uniform(0.3, 2.3))
-                if problems:
-                    bad += 1
-                    print(f"kill {number}: {'; '.join(problems)}", flush=True)
+                bad += bool(problems)
+                print(f"kill {number}: {'; '.join(problems) or 'as it should be'}", flush=True)
         finally:
             plant.process.terminate()
             plant.process.wait(10)
