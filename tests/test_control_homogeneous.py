@@ -82,13 +82,16 @@ def test_feedback_is_homogeneous(w1: float, w2: float, w3: float, g: Feedback, s
 @example(0.0, 0.0, 0.0, 1e-3, PAPER)
 @example(-1e-3, 0.0, 2.0, 1e-2, PAPER)  # within reach of a kink
 @example(0.4, 0.0, 0.0, 1e-3, PAPER)
+@example(0.0, 0.0, 1e-9, 1e-2, feedback(1e4, 10.0, 1.0, 0.5625))  # a root of 2e-33
 def test_root_is_found_to_rounding(w1: float, w2: float, w3: float, h: float, g: Feedback) -> None:
     y = implicit_w3(w1, w2, w3, h, g)
     rest, size = terms(y, w1, w2, w3, h, g)
     if abs(rest) > 8e-16 * size:
-        # where a power is so steep that no float does better, the sign changes beside y
-        below = terms(math.nextafter(y, -math.inf), w1, w2, w3, h, g)[0]
-        above = terms(math.nextafter(y, math.inf), w1, w2, w3, h, g)[0]
+        # where a power is so steep that no float does better, the sign changes beside y, no further from it
+        # than the rounding of u* = (y − w3)/h
+        off = max(math.ulp(y), math.ulp(w3))
+        below = terms(y - off, w1, w2, w3, h, g)[0]
+        above = terms(y + off, w1, w2, w3, h, g)[0]
         assert below <= 0.0 <= above
 
 
