@@ -229,6 +229,7 @@ def test_a_disk_with_room_again_goes_on_where_it_stopped(
     monkeypatch.setattr(os, "write", write)
     writer.flush()
     assert (writer.error, writer.written) == (errno.ENOSPC, 0)
+    assert writer.blocked
     for n in range(101, 151):
         writer.write(record(n))
         writer.attend()
@@ -239,6 +240,7 @@ def test_a_disk_with_room_again_goes_on_where_it_stopped(
     for n in range(151, 201):
         writer.write(record(n))
     assert writer.close()
+    assert (writer.blocked, writer.error) == (False, errno.ENOSPC)  # it was, and is no longer
     assert (writer.written, writer.unwritten) == (150, 50)
     reader = read_log(path)
     assert [t.number for t in reader] == [*range(1, 101), *range(151, 201)]
