@@ -77,10 +77,13 @@ def engage() -> None:
     """Arm by the operator's command; a guest that stood still too long is a fault, and not this test's."""
 
     def holds() -> bool:
-        if not says(AXIS, "holding"):
+        told = shown("StatusText")
+        if told.startswith("fault"):
             tried(PNEUD, "clear")
+        elif told == "disarmed":
             tried(PNEUD, "arm")
-        return says(AXIS, "holding")
+            time.sleep(0.5)  # the line is told four times a second
+        return told == "holding"
 
     eventually(holds, "holding")
 
@@ -230,7 +233,8 @@ def test_the_third_crash_is_the_last_and_the_node_holds_the_valve_centred() -> N
     run("systemctl", "start", AXIS)
     for crash in range(3):
         eventually(disarmed, f"disarmed before crash {crash}")
-        engage()
+        if crash == 2:
+            engage()
         os.kill(main_pid(), signal.SIGKILL)
         eventually(lambda: not disarmed(), "gone")
     eventually(lambda: shown("ActiveState") == "failed", "failed")
