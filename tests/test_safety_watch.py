@@ -237,8 +237,10 @@ def test_a_jump_hides_no_pressure_that_stands_still(axis: Axis) -> None:
 
 def test_a_condition_may_begin_with_the_clock() -> None:
     axis = Axis()
+    without = int(ALL_SOURCES & ~Source.VALVE)
     for n in range(60):
-        assert axis.tick(ms=min(n, 1), applied_v=1.0) == (["valve_disagrees"] if n >= 50 else [])
+        found = axis.tick(ms=min(n, 1), applied_v=1.0, fresh=without if n else int(ALL_SOURCES))
+        assert found == (["valve_disagrees"] if n >= 50 else [])
     assert sorted(axis.w.since_ns) == [-1] * (len(axis.w.since_ns) - 1) + [0]
 
 
@@ -308,6 +310,46 @@ def test_several_conditions_last_each_for_itself(axis: Axis) -> None:
         found = axis.tick(e, applied_v=1.0)
         assert ("valve_disagrees" in found) == (n >= 50)
         assert ("force_disagrees" in found) == (n >= 25)
+
+
+AT_ONCE = LIMITS._replace(
+    saturation_ns=0,
+    overload_ns=0,
+    supply_ns=0,
+    disagreement_ns=0,
+    valve_timeout_ns=0,
+    sensor_timeout_ns=0,
+)
+
+
+@pytest.mark.parametrize("fresh", [int(ALL_SOURCES), int(ALL_SOURCES & ~Source.VALVE)])
+def test_whatever_is_wrong_at_once_is_shown_at_once(axis: Axis, fresh: int) -> None:
+    axis.limits = AT_ONCE
+    axis.tick(applied_v=1.0)
+    axis.limited = 1
+    found = axis.tick(
+        {"force_n": 1e4, "x3_n": 1e4},
+        fresh=fresh,
+        position_m=axis.w.position_m,
+        p1_pa=9e5,
+        supply_pa=4.6e5,
+        applied_v=1.0,
+        skipped=1,
+        host=int(Host.SEND_FAILED),
+    )
+    lasting = [row.name for row in TABLE if LASTING >> row.bit & 1]
+    assert found == names(sum(1 << F[name.upper()] for name in [*lasting, "pressure_jump"]))
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_each_of_the_last_three_commands_may_differ_so_much(place: int) -> None:
+    for near, found in ((VALVE_V, []), (above(VALVE_V), ["valve_disagrees"])):
+        axis = Axis(AT_ONCE)
+        sent = [5.0, 5.0, 5.0]
+        sent[place] = near
+        axis.last_v = sent[0]
+        axis.w = axis.w._replace(command_v=sent[1], earlier_v=sent[2])
+        assert axis.tick(applied_v=0.0) == found
 
 
 def test_no_estimate_shows_nothing(axis: Axis) -> None:
