@@ -26,7 +26,7 @@ from pneud.control.reference import rest
 from pneud.control.step import Controller, ControllerState, act, join, observe, start
 from pneud.loading import load
 from pneud.parameters import plant_of
-from pneud.physics.valve import dead_zone
+from pneud.physics.valve import opening
 from pneud.signals import Estimate
 from pneud.sim.cases import Bench, bench_of, case, figures, move_of, trace_of
 from pneud.sim.tuned import (
@@ -133,10 +133,10 @@ def test_a_command_gives_the_rate_wanted_or_says_that_it_cannot(Z: float) -> Non
     u, possible = command(Z, state, P)
     gain = state.f1_fill if Z >= 0.0 else state.f1_exhaust
     if abs(Z / gain) <= P.sliding.hold_v:
-        assert dead_zone(u, P.valve) == 0.0
+        assert opening(u, P.valve) == 0.0
         assert possible
     else:
-        assert gain * dead_zone(u, P.valve) == pytest.approx(Z, rel=1e-9)
+        assert gain * opening(u, P.valve) == pytest.approx(Z, rel=1e-9)
         assert possible == (abs(Z / gain) <= P.valve.u_max_v)
 
 

@@ -13,7 +13,7 @@ from pneud.config import cylinder_of, gas_of, load_config
 from pneud.physics.cylinder import F0, F1_FLOOR, F1_exhaust, F1_fill
 from pneud.physics.friction import Friction, friction_force, relaxation_rate, slide, stribeck
 from pneud.physics.gas import LINEAR_FROM, flow_factor, signed_flow, subsonic_factor
-from pneud.physics.valve import Valve, dead_zone, dead_zone_inverse, opening, spool_transition
+from pneud.physics.valve import Valve, dead_zone_inverse, opening, spool_transition
 from pneud.plant.chamber import exchange, inflow
 
 CONFIG = load_config("virtual.toml")
@@ -160,7 +160,6 @@ def test_the_opening_is_dead_about_the_centre_and_never_more_than_full(y: float)
     assert (u == 0.0) == (abs(y) <= 0.1)
     if 0.1 < abs(y) <= 5.0:
         assert dead_zone_inverse(u, valve, 0.0) == pytest.approx(y)
-        assert u == dead_zone(y, valve)
 
 
 def test_subsonic_factor_meets_the_choked_one() -> None:

@@ -36,6 +36,9 @@ FAULT_S = 0.1  # how long a run that ends on a fault goes on telling the valve t
 CHECKS_S = 0.5  # how often the recorder is looked at
 SNAPSHOT_PIECES = 128  # of a profile; the state with a longer one would take too long to hand over
 FOREIGN_S = 1.0  # how long another controller counts as present after its last frame
+# frames that come before the last one of a set need no wake-up of their own
+DOZE_MARGIN_NS = 50_000
+DOZE_STEP_NS = 2_000
 NAN = float("nan")
 
 
@@ -167,6 +170,7 @@ class Loop:
         foreign_before = foreign_until = 0
         foreign_ticks = max(1, round(FOREIGN_S * o.rate_hz))
         record_ns = -1
+        set_arrives_ns = 0  # after SYNC, as far as is known
         tick: Tick | None = None
         service, behind = self._service, 0
 
@@ -186,6 +190,9 @@ class Loop:
             inbox.begin(t_ns)
             sync_sent_ns = link.send(sync_id, sync_data)
             limit_ns = t_ns + wait_ns
+            doze_ns = t_ns + set_arrives_ns - DOZE_MARGIN_NS - clock()
+            if doze_ns > 0:
+                time.sleep(doze_ns * 1e-9)
             while not inbox.complete:
                 left_ns = limit_ns - clock()
                 if left_ns <= 0:
@@ -199,6 +206,12 @@ class Loop:
                         # a dead interface is always readable: sleep, or this would spin at high priority
                         time.sleep(max(0.0, (limit_ns - clock()) * 1e-9))
             set_ns = clock()
+            if inbox.complete and inbox.sync and len(frames) > before:
+                # early at once, later by and by: the loop is awake before the last frame of a set
+                arrived_ns = frames[-1].stamp_ns - t_ns
+                set_arrives_ns = min(arrived_ns, set_arrives_ns + DOZE_STEP_NS)
+            else:
+                set_arrives_ns = 0
 
             flags = host | inbox.conditions
             if link.down:

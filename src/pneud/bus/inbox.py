@@ -118,7 +118,7 @@ class Inbox:
         self._origins = {o.codec.can_id: o for o in self._sources}
         self._own = frozenset((codecs.sync.can_id, codecs.valve_command.can_id))
         self._older_s = codecs.older_s
-        self._sync = bus.sync
+        self.sync = bus.sync  # whether frames answer SYNC
         self._sync_wire_ns = wire_time_ns(codecs.sync.length, bus.bitrate_bit_s)
         self._encoder_wire_ns = wire_time_ns(codecs.encoder.length, bus.bitrate_bit_s)
         # what was sampled before this is late; between ticks everything is
@@ -151,7 +151,7 @@ class Inbox:
     def begin(self, t_ns: int) -> None:
         """This tick's SYNC left at `t_ns`."""
         self._t_ns = t_ns
-        if self._sync:
+        if self.sync:
             self._not_before_ns = t_ns
             clash = 0
             self._syncs += 1
@@ -226,7 +226,7 @@ class Inbox:
         position_m, status, _ = encoder.values
         p1_pa, p2_pa, supply_pa = pressure.values
         applied_v, valve_state = valve.values
-        if self._sync:
+        if self.sync:
             offset_ns = self._sync_wire_ns
             self._not_before_ns = NEVER_NS
         elif encoder.sample_ns == -NEVER_NS:

@@ -15,12 +15,13 @@ class Valve(NamedTuple):
     dead_zone_v: float  # half width about the centre within which nothing flows
 
 
-def dead_zone(u_v: float, valve: Valve) -> float:
-    """Effective opening [V] of a spool at u_v: 0 within the dead zone, u_max at u_max."""
-    excess = abs(u_v) - valve.dead_zone_v
+def opening(spool_v: float, valve: Valve) -> float:
+    """Effective opening [V] of a spool at `spool_v`: 0 within the dead zone, u_max at and beyond u_max."""
+    excess = abs(spool_v) - valve.dead_zone_v
     if excess <= 0.0:
         return 0.0
-    return math.copysign(excess * valve.u_max_v / (valve.u_max_v - valve.dead_zone_v), u_v)
+    u = excess * valve.u_max_v / (valve.u_max_v - valve.dead_zone_v)
+    return math.copysign(u if u < valve.u_max_v else valve.u_max_v, spool_v)
 
 
 def dead_zone_inverse(opening_v: float, valve: Valve, band_v: float) -> float:
@@ -29,14 +30,6 @@ def dead_zone_inverse(opening_v: float, valve: Valve, band_v: float) -> float:
     if band_v <= 0.0:
         return scaled + (math.copysign(valve.dead_zone_v, opening_v) if opening_v != 0.0 else 0.0)
     return scaled + valve.dead_zone_v * max(-1.0, min(1.0, opening_v / band_v))
-
-
-def opening(spool_v: float, valve: Valve) -> float:
-    """Effective opening [V] of a spool at `spool_v`: the dead zone, and no more than fully open."""
-    u = dead_zone(spool_v, valve)
-    if abs(u) > valve.u_max_v:
-        return math.copysign(valve.u_max_v, u)
-    return u
 
 
 class SpoolTransition(NamedTuple):

@@ -24,13 +24,21 @@ class Wire:
 
     def __init__(self) -> None:
         self.waiting: list[Item] = []
-        self.upcoming: tuple[int, Item] | None = None
+        self._upcoming: tuple[int, Item] | None = None
+        self._changed = False  # since `_upcoming` was found
         self._free_ns = 0
+
+    @property
+    def upcoming(self) -> tuple[int, Item] | None:
+        """End of the next transmission, and its frame."""
+        if self._changed:
+            self._arbitrate()
+        return self._upcoming
 
     def add(self, item: Item) -> None:
         """Let a frame wait for the wire."""
         self.waiting.append(item)
-        self._arbitrate()
+        self._changed = True
 
     def replace(self, item: Item) -> None:
         """As `add`, but a waiting frame of the same identifier is overwritten, as in a node's one mailbox."""
@@ -46,12 +54,12 @@ class Wire:
         Raises:
             IndexError: nothing waits.
         """
-        if self.upcoming is None:
-            raise IndexError("no frame waits for the wire")
         ended = self.upcoming
+        if ended is None:
+            raise IndexError("no frame waits for the wire")
         self.waiting.remove(ended[1])
         self._free_ns = ended[0]
-        self._arbitrate()
+        self._changed = True
         return ended
 
     def _under_way(self, item: Item, t_ns: int) -> bool:
@@ -59,6 +67,7 @@ class Wire:
         return upcoming is not None and upcoming[1] is item and upcoming[0] - item.duration_ns <= t_ns
 
     def _arbitrate(self) -> None:
+        self._changed = False
         waiting = self.waiting
         if len(waiting) > 1:
             first = min(item.ready_ns for item in waiting)
@@ -68,9 +77,9 @@ class Wire:
             item = waiting[0]
             start = item.ready_ns if item.ready_ns > self._free_ns else self._free_ns
         else:
-            self.upcoming = None
+            self._upcoming = None
             return
-        self.upcoming = (start + item.duration_ns, item)
+        self._upcoming = (start + item.duration_ns, item)
 
 
 def _priority(item: Item) -> tuple[int, int]:
