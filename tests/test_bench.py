@@ -22,6 +22,7 @@ from hypothesis import strategies as st
 from commands import object_of, pneud
 from pneud.benchmark import contestants, picture, rates
 from pneud.benchmark.contestants import AbsentError, Track
+from pneud.benchmark.disturbances import DISTURBANCES, Disturb, cpus_busy
 from pneud.benchmark.law import Law, LawState, begin, header, law_of, reference, tick
 from pneud.benchmark.report import as_object, in_words
 from pneud.benchmark.sample import Sample, Series, from_object, process_state, ratio_of_turns
@@ -427,7 +428,7 @@ def test_every_contestant_yields_a_sample(name: str, track: Track) -> None:
         assert len(own) >= 80
         assert min(latency) > 0
     if name == "pneud":
-        assert set(found.cpu_s) == {"loop", "recorder", "plant"}
+        assert set(found.cpu_s) == {"loop", "recorder", "console", "plant"}
         parts = [found.durations_ns[part] for part in ("read", "cycle", "write", "record")]
         assert [sum(values) for values in zip(*parts, strict=True)] == found.durations_ns["own"]
 
@@ -457,7 +458,7 @@ def test_whoever_cannot_go_on_is_missing_and_the_rest_works(
 ) -> None:
     page = tmp_path / "bench.html"
     field = {"cyclictest": turns_of(), "pneud": turns_of(5, 5, 5), "empty": turns_of(5)}
-    assert bench(options(output=page), field, 0.01) == 0
+    assert bench(options(output=page, turn_s=0.01), field) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["missing"] == {"cyclictest": "had enough", "empty": "had enough"}
     assert {name: one["turns"] for name, one in found["contestants"].items()} == {"pneud": 3, "empty": 1}
@@ -467,7 +468,7 @@ def test_whoever_cannot_go_on_is_missing_and_the_rest_works(
 
 
 def test_without_pneud_itself_the_answer_is_no(capsys: pytest.CaptureFixture[str]) -> None:
-    assert bench(options(json=False), {"pneud": turns_of(), "empty": turns_of(5, 5, 5)}, 0.01) == 1
+    assert bench(options(json=False), {"pneud": turns_of(), "empty": turns_of(5, 5, 5)}) == 1
     assert "without pneud: had enough" in capsys.readouterr().out
 
 
@@ -479,11 +480,43 @@ def test_without_pneud_itself_the_answer_is_no(capsys: pytest.CaptureFixture[str
         ({"output": Path("/nowhere/at/all.html")}, "there is no folder"),
         ({"config": "nowhere.toml"}, r"nowhere\.toml"),
         ({"bus": "can0"}, "none of auto"),
+        ({"turn_s": 0.0}, "--turn 0"),
+        ({"rate_hz": 1.0}, "--rate 1"),
+        ({"disturb": True, "output": Path("x.html")}, "--output"),
     ],
 )
 def test_what_cannot_be_measured_is_refused_at_once(changes: dict[str, object], says: str) -> None:
     with pytest.raises(ConfigError, match=says):
-        bench(options(**changes), {"pneud": turns_of()}, 0.01)
+        bench(options(**changes), {"pneud": turns_of()})
+
+
+def test_disturbances_are_compared_with_quiet_turns(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def run(_: Track, rate_hz: float, seconds: float, disturb: Disturb | None = None) -> Sample:
+        return Sample(
+            {"own": [200_000 if disturb is cpus_busy else 100_000] * 10}, 10, int(disturb is not None)
+        )
+
+    monkeypatch.setattr(contestants, "pneud", run)
+    assert bench(options(disturb=True)) == 0
+    found = json.loads(capsys.readouterr().out)["disturbances"]
+    assert set(found) == {"recorder", "disk", "console", "cpu"}
+    for name, one in found.items():
+        expected = 2.0 if name == "cpu" else 1.0
+        assert one["own_over_quiet"]["p99"]["median"] == pytest.approx(expected, rel=0.02)
+        assert one["own_over_quiet"]["pairs"] == 3
+        assert (one["quiet"]["skipped"], one["disturbed"]["skipped"]) == (0, 3)
+    assert bench(options(disturb=True, json=False)) == 0
+    assert "0 → 3" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", DISTURBANCES)
+def test_the_loop_misses_no_command_however_it_is_disturbed(name: str, track: Track) -> None:
+    found = contestants.pneud(track, 200.0, 0.8, DISTURBANCES[name])
+    assert (found.ticks, found.note) == (160, "")
+    assert found.skipped <= 3, "but for what the machine itself does"
 
 
 def test_a_usage_error_is_one_line() -> None:

@@ -384,11 +384,19 @@ def install_service(
 def bench(
     config: ConfigOption = None,
     bus: BusOption = None,
-    pairs: Annotated[int, typer.Option("--pairs", metavar="N", help="Turns of a second for each.")] = 20,
+    pairs: Annotated[int, typer.Option("--pairs", metavar="N", help="Turns for each.")] = 20,
     rate_seconds: Annotated[
         float,
         typer.Option("--rate-seconds", metavar="S", help="How long a rate must be held; 0 leaves that out."),
     ] = 3.0,
+    rate: Annotated[
+        float | None,
+        typer.Option("--rate", metavar="HZ", help="Another rate, on a bus whose frames take no time."),
+    ] = None,
+    turn: Annotated[float, typer.Option("--turn", metavar="S", help="Length of a turn.")] = 1.0,
+    disturb: Annotated[
+        bool, typer.Option("--disturb", help="Pneud with and without disturbances, instead of references.")
+    ] = False,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write the report as HTML, too.")
     ] = None,
@@ -400,7 +408,10 @@ def bench(
     from pneud.verbs.bench import BenchOptions
     from pneud.verbs.bench import bench as verb
 
-    _exit(verb, BenchOptions(config or "virtual.toml", bus, pairs, rate_seconds, output, json))
+    options = BenchOptions(
+        config or "virtual.toml", bus, pairs, rate_seconds, output, json, rate, turn, disturb
+    )
+    _exit(verb, options)
 
 
 NEGATIVE = {"ignore_unknown_options": True}  # numbers with a minus sign are no options

@@ -10,11 +10,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import NamedTuple
 
 from pneud import resources
+from pneud.benchmark.disturbances import Disturb, Run
 from pneud.benchmark.law import header
 from pneud.benchmark.sample import QUANTITIES, ProcessState, Sample, from_object, process_state
 from pneud.bus import folder
@@ -26,6 +27,7 @@ from pneud.signals import ALL_SOURCES
 SETTLE_S = 0.6  # of a run of pneud, before its ticks count: first touches, joining the reference
 PATIENCE_S = 30.0
 DRAIN_NS = 60_000  # longest that the look for left-over frames before SYNC usually takes
+CHILDREN = ("recorder", "console", "plant")
 CYCLICTEST_MOST_US = 100_000
 
 
@@ -128,9 +130,20 @@ def build(program: Path, axis: Loaded) -> None:
         raise AbsentError(f"{source} cannot be compiled: {(done.stderr.splitlines() or ['no reason'])[0]}")
 
 
-def pneud(track: Track, rate_hz: float, seconds: float) -> Sample:
-    """Our loop, as `pneud --virtual` runs it; durations come from its log."""
+def pneud(track: Track, rate_hz: float, seconds: float, disturb: Disturb | None = None) -> Sample:
+    """Our loop, as `pneud --virtual` runs it; durations come from its log.
+
+    Args:
+        track: where.
+        rate_hz: ticks per second.
+        seconds: that count.
+        disturb: what happens beside it meanwhile.
+
+    Raises:
+        AbsentError: it could not run.
+    """
     log = track.scratch / f"{secrets.token_hex(3)}.mcap"
+    socket = log.with_suffix(".sock")
     words = ["--config", str(track.config_file), "--rate", f"{rate_hz:g}", "--bus", _bus_of(track)]
     duration = ["--duration", str(seconds + SETTLE_S + 0.2)]
     process = subprocess.Popen(
@@ -145,6 +158,8 @@ def pneud(track: Track, rate_hz: float, seconds: float) -> Sample:
             "--json",
             "--log",
             log,
+            "--socket",
+            socket,
         ],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -153,7 +168,8 @@ def pneud(track: Track, rate_hz: float, seconds: float) -> Sample:
     try:
         members = _members(process)
         time.sleep(SETTLE_S)
-        used = _usage(members, seconds)
+        with nullcontext() if disturb is None else disturb(Run(members, socket, track.scratch)):
+            used = _usage(members, seconds)
         out, err = process.communicate(timeout=PATIENCE_S)
     except (OSError, subprocess.TimeoutExpired) as e:
         raise AbsentError(f"pneud ended early or never: {e}") from None
@@ -222,13 +238,13 @@ def sample_of_log(log: Path, first: int, count: int) -> Sample:
 
 
 def _members(process: subprocess.Popen[str]) -> dict[str, int]:
-    """The processes of a run, as soon as it has all of them: the recorder is forked first, then the plant."""
+    """The processes of a run, as soon as it has all of them: they are forked in this order."""
     deadline = time.monotonic() + PATIENCE_S
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     while True:
         found = [int(word) for word in children.read_text().split()]
-        if len(found) >= 2:
-            return {"loop": process.pid, "recorder": found[0], "plant": found[1]}
+        if len(found) >= len(CHILDREN):
+            return {"loop": process.pid, **dict(zip(CHILDREN, found, strict=False))}
         if process.poll() is not None or time.monotonic() > deadline:
             _, err = process.communicate(timeout=PATIENCE_S)
             raise AbsentError((err.splitlines() or ["pneud did not start"])[-1])

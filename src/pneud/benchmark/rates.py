@@ -41,7 +41,7 @@ def highest(turn: Turn, track: Track, seconds: float) -> float | None:
         held_it = False
         for _ in range(ATTEMPTS):
             try:
-                sample = turn(_at(track, RATES_HZ[middle]), RATES_HZ[middle], seconds)
+                sample = turn(at(track, RATES_HZ[middle]), RATES_HZ[middle], seconds)
             except AbsentError as e:
                 reason = str(e)
                 continue
@@ -69,7 +69,8 @@ def without_bus_time(track: Track) -> Track:
     return track._replace(axis=load(file), config_file=file)
 
 
-def _at(track: Track, rate_hz: float) -> Track:
+def at(track: Track, rate_hz: float) -> Track:
+    """The same axis at another rate."""
     config: Config = at_rate(track.axis.config, rate_hz)
     file: Path = track.scratch / f"at-{rate_hz:g}.toml"
     file.write_text(as_toml(config.model_dump(by_alias=True, exclude_defaults=True)))

@@ -55,6 +55,19 @@ def as_object(
     return cleaned
 
 
+def disturbances_in_words(found: Mapping[str, Any]) -> str:
+    """What disturbances came to, as text."""
+    lines = [f"{'':10}{'own work p99, quiet':>22}{'disturbed':>12}{'ratio':>24}{'skipped':>16}"]
+    for name, one in found.items():
+        quiet, disturbed, ratio = one["quiet"], one["disturbed"], one["own_over_quiet"]
+        shown = _ratio(ratio["p99"]) if ratio else "–"
+        p99s = [_cell(side["own_us"]["p99"] if side["own_us"] else None, 12) for side in (quiet, disturbed)]
+        skips = f"{quiet['skipped']} → {disturbed['skipped']}"
+        lines.append(f"{name:10}{p99s[0]:>19} µs{p99s[1]:>9} µs{shown:>24}{skips:>16}")
+    lines += ["", *(f"{name}: {one['what']}" for name, one in found.items())]
+    return "\n".join(lines)
+
+
 def in_words(report: Mapping[str, Any]) -> str:
     """The report as text."""
     m, s = report["machine"], report["setting"]

@@ -8,17 +8,19 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pneud.benchmark import contestants, rates
 from pneud.benchmark.contestants import AbsentError, Track, Turn
+from pneud.benchmark.disturbances import DISTURBANCES, Disturb
 from pneud.benchmark.picture import page
-from pneud.benchmark.report import KERNEL, OURS, as_object, in_words
-from pneud.benchmark.sample import Series
+from pneud.benchmark.report import KERNEL, OURS, as_object, disturbances_in_words, in_words
+from pneud.benchmark.sample import Series, ratio_of_turns
 from pneud.bus.link import open_link
 from pneud.config import ConfigError
 from pneud.loading import Loaded, bus_name, load
 from pneud.rt import machine
+from pneud.summary import finite
 
 TURN_S = 1.0
 
@@ -61,15 +63,17 @@ class BenchOptions(NamedTuple):
     rate_s: float  # how long a rate is to be held; 0 leaves the rates out
     output: Path | None
     json: bool
+    rate_hz: float | None = None  # other than the configuration's, on a bus whose frames take no time
+    turn_s: float = TURN_S
+    disturb: bool = False  # look at disturbances instead
 
 
-def bench(o: BenchOptions, field: Mapping[str, Contestant] = CONTESTANTS, turn_s: float = TURN_S) -> int:
+def bench(o: BenchOptions, field: Mapping[str, Contestant] = CONTESTANTS) -> int:
     """Measure and report.
 
     Args:
         o: what was asked for.
         field: who takes part.
-        turn_s: length of a turn [s].
 
     Returns:
         Exit status: 0, or 1 where pneud itself could not be measured.
@@ -83,24 +87,32 @@ def bench(o: BenchOptions, field: Mapping[str, Contestant] = CONTESTANTS, turn_s
         raise ConfigError(f"--pairs {o.pairs}: must be 1 or more")
     if not 0.0 <= o.rate_s <= 3600.0:
         raise ConfigError(f"--rate-seconds {o.rate_s:g}: must lie between 0 and 3600")
+    if not 0.0 < o.turn_s <= 3600.0:
+        raise ConfigError(f"--turn {o.turn_s:g}: must be positive, and at most 3600")
+    if o.disturb and o.output is not None:
+        raise ConfigError("--output shows the contestants, and --disturb has none")
     if o.output is not None and not o.output.parent.is_dir():
         raise ConfigError(f"{o.output}: there is no folder {o.output.parent}; create it or name another file")
     axis = load(o.config)
     facts = machine.read(None, Path(tempfile.gettempdir()))
     with tempfile.TemporaryDirectory(prefix="pneud-bench-") as scratch:
         track = _track(axis, o.bus, Path(scratch))
-        series, missing = _take_turns(field, track, o.pairs, turn_s)
+        if o.rate_hz is not None:
+            track = rates.at(rates.without_bus_time(track), o.rate_hz)
+        if o.disturb:
+            return _disturb(track, o, facts._asdict())
+        series, missing = _take_turns(field, track, o.pairs, o.turn_s)
         if o.rate_s > 0.0:
             _find_rates(series, field, track, o.rate_s)
     setting = {
-        "rate_hz": axis.config.loop.rate_hz,
+        "rate_hz": track.axis.config.loop.rate_hz,
         "priority": track.priority,
         "scheduling": f"SCHED_FIFO {track.priority}" if track.priority else "no real-time scheduling",
         "cpu": track.cpu,
         "bus": track.bus or "unixcan",
         "config": str(axis.path),
         "pairs": o.pairs,
-        "turn_s": turn_s,
+        "turn_s": o.turn_s,
         "rate_s": o.rate_s,
     }
     report = as_object(series, missing, facts._asdict(), setting)
@@ -109,6 +121,33 @@ def bench(o: BenchOptions, field: Mapping[str, Contestant] = CONTESTANTS, turn_s
         o.output.write_text(page(report, words))
     print(json_.dumps(report) if o.json else words)
     return 0 if OURS in series else 1
+
+
+def _disturb(track: Track, o: BenchOptions, facts: Mapping[str, Any]) -> int:
+    rate_hz = track.axis.config.loop.rate_hz
+    found: dict[str, Any] = {}
+    for name, disturbance in DISTURBANCES.items():
+        quiet, disturbed = Series("quiet", ""), Series("disturbed", "")
+        for number in range(o.pairs):
+            _progress(f"{name}, pair {number + 1} of {o.pairs}")
+            both: list[tuple[Series, Disturb | None]] = [(quiet, None), (disturbed, disturbance)]
+            for series, what in both if number % 2 == 0 else reversed(both):
+                try:
+                    series.add(contestants.pneud(track, rate_hz, o.turn_s, what), number)
+                except AbsentError as e:
+                    _progress("")
+                    print(f"pneud: {e}", file=sys.stderr)
+                    return 1
+        found[name] = {
+            "what": (disturbance.__doc__ or "").strip(),
+            "own_over_quiet": ratio_of_turns(disturbed, quiet, "own"),
+            "quiet": quiet.as_object(),
+            "disturbed": disturbed.as_object(),
+        }
+    _progress("")
+    report = finite({"schema": 1, "machine": dict(facts), "disturbances": found})
+    print(json_.dumps(report) if o.json else disturbances_in_words(report["disturbances"]))
+    return 0
 
 
 def _track(axis: Loaded, bus: str | None, scratch: Path) -> Track:
