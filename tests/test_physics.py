@@ -162,6 +162,10 @@ def test_the_opening_is_dead_about_the_centre_and_never_more_than_full(y: float)
         assert dead_zone_inverse(u, valve, 0.0) == pytest.approx(y)
 
 
+def test_the_opening_of_a_spool_that_is_nowhere_is_unknown() -> None:
+    assert math.isnan(opening(math.nan, Valve(5.0, 628.0, 0.7, 0.1)))
+
+
 def test_subsonic_factor_meets_the_choked_one() -> None:
     assert subsonic_factor(GAS.critical_ratio, GAS.k) == GAS.gamma_choked
 

@@ -134,7 +134,7 @@ def test_a_position_that_stands_still_under_a_changing_force(axis: Axis, sign: f
     axis.lasts(F.ENCODER_STUCK, 50, e={"x3_n": x3 + sign * 1e-6})
     # one step of the encoder, and the force counts from there
     for n in range(120):
-        x = math.nextafter(0.5, 1.0) if n == 40 else axis.w.position_m
+        x = math.nextafter(0.5, 1.0) if n == 40 else axis.w.seen.position_m
         assert axis.tick({"x3_n": x3 + sign * 1e-6}, position_m=x) == []
 
 
@@ -263,13 +263,13 @@ def test_a_supply_that_will_leave_its_limits(axis: Axis, engaged: bool) -> None:
     # the slow pressure is left behind; the supply is extrapolated from the difference
     reach = (LIMITS.supply_min_pa + HORIZON_S / SUPPLY_S * 6e5) / (1.0 + HORIZON_S / SUPPLY_S)
     for n in range(30):
-        slow = axis.w.supply_pa
+        slow = axis.w.seen.supply_pa
         edge = (LIMITS.supply_min_pa + HORIZON_S / SUPPLY_S * slow) / (1.0 + HORIZON_S / SUPPLY_S)
         if n == 0:
             assert edge == pytest.approx(reach)
         assert axis.tick(supply_pa=edge + 1.0) == []
     for n in range(20):
-        slow = axis.w.supply_pa
+        slow = axis.w.seen.supply_pa
         edge = (LIMITS.supply_min_pa + HORIZON_S / SUPPLY_S * slow) / (1.0 + HORIZON_S / SUPPLY_S)
         assert axis.tick(supply_pa=edge - 1.0) == (["supply_falling"] if n >= 10 else []), n
     assert axis.tick(supply_pa=6e5) == []
@@ -277,13 +277,13 @@ def test_a_supply_that_will_leave_its_limits(axis: Axis, engaged: bool) -> None:
 
 def test_the_slow_supply_follows_with_its_time_constant(axis: Axis) -> None:
     axis.tick(supply_pa=5.9e5)
-    assert axis.w.supply_pa == pytest.approx(6e5 - 1e4 * 1e-3 / SUPPLY_S)
+    assert axis.w.seen.supply_pa == pytest.approx(6e5 - 1e4 * 1e-3 / SUPPLY_S)
     axis.tick(ms=1000, supply_pa=5.5e5)
-    assert axis.w.supply_pa == pytest.approx(5.5e5)
+    assert axis.w.seen.supply_pa == pytest.approx(5.5e5)
     for strange in (math.nan, math.inf):
         axis.tick(supply_pa=strange)
         axis.tick(supply_pa=6e5)
-        assert axis.w.supply_pa == 6e5
+        assert axis.w.seen.supply_pa == 6e5
 
 
 @pytest.mark.parametrize("engaged", [True, False])
@@ -359,6 +359,6 @@ def test_no_estimate_shows_nothing(axis: Axis) -> None:
 
 def test_the_memory_is_plain_numbers(axis: Axis) -> None:
     axis.tick(applied_v=1.0)
-    flat = [*axis.w.since_ns, *axis.w[1:]]
+    flat = [*axis.w.since_ns, *axis.w.seen]
     assert all(type(value) in (int, float) for value in flat)
     assert isinstance(axis.m, Measurement)

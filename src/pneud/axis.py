@@ -198,7 +198,8 @@ class Axis:
             if found_stop:
                 zero_m, referenced = zero_m + p.homing.stop_m - m.position_m, True
                 controller = start(p.homing.stop_m, m.p1_pa, m.p2_pa, m.supply_pa, law)
-                watched = watched._replace(position_m=NAN, changed1_m=NAN, changed2_m=NAN)
+                nowhere = watched.seen._replace(position_m=NAN, changed1_m=NAN, changed2_m=NAN)
+                watched = watched._replace(seen=nowhere)
         elif engaged:
             plan, reference, at_rest = follow(plan, sampled_ns, p.reference, state.profile)
             error_m = reference.position_m - estimate.position_m

@@ -15,7 +15,7 @@ from pneud.compiled.rebinding import rebound
 from pneud.control.reference import at, sine
 from pneud.control.step import act, join, observe
 from pneud.plant import dynamics
-from pneud.safety import checks, output, supervisor
+from pneud.safety import checks, output, supervisor, watch
 from pneud.signals import ALL_SOURCES, EncoderStatus, Measurement, Request, RequestKind, State, ValveState
 
 FUNCTIONS: tuple[Callable[..., Any], ...] = (
@@ -30,6 +30,7 @@ FUNCTIONS: tuple[Callable[..., Any], ...] = (
     checks.engaged,
     checks.disengaged,
     checks.unready,
+    watch.look,
     output.emit,
     supervisor.advance,
     dynamics.advance,

@@ -21,7 +21,7 @@ def opening(spool_v: float, valve: Valve) -> float:
     if excess <= 0.0:
         return 0.0
     u = excess * valve.u_max_v / (valve.u_max_v - valve.dead_zone_v)
-    return math.copysign(u if u < valve.u_max_v else valve.u_max_v, spool_v)
+    return math.copysign(valve.u_max_v if u > valve.u_max_v else u, spool_v)  # NaN stays
 
 
 def dead_zone_inverse(opening_v: float, valve: Valve, band_v: float) -> float:

@@ -18,7 +18,6 @@ VALVE_V = 0.05  # the valve node may differ so much from a command
 CHAMBER_PA = 20_000.0  # a chamber pressure may jump so far by noise
 
 NAN = float("nan")
-_new = tuple.__new__  # half the time of Watch(…)
 _ENCODER, _PRESSURE, _VALVE = int(Source.ENCODER), int(Source.PRESSURE), int(Source.VALVE)
 _LINK_DOWN, _SEND_FAILED = int(Host.LINK_DOWN), int(Host.SEND_FAILED)
 _ENABLED, _HOMING = int(ValveState.ENABLED), int(State.HOMING)
@@ -43,10 +42,9 @@ _NEVER = (-1,) * len(_TIMES)
 _VALVE_PLACE = [bit for bit, _ in _TIMES].index(_VALVE_DISAGREES)
 
 
-class Watch(NamedTuple):
-    """What has to be remembered from tick to tick."""
+class Seen(NamedTuple):
+    """What was seen last."""
 
-    since_ns: tuple[int, ...]  # when each lasting condition began, −1 where it does not hold
     command_v: float  # the last command but one
     earlier_v: float  # and the one before
     position_m: float  # the last reading
@@ -59,7 +57,14 @@ class Watch(NamedTuple):
     supply_pa: float  # the slow one
 
 
-INITIAL = Watch(_NEVER, 0.0, 0.0, NAN, NAN, NAN, NAN, 0, NAN, NAN, NAN)
+class Watch(NamedTuple):
+    """What has to be remembered from tick to tick."""
+
+    since_ns: tuple[int, ...]  # when each lasting condition began, −1 where it does not hold
+    seen: Seen
+
+
+INITIAL = Watch(_NEVER, Seen(0.0, 0.0, NAN, NAN, NAN, NAN, 0, NAN, NAN, NAN))
 
 
 def watch(
@@ -80,7 +85,42 @@ def watch(
     Returns:
         The new memory, and bits of the fault table.
     """
-    since, command_v, earlier_v, position_m, x3_n, p1_pa, p2_pa, pressure_ns, at1_m, at2_m, slow_pa = w
+    disagreeing = w.since_ns[_VALVE_PLACE] >= 0
+    seen, lasting, bits = look(w.seen, m, e, state, engaged, last_v, limited, disagreeing, p)
+    if not lasting:
+        return Watch(_NEVER, seen), bits
+    since, found = _lasted(w.since_ns, lasting, m.t_ns, p)
+    return Watch(since, seen), bits | found
+
+
+def look(
+    w: Seen,
+    m: Measurement,
+    e: Estimate,
+    state: int,
+    engaged: bool,
+    last_v: float,
+    limited: int,
+    disagreeing: bool,
+    p: Limits,
+) -> tuple[Seen, int, int]:
+    """What this tick shows beside the last one.
+
+    Args:
+        w: what was seen last.
+        m: the measurement.
+        e: the estimate, NaN where there is none.
+        state: of the last tick.
+        engaged: that state is an engaged one.
+        last_v: the last command that left [V].
+        limited: 1 where the output chain let through less than the law asked for.
+        disagreeing: the valve node did not follow when last heard of.
+        p: what it is compared with.
+
+    Returns:
+        What has been seen now, bits of conditions that have to last, and bits of the fault table.
+    """
+    command_v, earlier_v, position_m, x3_n, p1_pa, p2_pa, pressure_ns, at1_m, at2_m, slow_pa = w
     t_ns, fresh, x, p1, p2, supply_pa, applied_v, _, valve_state, _, _, _, _, _, _, _, skipped, host = m
     lasting = bits = 0
 
@@ -127,23 +167,16 @@ def watch(
                     and abs(applied_v - earlier_v) > VALVE_V
                 ):
                     lasting |= _VALVE_DISAGREES
-            elif since[_VALVE_PLACE] >= 0:
+            elif disagreeing:
                 lasting |= _VALVE_DISAGREES  # nothing has been heard to the contrary
     if skipped:
         lasting |= _OVERLOADED
     if host & _SEND_FAILED and not host & _LINK_DOWN:
         lasting |= _SEND_BLOCKED
 
-    if lasting:
-        since, found = _lasted(since, lasting, t_ns, p)
-        bits |= found
-    else:
-        since = _NEVER
     return (
-        _new(
-            Watch,
-            (since, last_v, command_v, position_m, x3_n, p1_pa, p2_pa, pressure_ns, at1_m, at2_m, slow_pa),
-        ),
+        Seen(last_v, command_v, position_m, x3_n, p1_pa, p2_pa, pressure_ns, at1_m, at2_m, slow_pa),
+        lasting,
         bits,
     )
 
