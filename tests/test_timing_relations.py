@@ -102,3 +102,11 @@ def test_figures_of_a_report_agree_with_each_other(path: Path, run: Block) -> No
     jitter = seen.health.sync_jitter
     assert jitter.count == seen.ticks - 1
     assert jitter.percentile_ns(50) < 0.5 * PERIOD_NS
+
+
+def test_a_replay_tells_the_timing_of_its_run(path: Path) -> None:
+    done = pneud("replay", path)
+    assert done.returncode == 0, done.stderr
+    assert "wake-up lateness" in done.stdout
+    assert "jitter of SYNC" in done.stdout
+    assert "age of frames" in done.stdout

@@ -170,7 +170,7 @@ class _Gatherer:
         codecs = codecs_of(self.config.bus, log.dbc_name, log.dbc)
         self.health = Health(codecs, self.config.bus.sync, self.period_ns)
         self.series = Envelope(len(COLUMNS), buckets)
-        self.phase = Path(buckets // 4)
+        self.phase = Path(max(1, buckets // 4))
         self.states, self.saturated, self.gaps = Spans(), Spans(), Spans()
         self.present: dict[int, Spans] = {}
         self.latched: dict[int, Spans] = {}

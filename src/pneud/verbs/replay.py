@@ -17,7 +17,9 @@ from pneud.log.files import LogError
 from pneud.log.reader import LogReader, read_log
 from pneud.replaying import Outcome
 from pneud.replaying import replay as run
+from pneud.reporting.gather import gather
 from pneud.reporting.pictures import PicturesError, require
+from pneud.reporting.timing import in_words
 from pneud.workbench import pictures
 from pneud.workbench.differences import Differences, compare
 from pneud.workbench.playing import play
@@ -75,6 +77,9 @@ def replay(o: ReplayOptions) -> int:
         _say(outcome)
         if what_if and differences is not None:
             _tell(differences)
+        elif outcome.ticks:
+            for line in in_words(gather(log)):
+                print(line)
     return 0 if outcome.good else 1
 
 
