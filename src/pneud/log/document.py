@@ -100,8 +100,9 @@ fingerprint; `setup` holds the report of the real-time set-up.
 
 ## `/axis/tick`
 
-Reals are floats of 32 bits in `pneud.Tick` and doubles in `pneud.FullTick`; `check` is of the doubles in both, so that
-a replay compares to the bit. Units are SI and stand at the end of each name. Negative times mean that there was none;
+Reals are floats of 32 bits in `pneud.Tick` (of estimate and reference but their positions, and of `law_v`, `s`, `ustar`, the
+last byte is zero) and doubles in `pneud.FullTick`; `check` is of the doubles in both, so that a replay compares to the
+bit. Units are SI and stand at the end of each name. Negative times mean that there was none;
 an age of 2⁶² ns means that the source has never been heard.
 
 | field | unit | type | meaning |
