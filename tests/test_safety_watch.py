@@ -330,7 +330,7 @@ def test_whatever_is_wrong_at_once_is_shown_at_once(axis: Axis, fresh: int) -> N
     found = axis.tick(
         {"force_n": 1e4, "x3_n": 1e4},
         fresh=fresh,
-        position_m=axis.w.position_m,
+        position_m=axis.w.seen.position_m,
         p1_pa=9e5,
         supply_pa=4.6e5,
         applied_v=1.0,
@@ -348,7 +348,7 @@ def test_each_of_the_last_three_commands_may_differ_so_much(place: int) -> None:
         sent = [5.0, 5.0, 5.0]
         sent[place] = near
         axis.last_v = sent[0]
-        axis.w = axis.w._replace(command_v=sent[1], earlier_v=sent[2])
+        axis.w = axis.w._replace(seen=axis.w.seen._replace(command_v=sent[1], earlier_v=sent[2]))
         assert axis.tick(applied_v=0.0) == found
 
 
