@@ -86,7 +86,7 @@ def _give_to_group(path: Path) -> bool:
     group = commanding_group()
     if group is None:
         return False
-    if path.stat().st_gid == group:  # the unit's filter of system calls refuses even a chown that changes nothing
+    if path.stat().st_gid == group:  # the unit refuses even a chown that changes nothing
         return True
     try:
         os.chown(path, -1, group)
