@@ -40,6 +40,7 @@ LIMITS = Limits(
     braking_m_s2=10.0,
     disagreement_n=800.0,
     saturation_ns=2_000_000_000,
+    still_m=5e-5,
     stuck_force_n=200.0,
     stuck_travel_m=0.005,
     stroke_m=1.0,

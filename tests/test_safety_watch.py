@@ -138,6 +138,32 @@ def test_a_position_that_stands_still_under_a_changing_force(axis: Axis, sign: f
         assert axis.tick({"x3_n": x3 + sign * 1e-6}, position_m=x) == []
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("faster", "found"), [(False, []), (True, ["encoder_stuck"])])
+def test_a_moving_load_does_not_stand_still_at_once(
+    axis: Axis, sign: float, faster: bool, found: list[str]
+) -> None:
+    # after two ticks: what the hardest braking leaves of the way, against what a reading cannot hide
+    h = 2e-3
+    least = (LIMITS.still_m + 0.5 * LIMITS.acceleration_m_s2 * h * h) / h
+    moving = {"velocity_m_s": sign * least * (1.0 + (1e-9 if faster else -1e-9))}
+    axis.tick(moving, position_m=0.51)
+    assert axis.tick(moving, position_m=0.51) == []  # once may be chance
+    assert axis.tick(moving, position_m=0.51) == found
+    assert axis.tick(moving, position_m=0.51 + 1e-6) == []
+
+
+def test_a_reading_counts_from_when_it_was_taken(axis: Axis) -> None:
+    axis.tick({"velocity_m_s": 1.0}, position_m=0.51)
+    for n in range(1, 20):  # the same sample, handed over again and again
+        assert axis.tick({"velocity_m_s": 1.0}, position_m=0.51, encoder_offset_ns=-n * 1_000_000) == []
+
+
+def test_a_load_that_could_have_been_stopped_may_stand_still(axis: Axis) -> None:
+    axis.tick({"velocity_m_s": 0.05}, position_m=0.51)
+    assert all(axis.tick({"velocity_m_s": 0.0}, position_m=0.51) == [] for _ in range(60))
+
+
 def test_a_position_may_stand_still_where_the_axis_is_not_engaged_or_homes(axis: Axis) -> None:
     axis.engaged = False
     assert all(axis.tick({"x3_n": 1e4 * (n % 2)}) == [] for n in range(200))

@@ -22,6 +22,7 @@ __all__ = ["axis_of", "command_delay_s", "plant_of"]
 COMPUTING_S = 80e-6  # from the last sensor frame to the command's place on the wire
 FRAME_BITS, STUFFING = 47, 1.1
 LONGEST_SHARE, LONGEST_S = 2.0, 10.0  # a stroke of homing may take so much longer than at its speed
+LEAST_STILL_M, STILL_STEPS = 5e-5, 10.0  # travel that a reading cannot hide: at least, and in encoder steps
 BLEND_S = 0.1  # in which one set of gains gives way to another
 
 
@@ -147,6 +148,7 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
             limits.braking_m_s2,
             limits.disagreement_n,
             round(limits.saturation_s * 1e9),
+            max(LEAST_STILL_M, STILL_STEPS * c.control.motion.encoder_resolution_m),
             limits.stuck_force_n,
             limits.stuck_travel_m,
             c.cylinder.stroke_m,

@@ -59,6 +59,7 @@ class Limits(NamedTuple):
     braking_m_s2: float
     disagreement_n: float
     saturation_ns: int
+    still_m: float  # a reading that has not changed cannot hide so much travel
     stuck_force_n: float
     stuck_travel_m: float
     stroke_m: float

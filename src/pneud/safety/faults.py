@@ -372,8 +372,9 @@ TABLE: tuple[Fault, ...] = (
     Fault(
         F.ENCODER_STUCK,
         Reaction.CENTRE,
-        "the position stands still to the last digit while the pressures' force changes by more than"
-        " limits.stuck_force_n (engaged, except while homing)",
+        "engaged, the position stands still to the last digit: although the load was faster than any force"
+        " could have stopped it (at once), or while the pressures' force changes by more than"
+        " limits.stuck_force_n (except while homing)",
         "check the encoder's coupling and head; see whether the load is jammed",
         "sensor_timeout_ns",
     ),

@@ -15,6 +15,7 @@ from pneud.signals import Estimate, Host, Measurement, Source, State, ValveState
 SUPPLY_S = 0.05  # time constant of the slow supply pressure that the new one is compared with
 HORIZON_S = 0.2  # a supply that leaves its limits within this time is falling
 VALVE_V = 0.05  # the valve node may differ so much from a command
+STILL_READINGS = 2  # the same so often: no moving load shows that
 CHAMBER_PA = 20_000.0  # a chamber pressure may jump so far by noise
 
 NAN = float("nan")
@@ -49,6 +50,9 @@ class Seen(NamedTuple):
     earlier_v: float  # and the one before
     position_m: float  # the last reading
     x3_n: float  # the pressures' force when the reading last changed
+    velocity_m_s: float  # the estimate of then
+    changed_ns: int  # when that reading was taken
+    still: int  # readings since then, all the same to the last digit
     p1_pa: float
     p2_pa: float
     pressure_ns: int  # when they were read
@@ -64,7 +68,7 @@ class Watch(NamedTuple):
     seen: Seen
 
 
-INITIAL = Watch(_NEVER, Seen(0.0, 0.0, NAN, NAN, NAN, NAN, 0, NAN, NAN, NAN))
+INITIAL = Watch(_NEVER, Seen(0.0, 0.0, NAN, NAN, NAN, 0, 0, NAN, NAN, 0, NAN, NAN, NAN))
 
 
 def watch(
@@ -120,8 +124,41 @@ def look(
     Returns:
         What has been seen now, bits of conditions that have to last, and bits of the fault table.
     """
-    command_v, earlier_v, position_m, x3_n, p1_pa, p2_pa, pressure_ns, at1_m, at2_m, slow_pa = w
-    t_ns, fresh, x, p1, p2, supply_pa, applied_v, _, valve_state, _, _, _, _, _, _, _, skipped, host = m
+    (
+        command_v,
+        earlier_v,
+        position_m,
+        x3_n,
+        velocity_m_s,
+        changed_ns,
+        still,
+        p1_pa,
+        p2_pa,
+        pressure_ns,
+        at1_m,
+        at2_m,
+        slow_pa,
+    ) = w
+    (
+        t_ns,
+        fresh,
+        x,
+        p1,
+        p2,
+        supply_pa,
+        applied_v,
+        _,
+        valve_state,
+        _,
+        _,
+        _,
+        _,
+        _,
+        _,
+        offset_ns,
+        skipped,
+        host,
+    ) = m
     lasting = bits = 0
 
     if fresh & _PRESSURE:
@@ -150,8 +187,16 @@ def look(
         slow_pa = slow_pa + above * min(1.0, elapsed_s / SUPPLY_S) if math.isfinite(above) else supply_pa
         p1_pa, p2_pa, pressure_ns = p1, p2, t_ns
 
-    if fresh & _ENCODER and (x != position_m or not engaged):
-        position_m, x3_n = x, e.x3_n
+    if fresh & _ENCODER:
+        sampled_ns = t_ns + offset_ns
+        if x != position_m or not engaged:
+            position_m, x3_n, velocity_m_s, changed_ns, still = x, e.x3_n, e.velocity_m_s, sampled_ns, 0
+        else:
+            still += 1
+            elapsed_s = (sampled_ns - changed_ns) * 1e-9
+            braked_m = 0.5 * p.acceleration_m_s2 * elapsed_s * elapsed_s
+            if still >= STILL_READINGS and abs(velocity_m_s) * elapsed_s - braked_m > p.still_m:
+                bits |= _ENCODER_STUCK
     if engaged:
         if state != _HOMING and abs(e.x3_n - x3_n) > p.stuck_force_n:
             lasting |= _ENCODER_STUCK
@@ -175,7 +220,21 @@ def look(
         lasting |= _SEND_BLOCKED
 
     return (
-        Seen(last_v, command_v, position_m, x3_n, p1_pa, p2_pa, pressure_ns, at1_m, at2_m, slow_pa),
+        Seen(
+            last_v,
+            command_v,
+            position_m,
+            x3_n,
+            velocity_m_s,
+            changed_ns,
+            still,
+            p1_pa,
+            p2_pa,
+            pressure_ns,
+            at1_m,
+            at2_m,
+            slow_pa,
+        ),
         lasting,
         bits,
     )
