@@ -147,21 +147,21 @@ def test_a_moving_load_does_not_stand_still_at_once(
     h = 2e-3
     least = (LIMITS.still_m + 0.5 * LIMITS.acceleration_m_s2 * h * h) / h
     moving = {"velocity_m_s": sign * least * (1.0 + (1e-9 if faster else -1e-9))}
-    axis.tick(moving, position_m=0.51)
-    assert axis.tick(moving, position_m=0.51) == []  # once may be chance
-    assert axis.tick(moving, position_m=0.51) == found
-    assert axis.tick(moving, position_m=0.51 + 1e-6) == []
+    axis.tick(moving, position_m=0.5001)
+    assert axis.tick(moving, position_m=0.5001) == []  # once may be chance
+    assert axis.tick(moving, position_m=0.5001) == found
+    assert axis.tick(moving, position_m=0.5002) == []
 
 
 def test_a_reading_counts_from_when_it_was_taken(axis: Axis) -> None:
-    axis.tick({"velocity_m_s": 1.0}, position_m=0.51)
+    axis.tick({"velocity_m_s": 1.0}, position_m=0.5001)
     for n in range(1, 20):  # the same sample, handed over again and again
-        assert axis.tick({"velocity_m_s": 1.0}, position_m=0.51, encoder_offset_ns=-n * 1_000_000) == []
+        assert axis.tick({"velocity_m_s": 1.0}, position_m=0.5001, encoder_offset_ns=-n * 1_000_000) == []
 
 
 def test_a_load_that_could_have_been_stopped_may_stand_still(axis: Axis) -> None:
-    axis.tick({"velocity_m_s": 0.05}, position_m=0.51)
-    assert all(axis.tick({"velocity_m_s": 0.0}, position_m=0.51) == [] for _ in range(60))
+    axis.tick({"velocity_m_s": 0.05}, position_m=0.5001)
+    assert all(axis.tick({"velocity_m_s": 0.0}, position_m=0.5001) == [] for _ in range(60))
 
 
 def test_a_position_may_stand_still_where_the_axis_is_not_engaged_or_homes(axis: Axis) -> None:
