@@ -39,7 +39,7 @@ ci-tests: $(DEV) ## the tests that take longer
 	@exec $(BIN)/python -m pytest -m slow $(ARGS)
 
 coverage: $(DEV) ## every branch of safety/ and control/ is taken by a test
-	@$(BIN)/python -m pytest -q --cov=src/pneud/safety --cov=src/pneud/control --cov-branch \
+	@$(BIN)/python -m pytest -q -n 2 --cov=src/pneud/safety --cov=src/pneud/control --cov-branch \
 	    --cov-report=term-missing:skip-covered --cov-fail-under=100 $(ARGS) || \
 	  { echo 'coverage: a test failed, or src/pneud/safety and src/pneud/control are not covered to the last branch' >&2; exit 1; }
 

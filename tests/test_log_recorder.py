@@ -201,7 +201,7 @@ def test_a_full_disk_stops_neither_the_recorder_nor_the_loop_and_is_reported(tmp
     assert status.error_text == os.strerror(errno.EFBIG)
     reader = read_log(path)
     read = len(list(reader))
-    assert read == status.written
+    assert status.written <= read < ring.put_count  # a reader finds some of a block that was cut, too
     assert status.written + status.unwritten == ring.put_count
     assert reader.truncated
     assert path.stat().st_size <= 20_000

@@ -201,6 +201,7 @@ def test_a_killed_console_is_reported_and_control_goes_on(axis: Path, tmp_path: 
         kill(children(process.pid)[1])
         assert process.stderr is not None
         assert any("the console is gone" in line for line in iter(process.stderr.readline, ""))
+        time.sleep(1.0)  # for the lease to run out and the load to come to rest
         status, out, err = ended(process)
     assert status == 0, err
     assert "the console is gone" not in err  # it has been said once

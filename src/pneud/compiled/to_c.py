@@ -38,6 +38,24 @@ static inline double over_(double a, double b) {
   return a / b;
 }
 
+static inline long plus_(long a, long b) {
+  long c;
+  failed_ |= __builtin_add_overflow(a, b, &c);
+  return c;
+}
+
+static inline long minus_(long a, long b) {
+  long c;
+  failed_ |= __builtin_sub_overflow(a, b, &c);
+  return c;
+}
+
+static inline long times_(long a, long b) {
+  long c;
+  failed_ |= __builtin_mul_overflow(a, b, &c);
+  return c;
+}
+
 static inline long whole_(double x) {
   if (fabs(x) < 0x1p53) return (long)x;
   failed_ = 1;
@@ -58,6 +76,7 @@ _RESERVED = {
     "static",
 }
 _BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.LShift: "<<", ast.BitOr: "|", ast.BitAnd: "&"}
+_WHOLE = {ast.Add: "plus_", ast.Sub: "minus_", ast.Mult: "times_"}  # of integers, which Python lets grow
 _COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 _MATH = {
     "atan",
@@ -359,6 +378,8 @@ class _Function:
         sign = _BINARY.get(type(op))
         if sign is None or {a.type, b.type} - {int, float}:
             raise self._fail(node)
+        if a.type is int and b.type is int and type(op) in _WHOLE:
+            return Typed(f"{_WHOLE[type(op)]}({a.code}, {b.code})", int)
         if a.type == b.type:
             return Typed(f"({a.code} {sign} {b.code})", a.type)
         return Typed(f"((double){a.code} {sign} (double){b.code})", float)

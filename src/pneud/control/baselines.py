@@ -193,4 +193,5 @@ def _carried(s: ControllerState, bristles_m: float, force_step_n: float) -> Cont
         s.force_rate,
         bristles_m,
         force_step_n,
+        s.blend,
     )
