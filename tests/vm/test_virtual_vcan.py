@@ -37,6 +37,7 @@ def test_a_virtual_run_over_vcan0_tracks_and_candump_sees_the_frames(tmp_path: P
                 "--virtual", "--config", gentle, "--bus", "socketcan:vcan0", "--duration", 6, "--headless",
                 "--json", "--log", log,
             )  # fmt: skip
+            time.sleep(1.0)  # candump shares the one CPU, and has yet to write what it received
         finally:
             candump.send_signal(signal.SIGINT)
             candump.wait(10)
