@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from pneud.control.motion import MotionFilter, beyond
 from pneud.control.prediction import Motion, Rates, ahead
-from pneud.control.step import Controller, ControllerState, act, errors, outlook
+from pneud.control.step import Controller, ControllerState, act, carried, errors, outlook
 from pneud.physics.friction import friction_force
 from pneud.physics.valve import dead_zone_inverse
 from pneud.signals import Estimate, Reference
@@ -132,7 +132,7 @@ def act_pid(
         integral += p.h * M * g.ki * w1
     integral = max(-g.force_max_n, min(g.force_max_n, integral))
     new = LawState(integral, own.x, own.v, own.a, own.f)
-    return _carried(state, friction.bristles_m, friction.step_n), new, u
+    return carried(state, state.sliding, friction.bristles_m, friction.step_n, state.blend), new, u
 
 
 def act_adrc(
@@ -157,7 +157,7 @@ def act_adrc(
     feedback = g.k1 * w1 + g.k2 * w2 + g.k3 * w3
     u, _ = command(M * (goal.jerk_m_s3 + feedback) + known - state.f0 * motion.v, state, p)
     own = LawState(own.integral_n, own.x, own.v, own.a - friction.step_n / M, own.f)
-    return _carried(state, friction.bristles_m, friction.step_n), own, u
+    return carried(state, state.sliding, friction.bristles_m, friction.step_n, state.blend), own, u
 
 
 def extend(own: LawState, state: ControllerState, e: Estimate, p: Controller, g: Adrc) -> LawState:
@@ -176,22 +176,4 @@ def extend(own: LawState, state: ControllerState, e: Estimate, p: Controller, g:
         v + g.g2 * r / h,
         a + g.g3 * r / (h * h),
         own.f + g.g4 * r / (h * h * h),
-    )
-
-
-def _carried(s: ControllerState, bristles_m: float, force_step_n: float) -> ControllerState:
-    # written out, since numba knows no _replace
-    return ControllerState(
-        s.motion,
-        s.observer,
-        s.sliding,
-        s.spool,
-        s.applied_v,
-        s.f0,
-        s.f1_fill,
-        s.f1_exhaust,
-        s.force_rate,
-        bristles_m,
-        force_step_n,
-        s.blend,
     )

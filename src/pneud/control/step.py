@@ -186,9 +186,9 @@ def errors(m: Motion, r: Reference, M: float) -> tuple[float, float, float]:
 
 def join(state: ControllerState, e: Estimate, r: Reference, p: Controller) -> ControllerState:
     """The state with s(0) = 0 for a law that takes over now; the bristles take what force they can."""
-    state = _with(state, state.sliding, bristles_under(e.force_n, p.friction), 0.0, 0.0)
+    state = carried(state, state.sliding, bristles_under(e.force_n, p.friction), 0.0, 0.0)
     _, motion, goal = outlook(state, e, r, p)
-    return _with(state, engage(errors(motion, goal, p.cylinder.M)[2]), state.bristles_m, 0.0, 0.0)
+    return carried(state, engage(errors(motion, goal, p.cylinder.M)[2]), state.bristles_m, 0.0, 0.0)
 
 
 def change(
@@ -196,7 +196,7 @@ def change(
 ) -> ControllerState:
     """The state with which the next command under other gains is that of the gains before."""
     blend = state.blend + _resistance(state, e, r, before) - _resistance(state, e, r, after)
-    return _with(state, state.sliding, state.bristles_m, state.force_step_n, blend)
+    return carried(state, state.sliding, state.bristles_m, state.force_step_n, blend)
 
 
 def _resistance(state: ControllerState, e: Estimate, r: Reference, p: Controller) -> float:
@@ -229,13 +229,13 @@ def act(
         state.applied_v,
         state.blend,
     )
-    return _with(state, sliding, friction.bristles_m, friction.step_n, state.blend * p.blend_kept), out
+    return carried(state, sliding, friction.bristles_m, friction.step_n, state.blend * p.blend_kept), out
 
 
-def _with(
+def carried(
     s: ControllerState, sliding: SlidingState, bristles_m: float, force_step_n: float, blend: float
 ) -> ControllerState:
-    # written out, since numba knows no _replace
+    """The state with what a law leaves in it; written out, since numba knows no _replace."""
     return ControllerState(
         s.motion,
         s.observer,
