@@ -8,44 +8,46 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pneud.asking import BLOCKED, NOTHING, TAKEN, AxisParameters, ask
+from pneud.asking import ARM, BLOCKED, HOME, NOTHING, TAKEN, AxisParameters, ask
 from pneud.control import homing
 from pneud.control.homing import NOWHERE, Homing
 from pneud.control.plan import FOLLOWING, IDLE, Plan, follow, halting, resting
 from pneud.control.profile import Profile
 from pneud.control.reference import Way, rest
-from pneud.control.step import Controller, ControllerState, act, change, join, observe, start
+from pneud.control.step import Controller, ControllerState, change, join, start
+from pneud.core import UNKNOWN, Instants, drive, sense
 from pneud.safety import checks
-from pneud.safety.faults import NO_SENSORS, F
-from pneud.safety.output import CENTRED, emit
-from pneud.safety.supervisor import INITIAL, Supervisor, advance, is_engaged, trip
-from pneud.safety.watch import INITIAL as WATCHFUL
-from pneud.safety.watch import Watch, watch
-from pneud.signals import (
-    ALL_SOURCES,
-    Command,
-    Estimate,
-    Measurement,
-    Reference,
-    Request,
-    RequestKind,
-    Source,
-    State,
-    Tick,
+from pneud.safety.faults import F
+from pneud.safety.output import emit
+from pneud.safety.supervisor import (
+    DISARMED,
+    HOLDING,
+    HOMING,
+    INITIAL,
+    STOPPING,
+    Supervisor,
+    advance,
+    is_engaged,
+    trip,
 )
+from pneud.safety.watch import INITIAL as WATCHFUL
+from pneud.safety.watch import Seen, Watch, is_disagreeing, remember
+from pneud.signals import Command, Estimate, Measurement, Reference, Request, RequestKind, Tick
 
 __all__ = ["FOLLOWING", "Axis", "AxisParameters", "AxisState"]
 
 NAN = float("nan")
-# operations on the enum's flags are slow
-ENCODER, VALVE = int(Source.ENCODER), int(Source.VALVE)
 # an encoder that was silent, wrong or jumped may have lost count
 LOSES_REFERENCE = sum(
     1 << fault
     for fault in (F.ENCODER_MISSING, F.ENCODER_CORRUPT, F.ENCODER_FROZEN, F.ENCODER_ERROR, F.ENCODER_JUMP)
 )
+# plain numbers: to get at a member of an enumeration takes longer than most of what is done with it
+TRAVEL, TRACKING_ERROR, OPERATOR_LOST = 1 << F.TRAVEL, 1 << F.TRACKING_ERROR, 1 << F.OPERATOR_LOST
+SATURATED, NOT_FINITE = 1 << F.SATURATED, 1 << F.NOT_FINITE
 NO_ESTIMATE = Estimate(NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN)
 NO_REFERENCE = Reference(NAN, NAN, NAN, NAN)
+CENTRED_COMMAND = Command(0.0, 0, 0, NAN, NAN, NAN)
 
 
 class AxisState(NamedTuple):
@@ -128,7 +130,7 @@ class Axis:
                 request,
                 NO_ESTIMATE,
                 NO_REFERENCE,
-                Command(0.0, 0, 0, NAN, NAN, NAN),
+                CENTRED_COMMAND,
                 after.state,
                 bits,
                 after.latched,
@@ -145,52 +147,16 @@ class Axis:
         if incremental:
             m = homing.placed(m, zero_m, referenced)
 
-        present = checks.lacking(m, limits)
-        measured = bool(m.fresh & ENCODER)
-        controller, estimate = state.controller, NO_ESTIMATE
-        # without a reading the offset belongs to an old one
-        sampled_ns = t_ns + m.encoder_offset_ns if measured else state.sampled_ns + t_ns - state.t_ns
-        read_ns, started_ns = state.read_ns, state.started_ns
-        elapsed_ns = sampled_ns - state.sampled_ns
-        if present & NO_SENSORS or (not engaged and elapsed_ns > limits.sensor_timeout_ns):
-            controller = None
-        if controller is not None:
-            controller, estimate = observe(
-                controller,
-                m.position_m,
-                measured,
-                m.p1_pa,
-                m.p2_pa,
-                m.supply_pa,
-                m.applied_v if m.fresh & VALVE else state.last_v,
-                elapsed_ns * 1e-9 if elapsed_ns > 0 else h,
-                law,
-            )
-            if measured:
-                read_ns = sampled_ns
-        elif m.fresh == ALL_SOURCES:
-            controller = start(m.position_m, m.p1_pa, m.p2_pa, m.supply_pa, law)
-            estimate = _first_estimate(controller)
-            read_ns = started_ns = sampled_ns
-
-        present |= checks.measured(m, limits) | checks.of_host(m.host)
-        if incremental and (not referenced or before.state == State.HOMING):
-            present &= ~(1 << F.TRAVEL)  # the stop lies beyond it
-        watched, found = watch(
-            state.watch, m, estimate, before.state, engaged, state.last_v, state.limited, limits
-        )
+        controller, estimate, instants, seen, lasting, present = _sensed(state, m, request, t_ns, p)
+        sampled_ns = instants.sampled_ns
+        if m.host:
+            present |= checks.of_host(m.host)
+        if incremental and (not referenced or before.state == HOMING):
+            present &= ~TRAVEL  # the stop lies beyond it
+        watched, found = remember(state.watch, seen, lasting, m.t_ns, limits)
         present |= found
-        if controller is None:
-            # sensors that never answer together are not lacking, but there is nothing to arm on
-            present |= 0 if present & NO_SENSORS else 1 << F.UNSETTLED
-        else:
-            present |= checks.believed(estimate, (read_ns - state.read_ns) * 1e-9, limits)
-            if not engaged:
-                present |= checks.unready(estimate, sampled_ns - started_ns, h)
         plan, reference, at_rest, way = state.plan, NO_REFERENCE, False, state.homing
-        if engaged:
-            present |= checks.engaged(m, estimate, before.state, before.ticks, h, limits)
-        if before.state == State.HOMING:
+        if before.state == HOMING:
             way, found_stop, at_rest, failed = homing.proceed(
                 way, estimate, sampled_ns, h, law.cylinder.rod_force_n, p.homing
             )
@@ -204,12 +170,9 @@ class Axis:
             plan, reference, at_rest = follow(plan, sampled_ns, p.reference, state.profile)
             error_m = reference.position_m - estimate.position_m
             if controller is not None and not abs(error_m) <= limits.tracking_error_m:
-                present |= 1 << F.TRACKING_ERROR
+                present |= TRACKING_ERROR
             if plan.jog_m_s != 0.0:
                 plan = plan._replace(lease=plan.lease - 1 - m.skipped)
-        else:
-            arming = request is not None and request.kind in (RequestKind.ARM, RequestKind.HOME)
-            present |= checks.disengaged(m, before.ticks, arming and before.state == State.DISARMED)
 
         asked = NOTHING
         if request is not None:
@@ -220,64 +183,64 @@ class Axis:
         if present & LOSES_REFERENCE:
             referenced = False
         profile = state.profile if asked.profile is None else asked.profile
+        gains = law if asked.law is None else asked.law
         after = advance(before, present, asked.kind, at_rest)
 
-        command = CENTRED
-        law_v, s, ustar = NAN, NAN, NAN
+        command = CENTRED_COMMAND
         if is_engaged(after.state):
             assert controller is not None  # else a fault has centred an engaged axis, or kept it from arming
             if asked.plan is not None:
                 plan = asked.plan
-            if after.state == State.HOMING and before.state != State.HOMING:
+            if after.state == HOMING and before.state != HOMING:
                 way, referenced, plan = homing.set_out(estimate.position_m, sampled_ns), False, IDLE
             if plan.lease < 0:
-                present |= 1 << F.OPERATOR_LOST
-            if after.state == State.HOMING:
+                present |= OPERATOR_LOST
+            if after.state == HOMING:
                 velocity = homing.direction(way.part, p.homing) * p.homing.speed_m_s
                 reference = Reference(estimate.position_m, velocity, 0.0, 0.0)
-            elif before.state == State.HOMING:
+            elif before.state == HOMING:
                 plan, reference = resting(estimate.position_m, sampled_ns), rest(estimate.position_m)
                 controller = join(controller, estimate, reference, law)
             elif not engaged:
                 plan, reference, _ = follow(plan, sampled_ns, p.reference, profile)
                 controller = join(controller, estimate, reference, law)
-            elif after.state == State.HOLDING and before.state != State.HOLDING:
+            elif after.state == HOLDING and before.state != HOLDING:
                 plan = resting(reference.position_m, sampled_ns)
-            elif (after.state == State.STOPPING and before.state != State.STOPPING) or plan.lease < 0:
+            elif (after.state == STOPPING and before.state != STOPPING) or plan.lease < 0:
                 plan = halting(
                     plan, reference, sampled_ns, p.motion, limits.travel_min_m, limits.travel_max_m
                 )
-            if asked.law is not None and after.state != State.HOMING:
-                controller = change(controller, estimate, reference, law, asked.law)
-            if after.state == State.HOMING:
+            if asked.law is not None and after.state != HOMING:
+                controller = change(controller, estimate, reference, law, gains)
+            dt = (1 + m.skipped) * h
+            if after.state == HOMING:
                 law_v, s, ustar = homing.command(way, m, estimate, p.homing, law), 0.0, 0.0
+                voltage_v, enable, saturated, faults = emit(law_v, state.last_v, dt, p.output)
             else:
-                controller, answer = act(controller, estimate, reference, asked.law or law)
-                law_v, s, ustar = answer.u_v, answer.s, answer.ustar
-            command = emit(law_v, state.last_v, (1 + m.skipped) * h, p.output)
-            if command.saturated:
-                present |= 1 << F.SATURATED
-            if command.faults:
-                after = trip(after, command.faults)
-                present |= command.faults
+                controller, law_v, s, ustar, voltage_v, enable, saturated, faults = drive(
+                    controller, estimate, reference, state.last_v, dt, gains, p.output
+                )
+            command = Command(voltage_v, enable, saturated, law_v, s, ustar)
+            if saturated:
+                present |= SATURATED
+            if faults:
+                after = trip(after, faults)
+                present |= faults
         if not is_engaged(after.state):
             plan = IDLE
-        if present & 1 << F.NOT_FINITE:
+        if present & NOT_FINITE:
             controller = None  # it would remember
 
         self.state = AxisState(
             after,
             controller,
-            t_ns,
-            sampled_ns,
-            read_ns,
-            started_ns,
+            *instants,
             plan,
             profile,
             command.voltage_v,
             command.saturated,
             watched,
-            asked.law or law,
+            gains,
             zero_m,
             referenced,
             way,
@@ -288,7 +251,7 @@ class Axis:
             request,
             estimate,
             reference,
-            Command(command.voltage_v, command.enable, command.saturated, law_v, s, ustar),
+            command,
             after.state,
             present,
             after.latched,
@@ -296,6 +259,29 @@ class Axis:
         )
 
 
-def _first_estimate(s: ControllerState) -> Estimate:
-    motion, observer = s.motion, s.observer
-    return Estimate(motion.x, motion.v, motion.F, motion.x3, observer.x_hat, observer.d_hat, 0.0, 0.0)
+def _sensed(
+    state: AxisState, m: Measurement, request: Request | None, t_ns: int, p: AxisParameters
+) -> tuple[ControllerState | None, Estimate, Instants, Seen, int, int]:
+    """`sense` for a state whose controller may be None."""
+    knows = state.controller is not None
+    arming = (
+        request is not None
+        and request.kind in (ARM, HOME)
+        and state.supervisor.state == DISARMED
+    )
+    controller, knows, estimate, instants, seen, lasting, present = sense(
+        state.controller if state.controller is not None else UNKNOWN,
+        knows,
+        Instants(state.t_ns, state.sampled_ns, state.read_ns, state.started_ns),
+        state.watch.seen,
+        is_disagreeing(state.watch),
+        state.supervisor,
+        state.last_v,
+        state.limited,
+        m,
+        t_ns,
+        arming,
+        state.law,
+        p.limits,
+    )
+    return controller if knows else None, estimate, instants, seen, lasting, present

@@ -25,7 +25,7 @@ EXACT = (
 
 MODULE = "pneud_compiled"
 _PACKAGE = Path(__file__).resolve().parent.parent
-_SOURCES = ("signals.py", "physics", "control", "safety", "plant", "compiled")
+_SOURCES = ("signals.py", "core.py", "physics", "control", "safety", "plant", "compiled")
 _KEPT = 8  # builds of other interpreters, compilers and versions that stay
 _PATIENCE_S = 60.0
 

@@ -68,6 +68,14 @@ PyMODINIT_FUNC PyInit_{name}(void) {{
 """
 
 
+FEW = 8  # numbers that a record may have without being remembered
+
+
+def count_of(t: Type) -> int:
+    """How many numbers a type is made of."""
+    return 1 if t in (float, int) else sum(count_of(kind) for _, kind in fields_of(t))
+
+
 class Extension:
     """The module for some functions: `source` is its C.
 
@@ -89,6 +97,13 @@ class Extension:
         self._translator = Translator()
         self._parts: list[str] = []
         self._known: set[str] = set()
+        # of these the last value is remembered: most are passed on unchanged, or are what a function just gave
+        self._remembered = {
+            t
+            for f in functions
+            for name, hint in get_type_hints(f).items()
+            if name != "return" and hasattr(t := plain(hint), "_fields") and count_of(t) > FEW
+        }
         wrappers = [self._wrapper(i, f) for i, f in enumerate(functions)]
         table = "".join(
             f'  {{"f{i}", (PyCFunction)(void (*)(void))call_{i}, METH_FASTCALL | METH_KEYWORDS, NULL}},\n'
@@ -127,10 +142,17 @@ class Extension:
             for i, (field, kind) in enumerate(fields)
         ]
         self._known.add(name)
-        self._parts.append(
-            f"static int {name}(PyObject *o, {c} *x) {{\n  return PyTuple_Check(o) && PyTuple_GET_SIZE(o)"
-            f" == {len(fields)}\n      && {' && '.join(inner)};\n}}\n"
-        )
+        fits = f"PyTuple_Check(o) && PyTuple_GET_SIZE(o) == {len(fields)}\n      && {' && '.join(inner)}"
+        if t in self._remembered:
+            self._parts.append(
+                f"static PyObject *last_{c};\nstatic {c} value_{c};\n\n"
+                f"static int {name}(PyObject *o, {c} *x) {{\n"
+                f"  if (o != last_{c}) {{\n    if (!({fits})) return 0;\n"
+                f"    value_{c} = *x;\n    Py_XSETREF(last_{c}, Py_NewRef(o));\n  }} else *x = value_{c};\n"
+                "  return 1;\n}\n"
+            )
+        else:
+            self._parts.append(f"static int {name}(PyObject *o, {c} *x) {{\n  return {fits};\n}}\n")
         return name
 
     def _give(self, hint: Any) -> str:
@@ -154,8 +176,12 @@ class Extension:
             f"{self._give(kind)}(x.{field})" for (field, _), kind in zip(fields, inner, strict=True)
         )
         self._known.add(name)
+        kept = ""
+        if t in self._remembered:
+            self._take(t)
+            kept = f"  if (made) {{\n    Py_XSETREF(last_{c}, Py_NewRef(made));\n    value_{c} = x;\n  }}\n"
         self._parts.append(
             f"static PyObject *{name}({c} x) {{\n  PyObject *members[] = {{{members}}};\n"
-            f"  return record({class_}, {len(fields)}, members);\n}}\n"
+            f"  PyObject *made = record({class_}, {len(fields)}, members);\n{kept}  return made;\n}}\n"
         )
         return name

@@ -9,29 +9,22 @@ import random
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from pneud import core
 from pneud.axis import Axis, AxisParameters
 from pneud.compiled.build import BuildError, load
 from pneud.compiled.rebinding import rebound
 from pneud.control.reference import at, sine
-from pneud.control.step import act, join, observe
+from pneud.control.step import join
 from pneud.plant import dynamics
-from pneud.safety import checks, output, supervisor, watch
+from pneud.safety import supervisor
 from pneud.signals import ALL_SOURCES, EncoderStatus, Measurement, Request, RequestKind, State, ValveState
 
 FUNCTIONS: tuple[Callable[..., Any], ...] = (
-    observe,
-    act,
+    core.sense,
+    core.drive,
     join,
     sine,
     at,
-    checks.lacking,
-    checks.measured,
-    checks.believed,
-    checks.engaged,
-    checks.disengaged,
-    checks.unready,
-    watch.look,
-    output.emit,
     supervisor.advance,
     dynamics.advance,
 )

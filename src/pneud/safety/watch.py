@@ -89,12 +89,30 @@ def watch(
     Returns:
         The new memory, and bits of the fault table.
     """
-    disagreeing = w.since_ns[_VALVE_PLACE] >= 0
-    seen, lasting, bits = look(w.seen, m, e, state, engaged, last_v, limited, disagreeing, p)
+    seen, lasting, bits = look(w.seen, m, e, state, engaged, last_v, limited, is_disagreeing(w), p)
+    w, found = remember(w, seen, lasting, m.t_ns, p)
+    return w, bits | found
+
+
+def is_disagreeing(w: Watch) -> bool:
+    """Whether the valve node did not follow when last heard of."""
+    return w.since_ns[_VALVE_PLACE] >= 0
+
+
+def remember(w: Watch, seen: Seen, lasting: int, t_ns: int, p: Limits) -> tuple[Watch, int]:
+    """The memory after a tick, and the conditions that have held for as long as they have to.
+
+    Args:
+        w: memory.
+        seen: of this tick, as from `look`.
+        lasting: likewise.
+        t_ns: of this tick.
+        p: how long they have to.
+    """
     if not lasting:
-        return Watch(_NEVER, seen), bits
-    since, found = _lasted(w.since_ns, lasting, m.t_ns, p)
-    return Watch(since, seen), bits | found
+        return Watch(_NEVER, seen), 0
+    since, found = _lasted(w.since_ns, lasting, t_ns, p)
+    return Watch(since, seen), found
 
 
 def look(

@@ -1,0 +1,182 @@
+"""The arithmetic of a tick: what is believed and which faults show, and what leaves for the valve.
+
+Pure functions on numbers, so that the compiled law has each of them as one call.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from pneud.control.disturbance import ObserverState
+from pneud.control.motion import MotionState
+from pneud.control.prediction import Spool
+from pneud.control.sliding import SlidingState
+from pneud.control.step import Controller, ControllerState, act, observe, start
+from pneud.safety import checks
+from pneud.safety.checks import Limits
+from pneud.safety.faults import NO_SENSORS, F
+from pneud.safety.output import OutputLimits, emit
+from pneud.safety.supervisor import Supervisor, is_engaged
+from pneud.safety.watch import Seen, look
+from pneud.signals import ALL_SOURCES, Estimate, Measurement, Reference, Source
+
+NAN = float("nan")
+ENCODER, VALVE = int(Source.ENCODER), int(Source.VALVE)
+UNSETTLED = 1 << F.UNSETTLED
+UNKNOWN = ControllerState(  # before all sensors have spoken
+    MotionState(*(NAN,) * 6), ObserverState(NAN, NAN, NAN), SlidingState(NAN), Spool(NAN, NAN), *(NAN,) * 8
+)
+
+
+class Instants(NamedTuple):
+    """When what is known of the load was so [ns]."""
+
+    tick_ns: int  # SYNC of the last tick
+    sampled_ns: int  # the instant that the estimate holds for
+    read_ns: int  # of the last encoder reading
+    started_ns: int  # since when there have been estimates
+
+
+class Sensed(NamedTuple):
+    """What a measurement comes to."""
+
+    controller: ControllerState
+    knows: bool  # False: as long as not all sensors have spoken, `controller` and `estimate` mean nothing
+    estimate: Estimate
+    instants: Instants
+    seen: Seen
+    lasting: int  # bits of conditions that have to last
+    present: int  # bits of the faults that hold now
+
+
+class Driven(NamedTuple):
+    """What a reference comes to."""
+
+    controller: ControllerState
+    law_v: float  # what the law asks for
+    s: float
+    ustar: float
+    voltage_v: float
+    enable: int
+    saturated: int
+    faults: int
+
+
+def sense(
+    controller: ControllerState,
+    knows: bool,
+    instants: Instants,
+    seen: Seen,
+    disagreeing: bool,
+    before: Supervisor,
+    last_v: float,
+    limited: int,
+    m: Measurement,
+    t_ns: int,
+    arming: bool,
+    law: Controller,
+    limits: Limits,
+) -> Sensed:
+    """Take one measurement in.
+
+    Args:
+        controller: after the last tick.
+        knows: whether that is worth anything.
+        instants: of the last tick.
+        seen: what was seen last.
+        disagreeing: the valve node did not follow when last heard of.
+        before: the supervisor after the last tick.
+        last_v: the last command that left [V].
+        limited: 1 where that was less than the law had asked for.
+        m: the measurement.
+        t_ns: this tick's SYNC.
+        arming: a disarmed axis is asked to arm.
+        law: with its present gains.
+        limits: what is compared with.
+    """
+    h = law.h
+    engaged = is_engaged(before.state)
+    present = checks.lacking(m, limits)
+    measured = m.fresh & ENCODER != 0
+    # without a reading the offset belongs to an old one
+    sampled_ns = t_ns + m.encoder_offset_ns if measured else instants.sampled_ns + t_ns - instants.tick_ns
+    read_ns, started_ns = instants.read_ns, instants.started_ns
+    elapsed_ns = sampled_ns - instants.sampled_ns
+    estimate = Estimate(NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN)
+    known = knows and not (present & NO_SENSORS or (not engaged and elapsed_ns > limits.sensor_timeout_ns))
+    if known:
+        controller, estimate = observe(
+            controller,
+            m.position_m,
+            measured,
+            m.p1_pa,
+            m.p2_pa,
+            m.supply_pa,
+            m.applied_v if m.fresh & VALVE else last_v,
+            elapsed_ns * 1e-9 if elapsed_ns > 0 else h,
+            law,
+        )
+        if measured:
+            read_ns = sampled_ns
+    elif m.fresh == ALL_SOURCES:
+        controller = start(m.position_m, m.p1_pa, m.p2_pa, m.supply_pa, law)
+        estimate = first_estimate(controller)
+        read_ns = started_ns = sampled_ns
+        known = True
+
+    present |= checks.measured(m, limits)
+    seen, lasting, bits = look(seen, m, estimate, before.state, engaged, last_v, limited, disagreeing, limits)
+    present |= bits
+    if known:
+        present |= checks.believed(estimate, (read_ns - instants.read_ns) * 1e-9, limits)
+        if not engaged:
+            present |= checks.unready(estimate, sampled_ns - started_ns, h)
+    elif not present & NO_SENSORS:
+        # sensors that never answer together are not lacking, but there is nothing to arm on
+        present |= UNSETTLED
+    if engaged:
+        present |= checks.engaged(m, estimate, before.state, before.ticks, h, limits)
+    else:
+        present |= checks.disengaged(m, before.ticks, arming)
+    return Sensed(
+        controller,
+        known,
+        estimate,
+        Instants(t_ns, sampled_ns, read_ns, started_ns),
+        seen,
+        lasting,
+        present,
+    )
+
+
+def first_estimate(s: ControllerState) -> Estimate:
+    """What a controller believes that has just started."""
+    motion, observer = s.motion, s.observer
+    return Estimate(motion.x, motion.v, motion.F, motion.x3, observer.x_hat, observer.d_hat, 0.0, 0.0)
+
+
+def drive(
+    controller: ControllerState,
+    e: Estimate,
+    r: Reference,
+    last_v: float,
+    dt: float,
+    law: Controller,
+    output: OutputLimits,
+) -> Driven:
+    """The command for an estimate and a reference of the same instant.
+
+    Args:
+        controller: as `sense` left it.
+        e: the estimate.
+        r: the reference.
+        last_v: the last command that left [V].
+        dt: time since then [s].
+        law: with its present gains.
+        output: bounds of the command.
+    """
+    controller, answer = act(controller, e, r, law)
+    out = emit(answer.u_v, last_v, dt, output)
+    return Driven(
+        controller, answer.u_v, answer.s, answer.ustar, out.voltage_v, out.enable, out.saturated, out.faults
+    )
