@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import pairwise
+from types import ModuleType
 
 import pytest
 
 import pneud.axis
+import pneud.core
 from axis_rig import ARM, CLEAR, DISARM, ENCODER, PERIOD_NS, PRESSURE, SHUTDOWN, Rig, loaded, ready, tracking
 from pneud import parameters
 from pneud.axis import FOLLOWING, Axis
@@ -180,7 +182,7 @@ def test_a_fault_while_stopping_centres_at_once() -> None:
 def test_shutdown_asked_in_the_tick_of_an_exception_holds(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = tracking()
     with monkeypatch.context() as patch:
-        patch.setattr(pneud.axis, "act", lambda *_: 1 / 0)
+        patch.setattr(pneud.core, "act", lambda *_: 1 / 0)
         assert rig.tick(SHUTDOWN).state == State.FAULT
     assert isinstance(rig.axis.failure, ZeroDivisionError)
     rig.ticks(2)
@@ -192,9 +194,18 @@ def test_shutdown_asked_in_the_tick_of_an_exception_holds(monkeypatch: pytest.Mo
     assert rig.tick(ARM).state == State.DISARMED
 
 
-@pytest.mark.parametrize("function", ["observe", "act", "emit", "advance", "follow"])
+@pytest.mark.parametrize(
+    ("module", "function"),
+    [
+        (pneud.core, "observe"),
+        (pneud.core, "act"),
+        (pneud.core, "emit"),
+        (pneud.axis, "advance"),
+        (pneud.axis, "follow"),
+    ],
+)
 def test_an_exception_anywhere_centres_and_the_first_one_is_kept(
-    function: str, monkeypatch: pytest.MonkeyPatch
+    module: ModuleType, function: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig = tracking()
     assert rig.axis.state.phase == JOINING
@@ -203,7 +214,7 @@ def test_an_exception_anywhere_centres_and_the_first_one_is_kept(
     def fails(*_: object) -> None:
         raise causes.pop(0) if len(causes) > 1 else causes[0]
 
-    monkeypatch.setattr(pneud.axis, function, fails)
+    monkeypatch.setattr(module, function, fails)
     first = rig.tick()
     assert (first.state, names(first.latched), names(first.present)) == (
         State.FAULT,
@@ -369,7 +380,7 @@ def test_the_slew_limit_counts_the_time_since_the_last_command(
     rig = tracking()
     p = rig.axis.parameters
     rig.axis.parameters = p._replace(output=p.output._replace(slew_v_s=10.0))
-    monkeypatch.setattr(pneud.axis, "act", lambda state, *_: (state, SlidingOutput(5.0, 0.0, 0.0)))
+    monkeypatch.setattr(pneud.core, "act", lambda state, *_: (state, SlidingOutput(5.0, 0.0, 0.0)))
     last_v = rig.axis.state.last_v
     command = rig.tick(skipped=skipped).command
     assert command.voltage_v == pytest.approx(last_v + 0.01 * (1 + skipped), abs=3e-4)

@@ -13,23 +13,24 @@ import sysconfig
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, get_type_hints
+from types import UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
 import pytest
 
 from axis_rig import ARM, CLEAR, DISARM, ENCODER, VALVE, Rig, loaded, ready
 from pneud import parameters
-from pneud.axis import FOLLOWING, Axis
+from pneud.axis import Axis, cycle
 from pneud.compiled import build
 from pneud.compiled import law as law_module
 from pneud.compiled.build import BuildError, cache_folder, load
 from pneud.compiled.law import FUNCTIONS, INTERPRETED, Law, compiled, law, sample
 from pneud.compiled.rebinding import rebound
-from pneud.compiled.to_c import plain
-from pneud.control.step import observe
+from pneud.compiled.to_c import MOST, plain
+from pneud.control.plan import COMING_TO_REST, FOLLOWING, GOING, JOINING, NONE, RESTING
+from pneud.control.reference import Septic, at, sine
 from pneud.loading import load as load_axis
 from pneud.plant import dynamics
-from pneud.safety.output import OutputLimits, emit
 from pneud.safety.supervisor import INITIAL, advance
 from pneud.signals import Frame, RequestKind, State
 from pneud.sim.lockstep import Simulation
@@ -45,7 +46,7 @@ def _compiler() -> None:
 
 
 def of(function: Callable[..., Any]) -> Callable[..., Any]:
-    return load(FUNCTIONS)[FUNCTIONS.index(function)]
+    return load(FUNCTIONS).functions[FUNCTIONS.index(function)]
 
 
 def outcome(function: Callable[..., Any], arguments: list[Any]) -> str:
@@ -65,13 +66,19 @@ def made_up(hint: Any, r: random.Random, wild: float) -> Any:
         return r.random() if r.random() < 0.5 else r.uniform(-1.0, 1.0) * 10.0 ** r.uniform(-6.0, 6.0)
     if plain(hint) is int:
         return r.choice((0, 1, 2, 3, 4, 7, 8, -1, 1 << 37, 1 << 62, r.randrange(-(2**65), 2**65)))
+    if get_origin(hint) is UnionType:
+        return None if r.random() < 0.3 else made_up(get_args(hint)[0], r, wild)
+    if get_origin(hint) is tuple:
+        inside = get_args(hint)
+        inside = inside[:1] * r.choice((0, 1, 3, MOST + 1)) if Ellipsis in inside else inside
+        return tuple(made_up(inner, r, wild) for inner in inside)
     hints = get_type_hints(hint)
     return hint(*(made_up(hints[name], r, wild) for name in hint._fields))
 
 
 @pytest.mark.parametrize("index", range(len(FUNCTIONS)))
 def test_compiled_functions_return_and_raise_what_the_originals_do(index: int) -> None:
-    function, made = FUNCTIONS[index], load(FUNCTIONS)[index]
+    function, made = FUNCTIONS[index], load(FUNCTIONS).functions[index]
     hints = [hint for name, hint in get_type_hints(function).items() if name != "return"]
     r = random.Random(index)
     for i in range(200):
@@ -83,15 +90,15 @@ def test_compiled_functions_return_and_raise_what_the_originals_do(index: int) -
 
 
 def test_whatever_the_c_cannot_do_is_left_to_python() -> None:
-    made, p = of(emit), OutputLimits(5.0, 1e4, 5e-4)
-    assert made(1, 0.0, 1e-3, p) == emit(1, 0.0, 1e-3, p)
-    assert made(law_v=1.0, last_v=0.0, h=1e-3, p=p) == emit(1.0, 0.0, 1e-3, p)
+    made, p = of(sine), PARAMETERS.reference
+    assert made(1, p) == sine(1, p)
+    assert made(t=1.0, p=p) == sine(1.0, p)
     with pytest.raises(ZeroDivisionError):
-        made(1.0, 0.0, 1e-3, p._replace(lsb_v=0.0))
+        of(at)(0.0, Septic(*(0.0,) * 9))
     with pytest.raises(TypeError):
         made(1.0)
     with pytest.raises(AttributeError):
-        made(1.0, 0.0, 1e-3, (1.0, 2.0))
+        made(1.0, (1.0, 2.0))
     assert of(advance)(INITIAL, 1 << 70, 0, False) == advance(INITIAL, 1 << 70, 0, False)
 
 
@@ -235,12 +242,13 @@ def test_a_library_that_does_not_load_is_named(elsewhere: Path) -> None:
 
 def test_a_law_that_computes_something_else_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     def off_by_one_bit(*arguments: Any) -> Any:
-        state, estimate = observe(*arguments)
-        return state, estimate._replace(x3_n=math.nextafter(estimate.x3_n, math.inf))
+        state, tick = cycle(*arguments)
+        e = tick.estimate
+        return state, tick._replace(estimate=e._replace(x3_n=math.nextafter(e.x3_n, math.inf)))
 
-    real = load(FUNCTIONS)
-    real[FUNCTIONS.index(observe)] = off_by_one_bit
-    monkeypatch.setattr(law_module, "load", lambda _: real)
+    built = load(FUNCTIONS)
+    built.functions[FUNCTIONS.index(cycle)] = off_by_one_bit
+    monkeypatch.setattr(law_module, "load", lambda _: built)
     assert law("auto", PARAMETERS).reason == "the compiled law does not compute what Python does"
 
 
@@ -288,25 +296,41 @@ def test_a_rebound_function_calls_something_else_at_any_depth_and_the_original_d
     assert (copy(1.0), outer(1.0)) == (201.0, 5.0)
 
 
-def test_the_axis_of_a_compiled_law_calls_no_original(monkeypatch: pytest.MonkeyPatch) -> None:
-    called = []
-
-    def counting(name: str, made: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*arguments: Any) -> Any:
-            called.append(name)
-            return made(*arguments)
-
-        return call
-
-    real = load(FUNCTIONS)
-    named = [counting(f"{f.__module__}.{f.__name__}", c) for f, c in zip(FUNCTIONS, real, strict=True)]
-    monkeypatch.setattr(law_module, "load", lambda _: named)
+def test_python_is_called_for_requests_and_changes_of_state_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    built, left = load(FUNCTIONS), list[str]()
+    monkeypatch.setattr(law_module, "load", lambda _: built)
     rig = Rig()
     rig.axis = compiled().axis(PARAMETERS)
-    rig.until(State.DISARMED)
-    rig.ticks(60)
-    rig.tick(ARM, 1.0)
-    while rig.axis.state.phase != FOLLOWING:
-        rig.tick()
-    rig.tick()
-    assert set(called) == {f"{f.__module__}.{f.__name__}" for f in FUNCTIONS if f is not dynamics.advance}
+    for i, original in enumerate(built.originals):
+
+        def counting(*arguments: Any, original: Callable[..., Any] = original) -> Any:
+            left.append(original.__name__)
+            return original(*arguments)
+
+        built.originals[i] = counting
+    seen = set()
+
+    def run(ticks: int, request: int = 0, *values: float) -> None:
+        for i in range(ticks):
+            before, plan = rig.axis.state.supervisor.state, rig.axis.state.plan
+            left.clear()
+            rig.tick(*(request, *values) if i == 0 else (0,))
+            now = rig.axis.state
+            if i and (before, plan.phase) == (now.supervisor.state, now.plan.phase):
+                assert not left, (now.supervisor, now.plan.phase)
+                seen.add((now.supervisor.state, now.plan.phase))
+
+    run(80)
+    run(700, ARM, 1.0)
+    run(200, RequestKind.GOTO, 0.48)
+    run(1500, RequestKind.HOLD)
+    run(100, RequestKind.STOP)
+    run(200, DISARM)
+    assert {state for state, _ in seen} >= {
+        State.DISARMED,
+        State.TRACKING,
+        State.MOVING,
+        State.HOLDING,
+        State.STOPPING,
+    }
+    assert {phase for _, phase in seen} >= {NONE, JOINING, FOLLOWING, COMING_TO_REST, GOING, RESTING}

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from pneud import axis, replaying
+from pneud import core, replaying
 from pneud.config import with_settings
 from pneud.log.fingerprint import numeric_fingerprint
 from pneud.log.reader import read_log
@@ -75,7 +75,7 @@ def test_one_ulp_in_the_law_is_told_with_tick_variable_and_both_values(
     if log.metadata["fingerprint"] != numeric_fingerprint():
         pytest.skip("another machine's mathematics wrote it")
     calls = 0
-    act = vars(axis)["act"]
+    act = vars(core)["act"]
 
     def nudged(*arguments: Any) -> Any:
         nonlocal calls
@@ -85,7 +85,7 @@ def test_one_ulp_in_the_law_is_told_with_tick_variable_and_both_values(
             answer = answer._replace(u_v=math.nextafter(answer.u_v, math.inf))
         return controller, answer
 
-    monkeypatch.setattr(axis, "act", nudged)
+    monkeypatch.setattr(core, "act", nudged)
     outcome = replaying.replay(log, interpreted)
     assert not outcome.good
     assert outcome.first is not None

@@ -11,11 +11,11 @@ from typing import NamedTuple
 from pneud.asking import ARM, BLOCKED, HOME, NOTHING, TAKEN, AxisParameters, ask
 from pneud.control import homing
 from pneud.control.homing import NOWHERE, Homing
-from pneud.control.plan import FOLLOWING, IDLE, Plan, follow, halting, resting
+from pneud.control.plan import FOLLOWING, IDLE, NONE, Plan, follow, halting, resting
 from pneud.control.profile import Profile
 from pneud.control.reference import Way, rest
 from pneud.control.step import Controller, ControllerState, change, join, start
-from pneud.core import UNKNOWN, Instants, drive, sense
+from pneud.core import Instants, drive, sense
 from pneud.safety import checks
 from pneud.safety.faults import F
 from pneud.safety.output import emit
@@ -31,7 +31,7 @@ from pneud.safety.supervisor import (
     trip,
 )
 from pneud.safety.watch import INITIAL as WATCHFUL
-from pneud.safety.watch import Seen, Watch, is_disagreeing, remember
+from pneud.safety.watch import Watch, is_disagreeing, remember
 from pneud.signals import Command, Estimate, Measurement, Reference, Request, RequestKind, Tick
 
 __all__ = ["FOLLOWING", "Axis", "AxisParameters", "AxisState"]
@@ -85,8 +85,158 @@ class AxisState(NamedTuple):
         return self.plan.path
 
 
+def cycle(
+    state: AxisState, m: Measurement, request: Request | None, t_ns: int, p: AxisParameters
+) -> tuple[AxisState, Tick]:
+    """One tick: the state after it, and what it came to.
+
+    Args:
+        state: after the last tick.
+        m: the newest measurement.
+        request: at most one request of the operator.
+        t_ns: instant of this tick's SYNC.
+        p: parameters.
+    """
+    law, limits = state.law, p.limits
+    h = law.h
+    before = state.supervisor
+    engaged = is_engaged(before.state)
+    incremental, zero_m, referenced = p.homing.incremental, state.zero_m, state.referenced
+    if incremental:
+        m = homing.placed(m, zero_m, referenced)
+
+    arming = request is not None and request.kind in (ARM, HOME) and before.state == DISARMED
+    controller, estimate, instants, seen, lasting, present = sense(
+        state.controller,
+        Instants(state.t_ns, state.sampled_ns, state.read_ns, state.started_ns),
+        state.watch.seen,
+        is_disagreeing(state.watch),
+        before,
+        state.last_v,
+        state.limited,
+        m,
+        t_ns,
+        arming,
+        law,
+        limits,
+    )
+    sampled_ns = instants.sampled_ns
+    present |= checks.of_host(m.host)
+    if incremental and (not referenced or before.state == HOMING):
+        present &= ~TRAVEL  # the stop lies beyond it
+    watched, found = remember(state.watch, seen, lasting, m.t_ns, limits)
+    present |= found
+    plan, reference, at_rest, way = state.plan, NO_REFERENCE, False, state.homing
+    if before.state == HOMING:
+        way, found_stop, at_rest, failed = homing.proceed(
+            way, estimate, sampled_ns, h, law.cylinder.rod_force_n, p.homing
+        )
+        present |= failed << F.HOMING_FAILED
+        if found_stop:
+            zero_m, referenced = zero_m + p.homing.stop_m - m.position_m, True
+            controller = start(p.homing.stop_m, m.p1_pa, m.p2_pa, m.supply_pa, law)
+            nowhere = watched.seen._replace(position_m=NAN, changed1_m=NAN, changed2_m=NAN)
+            watched = watched._replace(seen=nowhere)
+    elif engaged:
+        plan, reference, at_rest = follow(plan, sampled_ns, p.reference, state.profile)
+        error_m = reference.position_m - estimate.position_m
+        if controller is not None and not abs(error_m) <= limits.tracking_error_m:
+            present |= TRACKING_ERROR
+        if plan.jog_m_s != 0.0:
+            plan = plan._replace(lease=plan.lease - 1 - m.skipped)
+
+    asked = NOTHING
+    if request is not None:
+        asked = ask(request, before, present, plan, state.profile, reference, estimate, sampled_ns, law, p)
+        present |= asked.faults
+    if present & LOSES_REFERENCE:
+        referenced = False
+    profile, gains = state.profile, law
+    if asked.profile is not None:
+        profile = asked.profile
+    if asked.law is not None:
+        gains = asked.law
+    after = advance(before, present, asked.kind, at_rest)
+
+    command = CENTRED_COMMAND
+    if is_engaged(after.state):
+        assert controller is not None  # else a fault has centred an engaged axis, or kept it from arming
+        if asked.plan is not None:
+            plan = asked.plan
+        if after.state == HOMING and before.state != HOMING:
+            way, referenced, plan = homing.set_out(estimate.position_m, sampled_ns), False, IDLE
+        if plan.lease < 0:
+            present |= OPERATOR_LOST
+        if after.state == HOMING:
+            velocity = homing.direction(way.part, p.homing) * p.homing.speed_m_s
+            reference = Reference(estimate.position_m, velocity, 0.0, 0.0)
+        elif before.state == HOMING:
+            plan, reference = resting(estimate.position_m, sampled_ns), rest(estimate.position_m)
+            controller = join(controller, estimate, reference, law)
+        elif not engaged:
+            plan, reference, _ = follow(plan, sampled_ns, p.reference, profile)
+            controller = join(controller, estimate, reference, law)
+        elif after.state == HOLDING and before.state != HOLDING:
+            plan = resting(reference.position_m, sampled_ns)
+        elif (after.state == STOPPING and before.state != STOPPING) or plan.lease < 0:
+            plan = halting(plan, reference, sampled_ns, p.motion, limits.travel_min_m, limits.travel_max_m)
+        if asked.law is not None and after.state != HOMING:
+            controller = change(controller, estimate, reference, law, gains)
+        dt = (1 + m.skipped) * h
+        if after.state == HOMING:
+            law_v, s, ustar = homing.command(way, m, estimate, p.homing, law), 0.0, 0.0
+            voltage_v, enable, saturated, faults = emit(law_v, state.last_v, dt, p.output)
+        else:
+            controller, law_v, s, ustar, voltage_v, enable, saturated, faults = drive(
+                controller, estimate, reference, state.last_v, dt, gains, p.output
+            )
+        command = Command(voltage_v, enable, saturated, law_v, s, ustar)
+        if saturated:
+            present |= SATURATED
+        if faults:
+            after = trip(after, faults)
+            present |= faults
+    if plan.phase != NONE and not is_engaged(after.state):
+        plan = IDLE
+    if present & NOT_FINITE:
+        controller = None  # it would remember
+
+    state = AxisState(
+        after,
+        controller,
+        t_ns,
+        sampled_ns,
+        instants.read_ns,
+        instants.started_ns,
+        plan,
+        profile,
+        command.voltage_v,
+        command.saturated,
+        watched,
+        gains,
+        zero_m,
+        referenced,
+        way,
+    )
+    tick = Tick(
+        t_ns,
+        m,
+        request,
+        estimate,
+        reference,
+        command,
+        after.state,
+        present,
+        after.latched,
+        asked.answer,
+    )
+    return state, tick
+
+
 class Axis:
     """The axis; `state` is everything it remembers."""
+
+    _cycle = staticmethod(cycle)
 
     def __init__(self, parameters: AxisParameters) -> None:
         """An axis that has just been switched on."""
@@ -115,7 +265,8 @@ class Axis:
             t_ns: instant of this tick's SYNC.
         """
         try:
-            return self._cycle(m, request, t_ns)
+            self.state, tick = self._cycle(self.state, m, request, t_ns, self.parameters)
+            return tick
         except Exception as e:
             if self.failure is None:
                 self.failure = e
@@ -136,152 +287,3 @@ class Axis:
                 after.latched,
                 0 if kind == 0 else TAKEN if kind == RequestKind.SHUTDOWN else BLOCKED,
             )
-
-    def _cycle(self, m: Measurement, request: Request | None, t_ns: int) -> Tick:
-        p, state = self.parameters, self.state
-        law, limits = state.law, p.limits
-        h = law.h
-        before = state.supervisor
-        engaged = is_engaged(before.state)
-        incremental, zero_m, referenced = p.homing.incremental, state.zero_m, state.referenced
-        if incremental:
-            m = homing.placed(m, zero_m, referenced)
-
-        controller, estimate, instants, seen, lasting, present = _sensed(state, m, request, t_ns, p)
-        sampled_ns = instants.sampled_ns
-        if m.host:
-            present |= checks.of_host(m.host)
-        if incremental and (not referenced or before.state == HOMING):
-            present &= ~TRAVEL  # the stop lies beyond it
-        watched, found = remember(state.watch, seen, lasting, m.t_ns, limits)
-        present |= found
-        plan, reference, at_rest, way = state.plan, NO_REFERENCE, False, state.homing
-        if before.state == HOMING:
-            way, found_stop, at_rest, failed = homing.proceed(
-                way, estimate, sampled_ns, h, law.cylinder.rod_force_n, p.homing
-            )
-            present |= failed << F.HOMING_FAILED
-            if found_stop:
-                zero_m, referenced = zero_m + p.homing.stop_m - m.position_m, True
-                controller = start(p.homing.stop_m, m.p1_pa, m.p2_pa, m.supply_pa, law)
-                nowhere = watched.seen._replace(position_m=NAN, changed1_m=NAN, changed2_m=NAN)
-                watched = watched._replace(seen=nowhere)
-        elif engaged:
-            plan, reference, at_rest = follow(plan, sampled_ns, p.reference, state.profile)
-            error_m = reference.position_m - estimate.position_m
-            if controller is not None and not abs(error_m) <= limits.tracking_error_m:
-                present |= TRACKING_ERROR
-            if plan.jog_m_s != 0.0:
-                plan = plan._replace(lease=plan.lease - 1 - m.skipped)
-
-        asked = NOTHING
-        if request is not None:
-            asked = ask(
-                request, before, present, plan, state.profile, reference, estimate, sampled_ns, law, p
-            )
-            present |= asked.faults
-        if present & LOSES_REFERENCE:
-            referenced = False
-        profile = state.profile if asked.profile is None else asked.profile
-        gains = law if asked.law is None else asked.law
-        after = advance(before, present, asked.kind, at_rest)
-
-        command = CENTRED_COMMAND
-        if is_engaged(after.state):
-            assert controller is not None  # else a fault has centred an engaged axis, or kept it from arming
-            if asked.plan is not None:
-                plan = asked.plan
-            if after.state == HOMING and before.state != HOMING:
-                way, referenced, plan = homing.set_out(estimate.position_m, sampled_ns), False, IDLE
-            if plan.lease < 0:
-                present |= OPERATOR_LOST
-            if after.state == HOMING:
-                velocity = homing.direction(way.part, p.homing) * p.homing.speed_m_s
-                reference = Reference(estimate.position_m, velocity, 0.0, 0.0)
-            elif before.state == HOMING:
-                plan, reference = resting(estimate.position_m, sampled_ns), rest(estimate.position_m)
-                controller = join(controller, estimate, reference, law)
-            elif not engaged:
-                plan, reference, _ = follow(plan, sampled_ns, p.reference, profile)
-                controller = join(controller, estimate, reference, law)
-            elif after.state == HOLDING and before.state != HOLDING:
-                plan = resting(reference.position_m, sampled_ns)
-            elif (after.state == STOPPING and before.state != STOPPING) or plan.lease < 0:
-                plan = halting(
-                    plan, reference, sampled_ns, p.motion, limits.travel_min_m, limits.travel_max_m
-                )
-            if asked.law is not None and after.state != HOMING:
-                controller = change(controller, estimate, reference, law, gains)
-            dt = (1 + m.skipped) * h
-            if after.state == HOMING:
-                law_v, s, ustar = homing.command(way, m, estimate, p.homing, law), 0.0, 0.0
-                voltage_v, enable, saturated, faults = emit(law_v, state.last_v, dt, p.output)
-            else:
-                controller, law_v, s, ustar, voltage_v, enable, saturated, faults = drive(
-                    controller, estimate, reference, state.last_v, dt, gains, p.output
-                )
-            command = Command(voltage_v, enable, saturated, law_v, s, ustar)
-            if saturated:
-                present |= SATURATED
-            if faults:
-                after = trip(after, faults)
-                present |= faults
-        if not is_engaged(after.state):
-            plan = IDLE
-        if present & NOT_FINITE:
-            controller = None  # it would remember
-
-        self.state = AxisState(
-            after,
-            controller,
-            *instants,
-            plan,
-            profile,
-            command.voltage_v,
-            command.saturated,
-            watched,
-            gains,
-            zero_m,
-            referenced,
-            way,
-        )
-        return Tick(
-            t_ns,
-            m,
-            request,
-            estimate,
-            reference,
-            command,
-            after.state,
-            present,
-            after.latched,
-            asked.answer,
-        )
-
-
-def _sensed(
-    state: AxisState, m: Measurement, request: Request | None, t_ns: int, p: AxisParameters
-) -> tuple[ControllerState | None, Estimate, Instants, Seen, int, int]:
-    """`sense` for a state whose controller may be None."""
-    knows = state.controller is not None
-    arming = (
-        request is not None
-        and request.kind in (ARM, HOME)
-        and state.supervisor.state == DISARMED
-    )
-    controller, knows, estimate, instants, seen, lasting, present = sense(
-        state.controller if state.controller is not None else UNKNOWN,
-        knows,
-        Instants(state.t_ns, state.sampled_ns, state.read_ns, state.started_ns),
-        state.watch.seen,
-        is_disagreeing(state.watch),
-        state.supervisor,
-        state.last_v,
-        state.limited,
-        m,
-        t_ns,
-        arming,
-        state.law,
-        p.limits,
-    )
-    return controller if knows else None, estimate, instants, seen, lasting, present

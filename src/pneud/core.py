@@ -7,10 +7,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pneud.control.disturbance import ObserverState
-from pneud.control.motion import MotionState
-from pneud.control.prediction import Spool
-from pneud.control.sliding import SlidingState
 from pneud.control.step import Controller, ControllerState, act, observe, start
 from pneud.safety import checks
 from pneud.safety.checks import Limits
@@ -23,9 +19,6 @@ from pneud.signals import ALL_SOURCES, Estimate, Measurement, Reference, Source
 NAN = float("nan")
 ENCODER, VALVE = int(Source.ENCODER), int(Source.VALVE)
 UNSETTLED = 1 << F.UNSETTLED
-UNKNOWN = ControllerState(  # before all sensors have spoken
-    MotionState(*(NAN,) * 6), ObserverState(NAN, NAN, NAN), SlidingState(NAN), Spool(NAN, NAN), *(NAN,) * 8
-)
 
 
 class Instants(NamedTuple):
@@ -40,8 +33,7 @@ class Instants(NamedTuple):
 class Sensed(NamedTuple):
     """What a measurement comes to."""
 
-    controller: ControllerState
-    knows: bool  # False: as long as not all sensors have spoken, `controller` and `estimate` mean nothing
+    controller: ControllerState | None  # None as long as not all sensors have spoken
     estimate: Estimate
     instants: Instants
     seen: Seen
@@ -63,8 +55,7 @@ class Driven(NamedTuple):
 
 
 def sense(
-    controller: ControllerState,
-    knows: bool,
+    controller: ControllerState | None,
     instants: Instants,
     seen: Seen,
     disagreeing: bool,
@@ -81,7 +72,6 @@ def sense(
 
     Args:
         controller: after the last tick.
-        knows: whether that is worth anything.
         instants: of the last tick.
         seen: what was seen last.
         disagreeing: the valve node did not follow when last heard of.
@@ -103,8 +93,9 @@ def sense(
     read_ns, started_ns = instants.read_ns, instants.started_ns
     elapsed_ns = sampled_ns - instants.sampled_ns
     estimate = Estimate(NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN)
-    known = knows and not (present & NO_SENSORS or (not engaged and elapsed_ns > limits.sensor_timeout_ns))
-    if known:
+    if present & NO_SENSORS or (not engaged and elapsed_ns > limits.sensor_timeout_ns):
+        controller = None
+    if controller is not None:
         controller, estimate = observe(
             controller,
             m.position_m,
@@ -122,12 +113,11 @@ def sense(
         controller = start(m.position_m, m.p1_pa, m.p2_pa, m.supply_pa, law)
         estimate = first_estimate(controller)
         read_ns = started_ns = sampled_ns
-        known = True
 
     present |= checks.measured(m, limits)
     seen, lasting, bits = look(seen, m, estimate, before.state, engaged, last_v, limited, disagreeing, limits)
     present |= bits
-    if known:
+    if controller is not None:
         present |= checks.believed(estimate, (read_ns - instants.read_ns) * 1e-9, limits)
         if not engaged:
             present |= checks.unready(estimate, sampled_ns - started_ns, h)
@@ -140,7 +130,6 @@ def sense(
         present |= checks.disengaged(m, before.ticks, arming)
     return Sensed(
         controller,
-        known,
         estimate,
         Instants(t_ns, sampled_ns, read_ns, started_ns),
         seen,

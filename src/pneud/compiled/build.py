@@ -12,7 +12,7 @@ from importlib import import_module
 from importlib.machinery import ExtensionFileLoader
 from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pneud.bus.folder import private_folder
 
@@ -25,7 +25,17 @@ EXACT = (
 
 MODULE = "pneud_compiled"
 _PACKAGE = Path(__file__).resolve().parent.parent
-_SOURCES = ("signals.py", "core.py", "physics", "control", "safety", "plant", "compiled")
+_SOURCES = (
+    "signals.py",
+    "axis.py",
+    "asking.py",
+    "core.py",
+    "physics",
+    "control",
+    "safety",
+    "plant",
+    "compiled",
+)
 _KEPT = 8  # builds of other interpreters, compilers and versions that stay
 _PATIENCE_S = 60.0
 
@@ -60,7 +70,14 @@ def compiler() -> Path:
     raise BuildError("there is no C compiler: apt install gcc libc6-dev")
 
 
-def load(functions: Sequence[Callable[..., Any]]) -> list[Callable[..., Any]]:
+class Built(NamedTuple):
+    """Compiled functions."""
+
+    functions: list[Callable[..., Any]]
+    originals: list[Callable[..., Any]]  # what each of them calls where it cannot do as Python does
+
+
+def load(functions: Sequence[Callable[..., Any]]) -> Built:
     """The compiled versions of pure functions of this package, built if need be.
 
     What was built is used again as long as the sources of these functions, the compiler, its options and the
@@ -87,8 +104,9 @@ def load(functions: Sequence[Callable[..., Any]]) -> list[Callable[..., Any]]:
     except ImportError as e:
         raise BuildError(f"{library} cannot be loaded: {e}") from None
     names = (name.split(":") for name in module.CLASSES.split())
-    module.bind(tuple(functions), tuple(getattr(import_module(where), name) for where, name in names))
-    return [getattr(module, f"f{i}") for i in range(len(functions))]
+    originals = list(functions)
+    module.bind(originals, tuple(getattr(import_module(where), name) for where, name in names))
+    return Built([getattr(module, f"f{i}") for i in range(len(functions))], originals)
 
 
 def _key(cc: Path) -> str:

@@ -8,9 +8,10 @@ operation that raises) is left to the original, which is called with the same ar
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
 
-from pneud.compiled.to_c import Translator, Type, fields_of, plain
+from pneud.compiled.to_c import MOST, Many, Maybe, Translator, Type, fields_of, plain
 
 _HEAD = """\
 #define PY_SSIZE_T_CLEAN
@@ -31,6 +32,12 @@ static inline int take_long(PyObject *o, long *x) {
   return !beyond;
 }
 
+static inline int take_object(PyObject *o, PyObject **x) {
+  *x = o;
+  return 1;
+}
+
+static inline PyObject *give_object(PyObject *x) { return Py_NewRef(x); }
 static inline PyObject *give_double(double x) { return PyFloat_FromDouble(x); }
 static inline PyObject *give_long(long x) { return PyLong_FromLong(x); }
 static inline PyObject *give_bool(long x) { return PyBool_FromLong(x); }
@@ -47,7 +54,7 @@ static PyObject *record(PyTypeObject *class, Py_ssize_t count, PyObject *const *
 """
 _TAIL = """\
 static PyObject *bind(PyObject *self, PyObject *args) {{
-  return PyArg_ParseTuple(args, "O!O!", &PyTuple_Type, &originals_, &PyTuple_Type, &classes_)
+  return PyArg_ParseTuple(args, "O!O!", &PyList_Type, &originals_, &PyTuple_Type, &classes_)
              ? (Py_INCREF(originals_), Py_INCREF(classes_), Py_NewRef(Py_None)) : NULL;
 }}
 
@@ -69,18 +76,15 @@ PyMODINIT_FUNC PyInit_{name}(void) {{
 
 
 FEW = 8  # numbers that a record may have without being remembered
-
-
-def count_of(t: Type) -> int:
-    """How many numbers a type is made of."""
-    return 1 if t in (float, int) else sum(count_of(kind) for _, kind in fields_of(t))
+_PLAIN = (float, int, object)
 
 
 class Extension:
     """The module for some functions: `source` is its C.
 
     Once loaded, `f0`, `f1` … are the functions in their order; `CLASSES` names the NamedTuples that they
-    return ("module:name …"). First of all, `bind` has to be given the originals and these classes.
+    return ("module:name …"). First of all, `bind` has to be given these classes and a list of the originals,
+    which may change.
     """
 
     def __init__(self, functions: Sequence[Callable[..., Any]], name: str) -> None:
@@ -97,13 +101,6 @@ class Extension:
         self._translator = Translator()
         self._parts: list[str] = []
         self._known: set[str] = set()
-        # of these the last value is remembered: most are passed on unchanged, or are what a function just gave
-        self._remembered = {
-            t
-            for f in functions
-            for name, hint in get_type_hints(f).items()
-            if name != "return" and hasattr(t := plain(hint), "_fields") and count_of(t) > FEW
-        }
         wrappers = [self._wrapper(i, f) for i, f in enumerate(functions)]
         table = "".join(
             f'  {{"f{i}", (PyCFunction)(void (*)(void))call_{i}, METH_FASTCALL | METH_KEYWORDS, NULL}},\n'
@@ -127,23 +124,38 @@ class Extension:
             f"    {self._translator.type(plain(result))} r = {name}({given});\n"
             f"    if (!failed_) return {self._give(result)}(r);\n"
             "  }\n"
-            f"  return PyObject_Vectorcall(PyTuple_GET_ITEM(originals_, {index}), args, n, names);\n}}\n"
+            f"  return PyObject_Vectorcall(PyList_GET_ITEM(originals_, {index}), args, n, names);\n}}\n"
         )
 
     def _take(self, t: Type) -> str:
         """The C function that reads a Python object of a type."""
+        name = f"take_{self._suffix(t)}"
+        if t in _PLAIN or name in self._known:
+            return name
         c = self._translator.type(t)
-        name = f"take_{c}"
-        if t in (float, int) or name in self._known:
+        self._known.add(name)
+        if isinstance(t, Many):
+            self._parts.append(
+                f"static int {name}(PyObject *o, {c} *x) {{\n  memset(x, 0, sizeof *x);\n"
+                f"  if (!PyTuple_Check(o) || (x->count = PyTuple_GET_SIZE(o)) > {MOST}) return 0;\n"
+                "  for (long i = 0; i < x->count; i++)\n"
+                f"    if (!{self._take(t.of)}(PyTuple_GET_ITEM(o, i), &x->at[i])) return 0;\n"
+                "  return 1;\n}\n"
+            )
+            return name
+        if isinstance(t, Maybe):
+            self._parts.append(
+                f"static int {name}(PyObject *o, {c} *x) {{\n  memset(x, 0, sizeof *x);\n"
+                f"  x->some = o != Py_None;\n  return !x->some || {self._take(t.of)}(o, &x->value);\n}}\n"
+            )
             return name
         fields = fields_of(t)
         inner = [
             f"{self._take(kind)}(PyTuple_GET_ITEM(o, {i}), &x->{field})"
             for i, (field, kind) in enumerate(fields)
         ]
-        self._known.add(name)
         fits = f"PyTuple_Check(o) && PyTuple_GET_SIZE(o) == {len(fields)}\n      && {' && '.join(inner)}"
-        if t in self._remembered:
+        if _is_remembered(t):
             self._parts.append(
                 f"static PyObject *last_{c};\nstatic {c} value_{c};\n\n"
                 f"static int {name}(PyObject *o, {c} *x) {{\n"
@@ -160,9 +172,25 @@ class Extension:
         if hint is bool:
             return "give_bool"
         t = plain(hint)
+        name = f"give_{self._suffix(t)}"
+        if t in _PLAIN or name in self._known:
+            return name
         c = self._translator.type(t)
-        name = f"give_{c}"
-        if t in (float, int) or name in self._known:
+        self._known.add(name)
+        if isinstance(t, Many):
+            self._parts.append(
+                f"static PyObject *{name}({c} x) {{\n  PyObject *members[{MOST}];\n"
+                "  for (long i = 0; i < x.count; i++)"
+                f" members[i] = {self._give(get_args(hint)[0])}(x.at[i]);\n"
+                "  return record(&PyTuple_Type, x.count, members);\n}\n"
+            )
+            return name
+        if isinstance(t, Maybe):
+            inside = next(inner for inner in get_args(hint) if inner is not NoneType)
+            self._parts.append(
+                f"static PyObject *{name}({c} x) {{\n"
+                f"  return x.some ? {self._give(inside)}(x.value) : Py_NewRef(Py_None);\n}}\n"
+            )
             return name
         fields = fields_of(t)
         if get_origin(hint) is tuple:
@@ -175,13 +203,27 @@ class Extension:
         members = ", ".join(
             f"{self._give(kind)}(x.{field})" for (field, _), kind in zip(fields, inner, strict=True)
         )
-        self._known.add(name)
-        kept = ""
-        if t in self._remembered:
+        same, keep = "", ""
+        if _is_remembered(t):
             self._take(t)
-            kept = f"  if (made) {{\n    Py_XSETREF(last_{c}, Py_NewRef(made));\n    value_{c} = x;\n  }}\n"
+            same = f"  if (last_{c} && !memcmp(&value_{c}, &x, sizeof x)) return Py_NewRef(last_{c});\n"
+            keep = f"  if (made) {{\n    Py_XSETREF(last_{c}, Py_NewRef(made));\n    value_{c} = x;\n  }}\n"
         self._parts.append(
-            f"static PyObject *{name}({c} x) {{\n  PyObject *members[] = {{{members}}};\n"
-            f"  PyObject *made = record({class_}, {len(fields)}, members);\n{kept}  return made;\n}}\n"
+            f"static PyObject *{name}({c} x) {{\n{same}  PyObject *members[] = {{{members}}};\n"
+            f"  PyObject *made = record({class_}, {len(fields)}, members);\n{keep}  return made;\n}}\n"
         )
         return name
+
+    def _suffix(self, t: Type) -> str:
+        return "object" if t is object else self._translator.type(t)
+
+
+def _is_remembered(t: Type) -> bool:
+    """Whether the last value of a type is kept: most records are passed on as they are."""
+    return isinstance(t, type) and hasattr(t, "_fields") and _count_of(t) > FEW
+
+
+def _count_of(t: Type) -> int:
+    if isinstance(t, Many):
+        return MOST * _count_of(t.of)
+    return 1 if t in _PLAIN else sum(_count_of(kind) for _, kind in fields_of(t))

@@ -1,10 +1,12 @@
 """Pure functions of this package as C that computes the same to the last bit.
 
-It takes what the law is written in: functions on floats, ints, bools and NamedTuples of them, with `math`,
-`if`, `for`, `while` and tuples. Signatures have types; those of local names follow from their first value.
+It takes what the law is written in: functions on floats, ints, bools and NamedTuples of them or of None, with
+`math`, `if`, `for`, `while` and tuples. Signatures have types; those of local names follow from their first
+value. Objects of other types may be passed on, and that is all.
 
 Where Python would raise (a division by zero, a power that overflows), the C goes on with some number and sets
-`failed_`: what it then returns is void.
+`failed_`: what it then returns is void. So it does where it comes to a statement that has no counterpart: the
+rest of that block is left out. Hence a function may do in some rare branch what only Python can.
 """
 
 from __future__ import annotations
@@ -16,7 +18,8 @@ import math
 import textwrap
 import types
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, get_args, get_origin, get_type_hints
+from types import NoneType, UnionType
+from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 HEAD = """\
 #include <math.h>
@@ -54,6 +57,12 @@ static inline long times_(long a, long b) {
   long c;
   failed_ |= __builtin_mul_overflow(a, b, &c);
   return c;
+}
+
+static inline long within_(long index, long count) {
+  if (0 <= index && index < count) return index;
+  failed_ = 1;
+  return 0;
 }
 
 static inline long whole_(double x) {
@@ -95,8 +104,25 @@ _MATH = {
 }
 
 
+_PLAIN = {float: "double", int: "long", object: "struct _object *"}
+
 Type = Any
-"""float, int (bool is one), a NamedTuple class, or a tuple of types."""
+"""float, int (bool is one), a NamedTuple, a tuple of types, `Maybe`, `Many`, or object for anything else."""
+
+
+class Maybe(NamedTuple):
+    """The type of a value that may be None."""
+
+    of: Type
+
+
+class Many(NamedTuple):
+    """The type of a tuple of records, at most `MOST` of them."""
+
+    of: Type
+
+
+MOST = 8
 
 
 class TranslationError(Exception):
@@ -136,7 +162,11 @@ class Translator:
             if not isinstance(f, types.FunctionType):
                 raise TranslationError(f"{f!r} is no plain function")
             self._functions[f] = name or f"{f.__module__.rpartition('.')[2]}_{f.__name__}"
-            self._parts.append(_Function(self, f).text(self._functions[f]))
+            try:
+                self._parts.append(_Function(self, f).text(self._functions[f]))
+            except TranslationError:
+                del self._functions[f]
+                raise
         return self._functions[f]
 
     def constant(self, name: str, value: Any) -> None:
@@ -145,23 +175,45 @@ class Translator:
 
     def type(self, t: Type) -> str:
         """The C type for a type; defines structures at their first use."""
-        if t in (float, int):
-            return "double" if t is float else "long"
+        if t in _PLAIN:
+            return _PLAIN[t]
         if t not in self._structs:
-            members = [(self.type(inner), field) for field, inner in fields_of(t)]
-            plain = t.__name__ if isinstance(t, type) else "Tuple_" + "_".join(m for m, _ in members)
+            if isinstance(t, Many):
+                members = [("long", "count"), (self.type(t.of), f"at[{MOST}]")]
+                plain = f"Many_{self.type(t.of)}"
+            else:
+                members = [(self.type(inner), field) for field, inner in fields_of(t)]
+            if isinstance(t, Many):
+                pass
+            elif isinstance(t, Maybe):
+                plain = f"Maybe_{members[1][0].strip(' *').replace(' ', '')}"
+            else:
+                plain = t.__name__ if isinstance(t, type) else f"Tuple_{len(self._structs)}"
             name = plain if plain not in self._structs.values() else f"{plain}_{len(self._structs)}"
             self._structs[t] = name
             inside = " ".join(f"{member} {field};" for member, field in members)
             self._parts.append(f"typedef struct {{ {inside} }} {name};\n")
         return self._structs[t]
 
-    def literal(self, value: Any) -> str:
-        """A value in C, exact to the last bit."""
+    def literal(self, value: Any, t: Type = None) -> str:
+        """A value in C, exact to the last bit; a tuple that is no record needs its type.
+
+        Raises:
+            TranslationError: it is none of numbers, or not of that type.
+        """
+        if isinstance(t, Maybe):
+            return "{0}" if value is None else f"{{1, {self.literal(value, t.of)}}}"
+        if isinstance(t, Many) and len(value) <= MOST:
+            return f"{{{len(value)}, {{{', '.join(self.literal(v, t.of) for v in value) or 0}}}}}"
         if isinstance(value, tuple):
-            members = zip(fields_of(type(value)), value, strict=True)
-            # a float's place may hold an integer
-            return "{" + ", ".join(self.literal(t(v) if t is float else v) for (_, t), v in members) + "}"
+            members = fields_of(type(value) if hasattr(value, "_fields") else t)
+            if len(members) != len(value):
+                raise TranslationError(f"{value!r} is not of the type {t!r}")
+            return (
+                "{" + ", ".join(self.literal(v, of) for (_, of), v in zip(members, value, strict=True)) + "}"
+            )
+        if t is float and isinstance(value, int):
+            value = float(value)  # a float's place may hold an integer
         if isinstance(value, int):
             return f"{int(value)}L"
         if not isinstance(value, float):
@@ -173,27 +225,33 @@ class Translator:
 
 def fields_of(t: Type) -> list[tuple[str, Type]]:
     """Names and types of what a NamedTuple class or a tuple of types holds."""
+    if isinstance(t, Maybe):
+        return [("some", int), ("value", t.of)]
     if isinstance(t, tuple):
         return [(f"f{i}", inner) for i, inner in enumerate(t)]
+    if isinstance(t, Many) or not hasattr(t, "_fields"):
+        raise TranslationError(f"{t!r} has no parts")
     hints = get_type_hints(t)
     return [(name, plain(hints[name])) for name in t._fields]
 
 
 def plain(hint: Any) -> Type:
-    """The type that an annotation stands for.
-
-    Raises:
-        TranslationError: none that is provided for.
-    """
+    """The type that an annotation stands for."""
     if hint is float:
         return float
+    if get_origin(hint) in (Union, UnionType):
+        some = [inner for inner in get_args(hint) if inner is not NoneType]
+        return Maybe(plain(some[0])) if len(some) == 1 else object
     if get_origin(hint) is tuple:
-        return tuple(plain(inner) for inner in get_args(hint))
+        inside = get_args(hint)
+        if Ellipsis in inside:
+            return Many(plain(inside[0])) if hasattr(inside[0], "_fields") else object
+        return tuple(plain(inner) for inner in inside)
     if isinstance(hint, type) and issubclass(hint, int):
         return int
     if isinstance(hint, type) and hasattr(hint, "_fields"):
         return hint
-    raise TranslationError(f"{hint!r} has no counterpart in C")
+    return object
 
 
 class _Function:
@@ -225,7 +283,19 @@ class _Function:
         return TranslationError(f"{where}: no counterpart in C for {ast.unparse(node)!r}")
 
     def _block(self, statements: Sequence[ast.stmt], depth: int) -> str:
-        return "".join(self._statement(s, depth) for s in statements)
+        text = ""
+        for i, s in enumerate(statements):
+            known = dict(self._locals)
+            try:
+                text += self._statement(s, depth)
+            except TranslationError:
+                self._locals = known
+                before = (inner for done in statements[:i] for inner in ast.walk(done))
+                if depth == 1 and not any(isinstance(inner, ast.Return) for inner in before):
+                    raise  # whatever is asked of it, it comes here
+                pad = "  " * depth
+                return f"{text}{pad}failed_ = 1;\n{pad}return ({self._t.type(self._result)}){{0}};\n"
+        return text
 
     def _statement(self, s: ast.stmt, depth: int) -> str:
         pad = "  " * depth
@@ -242,10 +312,10 @@ class _Function:
                 combined = ast.BinOp(ast.Name(name, ast.Load()), op, value)
                 return self._assign(target, combined, pad)
             case ast.If(test=test, body=body, orelse=orelse):
-                text = f"{pad}if ({self._expr(test).code}) {{\n{self._block(body, depth + 1)}{pad}}}"
+                text = f"{pad}if ({self._truth(test)}) {{\n{self._block(body, depth + 1)}{pad}}}"
                 return text + (f" else {{\n{self._block(orelse, depth + 1)}{pad}}}\n" if orelse else "\n")
             case ast.While(test=test, body=body, orelse=[]):
-                return f"{pad}while ({self._expr(test).code}) {{\n{self._block(body, depth + 1)}{pad}}}\n"
+                return f"{pad}while ({self._truth(test)}) {{\n{self._block(body, depth + 1)}{pad}}}\n"
             case ast.For(orelse=[]):
                 return self._for(s, depth)
             case ast.Break() | ast.Continue():
@@ -266,6 +336,12 @@ class _Function:
             case ast.Call(func=ast.Name(id="range"), args=[end]):
                 head = f"{pad}for (long {i} = 0; {i} < {self._as(end, int)}; {i}++) {{\n"
                 first = self._set(s.target.id, Typed(i, int), pad + "  ")
+            case ast.Subscript(value=value, slice=ast.Slice(lower=None, upper=upper, step=None)) if (
+                upper is None or ast.unparse(upper) == "-1"
+            ):
+                whole, less = self._many(value), " - 1" if upper else ""
+                head = f"{pad}for (long {i} = 0; {i} < {whole.code}.count{less}; {i}++) {{\n"
+                first = self._set(s.target.id, Typed(f"{whole.code}.at[{i}]", whole.type.of), pad + "  ")
             case ast.Tuple(elts=elements):
                 values = self._new("values")
                 listed = ", ".join(self._as(e, float) for e in elements)
@@ -275,6 +351,12 @@ class _Function:
             case _:
                 raise self._fail(s.iter)
         return f"{head}{first}{self._block(s.body, depth + 1)}{pad}}}\n"
+
+    def _many(self, node: ast.expr) -> Typed:
+        found = self._expr(node)
+        if not isinstance(found.type, Many):
+            raise self._fail(node)
+        return found
 
     def _assign(self, target: ast.expr, value: ast.expr, pad: str) -> str:
         found = self._expr(value)
@@ -294,11 +376,28 @@ class _Function:
         if name == "_":
             return ""
         known = self._locals.setdefault(name, value.type)
+        code = value.code
         if known is int and value.type is float and name not in self._parameters:
             self._locals[name] = float
-        elif known != value.type and {known, value.type} != {int, float}:
+        elif known == value.type or {known, value.type} == {int, float}:
+            pass
+        elif isinstance(known, Maybe):
+            code = self._fitted(value, known)
+        else:
             raise TranslationError(f"{self._f.__name__}: {name} changes its type")
-        return f"{pad}{_safe(name)} = {value.code};\n"
+        return f"{pad}{_safe(name)} = {code};\n"
+
+    def _fitted(self, value: Typed, t: Type) -> str:
+        """A value where a type is expected that may be None or not."""
+        if value.type == t or not (isinstance(t, Maybe) or isinstance(value.type, Maybe)):
+            return value.code
+        if value.type == Maybe(t):
+            return f"{value.code}.value"
+        if value.type is NoneType:
+            return f"(({self._t.type(t)}){{0}})"
+        if t == Maybe(value.type):
+            return f"(({self._t.type(t)}){{1, {value.code}}})"
+        raise TranslationError(f"{self._f.__name__}: {value.code} is not of the type that is expected")
 
     def _new(self, stem: str) -> str:
         self._count += 1
@@ -306,16 +405,33 @@ class _Function:
 
     def _as(self, node: ast.expr, t: Type) -> str:
         """An expression where a type is expected: tuples take theirs from it."""
-        if isinstance(node, ast.Tuple) and isinstance(t, tuple):
+        if isinstance(node, ast.Tuple) and isinstance(t, tuple) and not isinstance(t, (Maybe, Many)):
             return self._struct(
                 t, [self._as(e, inner) for e, (_, inner) in zip(node.elts, fields_of(t), strict=True)]
             )
-        return self._expr(node).code
+        if isinstance(node, ast.IfExp) and t not in (float, int):
+            test = self._truth(node.test)
+            return f"({test} ? {self._as(node.body, t)} : {self._as(node.orelse, t)})"
+        if isinstance(node, ast.Name) and node.id not in self._locals:
+            value = self._globals.get(node.id)
+            if isinstance(value, tuple) and not hasattr(value, "_fields"):
+                return f"(({self._t.type(t)}){self._t.literal(value, t)})"
+        return self._fitted(self._expr(node), t)
 
     def _struct(self, t: Type, members: Sequence[str]) -> str:
         return f"(({self._t.type(t)}){{{', '.join(members)}}})"
 
     def _expr(self, node: ast.expr) -> Typed:
+        if isinstance(node, ast.Constant) and node.value is None:
+            return Typed("0", NoneType)
+        if (
+            isinstance(node, ast.Name)
+            and node.id not in self._locals
+            and hasattr(value := self._globals.get(node.id), "_fields")
+            and isinstance(value, tuple)
+        ):
+            of = type(value)
+            return Typed(f"(({self._t.type(of)}){self._t.literal(value)})", of)
         constant = self._constant(node)
         if constant is not None:
             return Typed(self._t.literal(constant), float if isinstance(constant, float) else int)
@@ -324,31 +440,49 @@ class _Function:
                 return Typed(_safe(name), self._locals[name])
             case ast.Attribute(value=value, attr=attr):
                 whole = self._expr(value)
-                return Typed(f"{whole.code}.{attr}", dict(fields_of(whole.type))[attr])
-            case ast.Subscript(value=value, slice=ast.Constant(value=int(index))):
-                whole = self._expr(value)
-                field, inner_type = fields_of(whole.type)[index]
-                return Typed(f"{whole.code}.{field}", inner_type)
+                if isinstance(whole.type, Maybe):
+                    whole = Typed(f"{whole.code}.value", whole.type.of)
+                named = dict(fields_of(whole.type))
+                if attr not in named:
+                    raise self._fail(node)
+                return Typed(f"{whole.code}.{attr}", named[attr])
             case ast.Subscript(value=ast.Name(id=name), slice=key) if isinstance(
                 table := self._globals.get(name), dict
             ):
                 return self._looked_up(table, self._expr(key))
+            case ast.Subscript(value=value, slice=key) if isinstance(index := self._constant(key), int):
+                whole = self._expr(value)
+                if isinstance(whole.type, Many):
+                    place = index if index >= 0 else f"{whole.code}.count - {-index}"
+                    return Typed(f"{whole.code}.at[within_({place}, {whole.code}.count)]", whole.type.of)
+                fields = fields_of(whole.type)
+                if not 0 <= index < len(fields):
+                    raise self._fail(node)
+                field, inner_type = fields[index]
+                return Typed(f"{whole.code}.{field}", inner_type)
+            case ast.Subscript(value=value, slice=ast.Name() | ast.Attribute() | ast.BinOp() as key):
+                whole, at = self._many(value), self._expr(key)
+                if at.type is not int:
+                    raise self._fail(node)
+                return Typed(f"{whole.code}.at[within_({at.code}, {whole.code}.count)]", whole.type.of)
             case ast.UnaryOp(op=ast.USub() | ast.UAdd() as op, operand=operand):
                 inner = self._expr(operand)
                 return Typed(f"({'-' if isinstance(op, ast.USub) else '+'}{inner.code})", inner.type)
             case ast.UnaryOp(op=ast.Not(), operand=operand):
-                return Typed(f"(!{self._expr(operand).code})", int)
+                return Typed(f"(!{self._truth(operand)})", int)
             case ast.BinOp(left=left, op=op, right=right):
                 return self._binary(self._expr(left), op, self._expr(right), node)
             case ast.BoolOp(op=op, values=values):
                 sign = " && " if isinstance(op, ast.And) else " || "
-                return Typed("(" + sign.join(self._expr(v).code for v in values) + ")", int)
+                return Typed("(" + sign.join(self._truth(v) for v in values) + ")", int)
             case ast.Compare(left=left, ops=ops, comparators=comparators):
                 return self._compare([left, *comparators], ops, node)
             case ast.IfExp(test=test, body=body, orelse=orelse):
                 a, b = self._expr(body), self._expr(orelse)
+                if a.type != b.type and {a.type, b.type} != {int, float}:
+                    raise self._fail(node)
                 t = a.type if a.type == b.type else float
-                return Typed(f"({self._expr(test).code} ? {a.code} : {b.code})", t)
+                return Typed(f"({self._truth(test)} ? {a.code} : {b.code})", t)
             case ast.Tuple(elts=elements):
                 found = [self._expr(e) for e in elements]
                 t = tuple(e.type for e in found)
@@ -356,6 +490,13 @@ class _Function:
             case ast.Call(func=func, args=args, keywords=keywords):
                 return self._call(func, args, keywords, node)
         raise self._fail(node)
+
+    def _truth(self, node: ast.expr) -> str:
+        """A number that is asked whether it is zero."""
+        found = self._expr(node)
+        if found.type not in (int, float):
+            raise self._fail(node)
+        return found.code
 
     def _constant(self, node: ast.expr) -> int | float | None:
         """The number that an expression without local names stands for."""
@@ -385,6 +526,11 @@ class _Function:
         return Typed(f"((double){a.code} {sign} (double){b.code})", float)
 
     def _compare(self, terms: Sequence[ast.expr], ops: Sequence[ast.cmpop], node: ast.expr) -> Typed:
+        if isinstance(ops[0], (ast.Is, ast.IsNot)):
+            whole = self._expr(terms[0])
+            if not isinstance(whole.type, Maybe) or self._expr(terms[1]).type is not NoneType:
+                raise self._fail(node)
+            return Typed(f"({'!' if isinstance(ops[0], ast.Is) else ''}{whole.code}.some)", int)
         parts = []
         for left, op, right in zip(terms, ops, terms[1:], strict=False):
             a = self._expr(left).code
@@ -415,12 +561,18 @@ class _Function:
     def _call(
         self, func: ast.expr, args: list[ast.expr], keywords: list[ast.keyword], node: ast.expr
     ) -> Typed:
+        if isinstance(func, ast.Attribute) and func.attr == "_replace":
+            return self._replaced(self._expr(func.value), keywords, node)
         try:
             called = eval(compile(ast.Expression(func), "<function>", "eval"), self._globals)
         except (NameError, AttributeError):
             raise self._fail(node) from None
-        if isinstance(called, types.BuiltinFunctionType) or called in (float, int, bool):
+        if called is not len and (
+            isinstance(called, types.BuiltinFunctionType) or called in (float, int, bool)
+        ):
             return self._builtin(called, [self._expr(a) for a in args], node)
+        if called is len and len(args) == 1:
+            return Typed(f"{self._many(args[0]).code}.count", int)
         if not (isinstance(called, types.FunctionType) or hasattr(called, "_fields")):
             raise self._fail(node)
         is_record = isinstance(called, type) and hasattr(called, "_fields")
@@ -432,12 +584,24 @@ class _Function:
             if name in given:
                 codes.append(self._as(given[name], plain(hints[name])))
             elif parameter.default is not parameter.empty:
-                codes.append(self._t.literal(parameter.default))
+                codes.append(self._t.literal(parameter.default, plain(hints[name])))
             else:
                 raise self._fail(node)
         if is_record:
             return Typed(self._struct(called, codes), called)
         return Typed(f"{self._t.function(called)}({', '.join(codes)})", plain(hints["return"]))
+
+    def _replaced(self, whole: Typed, keywords: list[ast.keyword], node: ast.expr) -> Typed:
+        """A record with some fields changed."""
+        if not hasattr(whole.type, "_fields") or isinstance(whole.type, (Maybe, Many)):
+            raise self._fail(node)
+        fields, changed = fields_of(whole.type), {k.arg: k.value for k in keywords}
+        if not set(changed) <= {name for name, _ in fields}:
+            raise self._fail(node)
+        members = [
+            self._as(changed[name], t) if name in changed else f"{whole.code}.{name}" for name, t in fields
+        ]
+        return Typed(self._struct(whole.type, members), whole.type)
 
     def _builtin(self, called: Any, args: Sequence[Typed], node: ast.expr) -> Typed:
         codes = [a.code for a in args]

@@ -6,7 +6,7 @@ Their whole memory is one record. A condition of a row with a debounce counts on
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from pneud.safety.checks import Limits
 from pneud.safety.faults import TABLE, F
@@ -28,6 +28,9 @@ _ENCODER_STUCK, _PRESSURE_STUCK = 1 << F.ENCODER_STUCK, 1 << F.PRESSURE_STUCK
 _PRESSURE_JUMP = 1 << F.PRESSURE_JUMP
 _SEND_BLOCKED, _OVERLOADED = 1 << F.SEND_BLOCKED, 1 << F.OVERLOADED
 
+Since = tuple[int, int, int, int, int, int, int]
+"""When each lasting condition began [ns], −1 where it does not hold."""
+
 # the conditions found here that have to last, and where in Limits stands for how long
 LASTING = (
     _SATURATED_LONG
@@ -39,7 +42,7 @@ LASTING = (
     | _OVERLOADED
 )
 _TIMES = tuple((1 << row.bit, Limits._fields.index(row.debounce)) for row in TABLE if LASTING >> row.bit & 1)
-_NEVER = (-1,) * len(_TIMES)
+_NEVER: Since = (-1, -1, -1, -1, -1, -1, -1)
 _VALVE_PLACE = [bit for bit, _ in _TIMES].index(_VALVE_DISAGREES)
 
 
@@ -64,7 +67,7 @@ class Seen(NamedTuple):
 class Watch(NamedTuple):
     """What has to be remembered from tick to tick."""
 
-    since_ns: tuple[int, ...]  # when each lasting condition began, −1 where it does not hold
+    since_ns: Since
     seen: Seen
 
 
@@ -258,7 +261,7 @@ def look(
     )
 
 
-def _lasted(since: tuple[int, ...], lasting: int, t_ns: int, p: Limits) -> tuple[tuple[int, ...], int]:
+def _lasted(since: Since, lasting: int, t_ns: int, p: Limits) -> tuple[Since, int]:
     """Since when each condition has held, and those that have done so for as long as they have to."""
     begun = []
     bits = 0
@@ -269,4 +272,4 @@ def _lasted(since: tuple[int, ...], lasting: int, t_ns: int, p: Limits) -> tuple
             if t_ns - began_ns >= p[time]:
                 bits |= bit
         begun.append(began_ns)
-    return tuple(begun), bits
+    return cast(Since, tuple(begun)), bits
