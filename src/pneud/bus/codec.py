@@ -53,11 +53,12 @@ class DatabaseError(Exception):
 class Codec:
     """One message in one role.
 
-    `decode`, `counter` and `valid` take the frame's bytes. `decode` and `counter` expect bytes that are
+    `decode`, `counter`, `valid`, `check` take the frame's bytes. `decode` and `counter` expect bytes that are
     `valid`: the message's length and, where it has one, the right checksum. `decode` yields floats in SI
     units, and ints for numbers without a dimension. `encode` takes the values in the order of the role,
     then `counter`; it rounds half to even, leaves reserved bits zero and raises ValueError for what the
-    signal cannot carry. `counter_mask` is 0 without a counter. The rest is for those who
+    signal cannot carry. `check` yields the counter of what is valid, and −1 of what is not. `counter_mask` is 0
+    without a counter. The rest is for those who
     judge many frames at once: where counter and age lie, and whether the last byte is a checksum.
     """
 
@@ -68,6 +69,7 @@ class Codec:
     decode: Callable[[bytes], tuple[Any, ...]]
     counter: Callable[[bytes], int]
     valid: Callable[[bytes], bool]
+    check: Callable[[bytes], int]
     counter_field: Field | None
     age_field: Field | None
     crc: bool

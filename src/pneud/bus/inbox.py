@@ -180,21 +180,21 @@ class Inbox:
         if origin.surplus <= 2 * _SURPLUS:
             origin.surplus += 1
         codec = origin.codec
-        if not codec.valid(data):
+        counter = codec.check(data)
+        if counter < 0:
             self._crc += 1
             origin.corrupt += 1
             origin.defects |= _CORRUPT
             return
-        mask = codec.counter_mask
-        if mask:
-            counter = codec.counter(data)
+        if codec.counter_mask:
             if origin.counter >= 0:
-                step = (counter - origin.counter) & mask
+                step = (counter - origin.counter) & codec.counter_mask
                 if step == 0:
                     self._stale += 1
                     origin.defects |= _FROZEN
                     return
-                self._lost += max(0, step - 1 - origin.corrupt)
+                if step != 1:
+                    self._lost += max(0, step - 1 - origin.corrupt)
             origin.counter = counter
             origin.corrupt = 0
         values = codec.decode(data)
@@ -234,6 +234,9 @@ class Inbox:
         else:
             offset_ns = encoder.sample_ns - self._encoder_wire_ns - t_ns
         self._fresh = 0
+        ages_ns = (
+            (0, 0, 0) if fresh == ALL_SOURCES else tuple(o.age_ns(t_ns, fresh) for o in self._sources)
+        )
         return Measurement(
             t_ns,
             fresh,
@@ -244,9 +247,7 @@ class Inbox:
             applied_v,
             status,
             valve_state,
-            encoder.age_ns(t_ns, fresh),
-            pressure.age_ns(t_ns, fresh),
-            valve.age_ns(t_ns, fresh),
+            *ages_ns,
             encoder.defects,
             pressure.defects,
             valve.defects,

@@ -1,4 +1,4 @@
-"""Functions compiled from the layout of one message: encode, decode, counter and valid.
+"""Functions compiled from the layout of one message: encode, decode, counter, valid and check.
 
 The Python source is generated once, at start-up. Where every signal fills whole bytes it is a single
 `struct` call, otherwise shifts and masks on the frame taken as one integer. Nothing that a user wrote gets
@@ -48,6 +48,7 @@ class Functions(NamedTuple):
     decode: Callable[[bytes], tuple[Any, ...]]
     counter: Callable[[bytes], int]
     valid: Callable[[bytes], bool]
+    check: Callable[[bytes], int]
 
 
 def compile_functions(
@@ -90,10 +91,11 @@ def compile_functions(
             *_decode_source(fields, aligned, present, length),
             *_counter_source(counter, length),
             *_valid_source(length, chain if crc else None),
+            *_check_source(counter, length, chain if crc else None),
         )
     )
     exec(compile(source, f"<codec of 0x{can_id:03X}>", "exec"), scope)
-    return Functions(scope["encode"], scope["decode"], scope["counter_of"], scope["valid"])
+    return Functions(*(scope[name] for name in ("encode", "decode", "counter_of", "valid", "check")))
 
 
 def bit_range(length: int, signed: bool) -> tuple[int, int]:
@@ -238,6 +240,19 @@ def _valid_source(length: int, chain: str | None) -> list[str]:
         "        return False",
         f"    {''.join(f'b{i}, ' for i in range(length))} = data",
         f"    return {chain} == b{length - 1} ^ {crc8.FINAL_XOR}",
+    ]
+
+
+def _check_source(counter: Field | None, length: int, chain: str | None) -> list[str]:
+    if counter is None or chain is None or counter.length != 8 or _byte_span(counter) is None:
+        return ["def check(data):", "    return counter_of(data) if valid(data) else -1"]
+    # both at once, since this is done with every frame
+    return [
+        "def check(data):",
+        f"    if len(data) != {length}:",
+        "        return -1",
+        f"    {''.join(f'b{i}, ' for i in range(length))} = data",
+        f"    return b{counter.start // 8} if {chain} == b{length - 1} ^ {crc8.FINAL_XOR} else -1",
     ]
 
 
