@@ -236,7 +236,7 @@ def test_a_library_that_does_not_load_is_named(elsewhere: Path) -> None:
     folder = cache_folder()
     assert folder == elsewhere
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
-    (folder / f"{build._key(build.compiler())}.so").write_text("no library")
+    (folder / f"{build._key(build.compiler(), build._files())}.so").write_text("no library")
     assert "cannot be loaded" in law("auto", PARAMETERS).reason
 
 

@@ -52,7 +52,7 @@ class Faulty:
     def fileno(self) -> int:
         return 0
 
-    def drain(self, offset_ns: int, into: list[Frame]) -> int:
+    def drain(self, offset_ns: int, into: list[Frame], wait_ns: int = 0) -> int:
         into.append(Frame(1 - offset_ns, 2, b""))
         if self.error:
             raise OSError(self.error, "told so")

@@ -197,14 +197,13 @@ class Loop:
                 left_ns = limit_ns - clock()
                 if left_ns <= 0:
                     break
-                if link.wait(left_ns * 1e-9):
-                    seen = len(frames)
-                    if link.drain(frames):
-                        for frame in frames[seen:]:
-                            inbox.feed(frame)
-                    elif link.down:
-                        # a dead interface is always readable: sleep, or this would spin at high priority
-                        time.sleep(max(0.0, (limit_ns - clock()) * 1e-9))
+                seen = len(frames)
+                if link.drain(frames, left_ns):
+                    for frame in frames[seen:]:
+                        inbox.feed(frame)
+                elif link.down:
+                    # a dead interface is always readable: sleep, or this would spin at high priority
+                    time.sleep(max(0.0, (limit_ns - clock()) * 1e-9))
             set_ns = clock()
             if inbox.complete and inbox.sync and len(frames) > before:
                 # early at once, later by and by: the loop is awake before the last frame of a set

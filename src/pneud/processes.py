@@ -16,6 +16,7 @@ from typing import NamedTuple, NoReturn
 
 from pneud.bus.codec import Codecs
 from pneud.bus.link import Link, LinkError, open_link
+from pneud.bus.wire import Receive
 from pneud.config import Config
 from pneud.console.desk import Run
 from pneud.console.process import serve as serve_console
@@ -87,6 +88,7 @@ def fork_plant(
     truth: mmap.mmap,
     priority: int,
     advance: Advance,
+    receive: Receive,
     stage: Stage | None = None,
 ) -> int:
     """The software plant on the same bus.
@@ -100,6 +102,7 @@ def fork_plant(
         truth: shared memory for the true positions.
         priority: real-time priority to try for, since frames that come late are not what a real bus does.
         advance: what integrates the plant.
+        receive: what takes frames from the bus.
         stage: a scenario to play.
     """
     parent = os.getpid()
@@ -115,7 +118,7 @@ def fork_plant(
         signal.signal(signal.SIGTERM, stop)
         setup.die_with_parent(parent)
         inherited.close()
-        with open_link(channel, virtual=True) as link:
+        with open_link(channel, virtual=True, receive=receive) as link:
             engine = stage.engine(p, codecs, seed, advance) if stage is not None else None
             node = engine.node if engine is not None else PlantNode(p, codecs, seed, advance=advance)
             setup.apply(priority, None, False)

@@ -57,9 +57,9 @@ class Codec:
     `valid`: the message's length and, where it has one, the right checksum. `decode` yields floats in SI
     units, and ints for numbers without a dimension. `encode` takes the values in the order of the role,
     then `counter`; it rounds half to even, leaves reserved bits zero and raises ValueError for what the
-    signal cannot carry. `check` yields the counter of what is valid, and −1 of what is not. `counter_mask` is 0
-    without a counter. The rest is for those who
-    judge many frames at once: where counter and age lie, and whether the last byte is a checksum.
+    signal cannot carry. `check` yields the counter of what is valid, and −1 of what is not. `counter_mask` is
+    0 without a counter. The rest is for those who judge many frames at once: where counter and age lie, and
+    whether the last byte is a checksum.
     """
 
     can_id: int

@@ -234,9 +234,9 @@ class Inbox:
         else:
             offset_ns = encoder.sample_ns - self._encoder_wire_ns - t_ns
         self._fresh = 0
-        ages_ns = (
-            (0, 0, 0) if fresh == ALL_SOURCES else tuple(o.age_ns(t_ns, fresh) for o in self._sources)
-        )
+        encoder_ns = pressure_ns = valve_ns = 0
+        if fresh != ALL_SOURCES:
+            encoder_ns, pressure_ns, valve_ns = (o.age_ns(t_ns, fresh) for o in self._sources)
         return Measurement(
             t_ns,
             fresh,
@@ -247,7 +247,9 @@ class Inbox:
             applied_v,
             status,
             valve_state,
-            *ages_ns,
+            encoder_ns,
+            pressure_ns,
+            valve_ns,
             encoder.defects,
             pressure.defects,
             valve.defects,

@@ -1,7 +1,7 @@
 """The link: what the control loop and the plant hold of a bus, whatever carries it.
 
-Everything here is non-blocking except `wait`. Kernel stamps are CLOCK_REALTIME; they leave as
-CLOCK_MONOTONIC, with an offset measured when the link is opened and on request.
+Nothing here blocks but `wait`, and `drain` where it is asked to. Kernel stamps are CLOCK_REALTIME; they leave
+as CLOCK_MONOTONIC, with an offset measured when the link is opened and on request.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Carrier(Protocol):
     """What a link needs of the thing that carries frames."""
 
     def fileno(self) -> int: ...  # noqa: D102
-    def drain(self, offset_ns: int, into: list[Frame]) -> int: ...  # noqa: D102
+    def drain(self, offset_ns: int, into: list[Frame], wait_ns: int = 0) -> int: ...  # noqa: D102
     def send(self, packet: bytes) -> None: ...  # noqa: D102
     def close(self) -> None: ...  # noqa: D102
     @property
@@ -90,15 +90,20 @@ class Link:
         """One descriptor that is readable when there is something to drain."""
         return self._descriptors[0]
 
-    def drain(self, into: list[Frame]) -> int:
-        """Append everything that has arrived, in order of its CLOCK_MONOTONIC stamps; never waits.
+    def drain(self, into: list[Frame], wait_ns: int = 0) -> int:
+        """Append everything that has arrived, in order of its CLOCK_MONOTONIC stamps.
+
+        Args:
+            into: where to.
+            wait_ns: how long to wait for something to happen; 0 never waits. What happens may be no frame:
+                parties that come and go end it, too.
 
         Returns:
             How many frames came.
         """
         before = len(into)
         try:
-            return self._drain(self.realtime_offset_ns, into)
+            return self._drain(self.realtime_offset_ns, into, wait_ns)
         except OSError as e:
             if e.errno in _DOWN:
                 self.down = True
@@ -164,24 +169,25 @@ class Link:
         self._carrier.close()
 
 
-def open_link(channel: str, *, virtual: bool = False) -> Link:
+def open_link(channel: str, *, virtual: bool = False, receive: wire.Receive = wire.receive) -> Link:
     """Open a bus.
 
     Args:
         channel: "socketcan:IF", "unixcan:NAME", or "auto": vcan0 if it is up and idle, else a new unixcan.
         virtual: refuse what might lead to real devices.
+        receive: `wire.receive` or its twin.
 
     Raises:
         LinkError: with `exit_code` 3 where the machine lacks something, 2 for a channel that may not be used.
     """
     if channel == "auto":
-        return _open_auto()
+        return _open_auto(receive)
     kind, _, name = channel.partition(":")
     try:
         if kind == "socketcan" and name:
-            return Link(channel, SocketCan(name, virtual=virtual))
+            return Link(channel, SocketCan(name, virtual=virtual, receive=receive))
         if kind == "unixcan" and name:
-            return Link(channel, Party(name, answers=True))
+            return Link(channel, Party(name, answers=True, receive=receive))
     except NotVirtualError as e:
         raise LinkError(str(e), USAGE) from None
     except (SocketCanError, UnixCanError) as e:
@@ -219,11 +225,13 @@ def refuse_if_driven(
                 )
 
 
-def _open_auto() -> Link:
+def _open_auto(receive: wire.Receive) -> Link:
     reason = _why_not(_AUTO_INTERFACE)
     if not reason:
         try:
-            link = Link(f"socketcan:{_AUTO_INTERFACE}", SocketCan(_AUTO_INTERFACE, virtual=True))
+            link = Link(
+                f"socketcan:{_AUTO_INTERFACE}", SocketCan(_AUTO_INTERFACE, virtual=True, receive=receive)
+            )
         except SocketCanError as e:
             reason = str(e).partition(": ")[2].partition(";")[0]
         else:
@@ -233,7 +241,7 @@ def _open_auto() -> Link:
             link.close()
             reason = f"{_AUTO_INTERFACE} carries traffic"
     channels()  # which removes what dead ones have left
-    link = open_link(f"unixcan:auto-{os.getpid()}-{secrets.token_hex(2)}")
+    link = open_link(f"unixcan:auto-{os.getpid()}-{secrets.token_hex(2)}", receive=receive)
     link.note = f"bus {link.name} ({reason})"
     return link
 

@@ -15,7 +15,6 @@ accepted yet.
 
 from __future__ import annotations
 
-import errno
 import os
 import secrets
 import select
@@ -51,7 +50,14 @@ class Party:
     for as long as others join or leave.
     """
 
-    def __init__(self, channel: str, *, answers: bool = False, hear_self: bool = False) -> None:
+    def __init__(
+        self,
+        channel: str,
+        *,
+        answers: bool = False,
+        hear_self: bool = False,
+        receive: wire.Receive = wire.receive,
+    ) -> None:
         """Join `channel`.
 
         Args:
@@ -59,6 +65,7 @@ class Party:
             answers: it will send, so that those who may only listen are served before it. Who does not say so
                 is found out when it first sends.
             hear_self: receive the own frames too.
+            receive: `wire.receive` or its twin.
 
         Raises:
             UnixCanError: a bad name, or a folder or socket that cannot be made.
@@ -72,7 +79,9 @@ class Party:
         self._targets: tuple[socket.socket, ...] = ()
         self._deaf: socket.socket | None = None  # the end on which the own frames come back
         self._changing = threading.Lock()
-        self._reader = wire.Reader()
+        self._receive = receive
+        self._counts = wire.counts()
+        self._sources: dict[int, socket.socket] = {}  # those that have sent something
         self._owner = os.getpid()
         self._manner = _ANSWERS if answers else _LISTENS
         self._closed = False
@@ -110,43 +119,51 @@ class Party:
         """How many others are on the channel, as far as this one has noticed."""
         return len(self._targets) - (self._deaf is not None)
 
-    def drain(self, offset_ns: int, into: list[Frame]) -> int:
+    def drain(self, offset_ns: int, into: list[Frame], wait_ns: int = 0) -> int:
         """Append everything that has arrived, in the order of its stamps; also lets others join and leave.
 
         Args:
             offset_ns: what to take from the kernel's CLOCK_REALTIME stamps.
             into: where to.
+            wait_ns: how long to wait for something to happen.
 
         Returns:
             How many frames came.
         """
-        frames: list[Frame] = []
-        poll, read, peers, talkers = self._epoll.poll, self._reader.read, self._peers, self._talkers
-        source, several = -1, False
-        # Until nothing is left: then whatever caused a frame at hand is at hand, too.
-        while len(frames) < _MOST_AT_ONCE and (ready := poll(0, 16)):
-            for descriptor, _ in ready:
-                sock = peers.get(descriptor)
-                if sock is None:
-                    self.admit()
-                    continue
-                several = several or descriptor != source != -1
-                source = descriptor
-                before = len(frames)
-                try:
-                    alive = read(sock, offset_ns, frames)
-                except OSError as e:
-                    # a reset comes ahead of what the other end had sent before it died
-                    alive = e.errno == errno.ECONNRESET
-                if len(frames) > before and descriptor not in talkers:
-                    talkers.add(descriptor)
-                    self._retarget()
-                if not alive:
-                    self._forget(descriptor)
-        if several:
-            frames.sort(key=_STAMP)
-        into += frames
-        return len(frames)
+        begin, orderly = len(into), True
+        while True:
+            try:
+                found = self._receive(
+                    self._epoll, self._sources, offset_ns, into, _MOST_AT_ONCE, wait_ns, self._counts, Frame
+                )
+            except OSError:
+                continue  # whoever has gone for good shows as closed next
+            if found < 0:
+                break
+            wait_ns, orderly = 0, False
+            self._attend(found, offset_ns, into)
+        if found == wire.UNORDERED or not orderly:
+            into[begin:] = sorted(into[begin:], key=_STAMP)
+        return len(into) - begin
+
+    def _attend(self, descriptor: int, offset_ns: int, into: list[Frame]) -> None:
+        """Somebody knocks, speaks for the first time, or has left."""
+        sock = self._peers.get(descriptor)
+        if sock is None:
+            self.admit()
+            return
+        before = len(into)
+        try:
+            alive = wire.take(sock, offset_ns, into, self._counts)
+        except OSError:
+            alive = False
+        if len(into) > before:
+            self._sources[descriptor] = sock
+            if descriptor not in self._talkers:
+                self._talkers.add(descriptor)
+                self._retarget()
+        if not alive:
+            self._forget(descriptor)
 
     def send(self, packet: bytes) -> None:
         """Hand one packed frame to everybody; who has no room for it loses it."""
@@ -245,6 +262,7 @@ class Party:
     def _forget(self, descriptor: int) -> None:
         with self._changing:
             sock = self._peers.pop(descriptor, None)
+        self._sources.pop(descriptor, None)
         self._talkers.discard(descriptor)
         self._retarget()
         if sock is not None:

@@ -32,18 +32,22 @@ class NotVirtualError(SocketCanError):
 class SocketCan:
     """A bus of the kernel."""
 
-    def __init__(self, interface: str, *, virtual: bool = False) -> None:
+    def __init__(
+        self, interface: str, *, virtual: bool = False, receive: wire.Receive = wire.receive
+    ) -> None:
         """Open `interface`.
 
         Args:
             interface: such as can0.
             virtual: refuse whatever is not of kind vcan.
+            receive: `wire.receive` or its twin.
 
         Raises:
             NotVirtualError: not of kind vcan, though `virtual`.
             SocketCanError: no SocketCAN, no such interface, not up, no permission.
         """
-        self._reader = wire.Reader()
+        self._receive = receive
+        self._counts = wire.counts()
         self._name, self._virtual = interface, virtual
         self._check(interface, virtual)
         try:
@@ -53,6 +57,7 @@ class SocketCan:
         except OSError as e:
             raise SocketCanError(_reason(interface, e)) from None
         self._epoll = select.epoll()
+        self._sources = {self._socket.fileno(): self._socket}
         try:
             self._configure(interface)
         except OSError as e:
@@ -62,22 +67,22 @@ class SocketCan:
     @property
     def dropped(self) -> int:
         """Frames that found the receive queue full."""
-        return self._reader.dropped
+        return self._counts[wire.DROPPED]
 
     def fileno(self) -> int:
         """A descriptor that is readable when there is something to drain."""
         return self._epoll.fileno()
 
-    def drain(self, offset_ns: int, into: list[Frame]) -> int:
-        """Append everything that has arrived, and tell how much that was.
+    def drain(self, offset_ns: int, into: list[Frame], wait_ns: int = 0) -> int:
+        """Append everything that has arrived, after waiting for something to happen if need be.
 
         Raises:
             OSError: the interface went down (ENETDOWN) or away (ENODEV).
         """
         before = len(into)
-        poll, read, sock = self._epoll.poll, self._reader.read, self._socket
-        while len(into) - before < _MOST_AT_ONCE and poll(0, 1):
-            read(sock, offset_ns, into)
+        self._receive(
+            self._epoll, self._sources, offset_ns, into, _MOST_AT_ONCE, wait_ns, self._counts, Frame
+        )
         return len(into) - before
 
     def send(self, packet: bytes) -> None:

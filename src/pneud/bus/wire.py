@@ -1,13 +1,18 @@
 """Classic CAN frames as the kernel lays them out, and the one way of reading them from a socket.
 
 SocketCAN and unixcan both carry `struct can_frame` in packets and stamp each on arrival, so they share this.
+`receive.c` beside this file is `receive` in C.
 """
 
 from __future__ import annotations
 
+import select
 import socket
 import struct
 import time
+from array import array
+from pathlib import Path
+from typing import Protocol
 
 from pneud.signals import Frame
 
@@ -59,48 +64,116 @@ def realtime_offset_ns(attempts: int = 5) -> int:
     return offset
 
 
-class Reader:
-    """Reads packets into a buffer made once; not for several threads.
+SOURCE = Path(__file__).with_name("receive.c")
+ORDERED, UNORDERED = -1, -2  # everything has been taken; in the order of its stamps, or perhaps not
 
-    It takes one packet at a time: to ask an epoll set for more costs a fifth of trying in vain.
+
+class Receive(Protocol):
+    """`receive`, or its twin in C."""
+
+    def __call__(  # noqa: D102
+        self,
+        epoll: select.epoll,
+        sources: dict[int, socket.socket],
+        offset_ns: int,
+        into: list[Frame],
+        most: int,
+        wait_ns: int,
+        counts: array[int],
+        class_: type[Frame],
+        /,
+    ) -> int: ...
+
+
+DROPPED, MALFORMED = 0, 1  # places in the counts
+
+
+def counts() -> array[int]:
+    """Two counts for `receive`: packets that found the receive queue full, packets that are no frame."""
+    return array("q", (0, 0))
+
+
+def receive(
+    epoll: select.epoll,
+    sources: dict[int, socket.socket],
+    offset_ns: int,
+    into: list[Frame],
+    most: int,
+    wait_ns: int,
+    counts: array[int],
+    class_: type[Frame],
+    /,
+) -> int:
+    """Append what waits at the sockets of an epoll set until nothing is left; one packet at a time.
+
+    Args:
+        epoll: the set, level-triggered.
+        sources: the non-blocking sockets in it that frames are expected from, by descriptor.
+        offset_ns: what to take from the kernel's stamps.
+        into: where to.
+        most: how many frames may come at the most, or a few more.
+        wait_ns: how long to wait for something to happen.
+        counts: as from `counts`.
+        class_: of the frames.
+
+    Returns:
+        `ORDERED` or `UNORDERED`; or, before everything has been taken, a descriptor that is no source, or one
+        whose other end has closed.
+
+    Raises:
+        OSError: of a source.
     """
+    if wait_ns > 0:
+        select.select((epoll,), (), (), wait_ns * 1e-9)
+    enough, last_ns, found = len(into) + most, 0, ORDERED
+    while len(into) < enough and (ready := epoll.poll(0, 16)):
+        for descriptor, _ in ready:
+            sock = sources.get(descriptor)
+            if sock is None or not take(sock, offset_ns, into, counts, class_):
+                return descriptor
+            if into:
+                stamp_ns = into[-1].stamp_ns
+                if stamp_ns < last_ns:
+                    found = UNORDERED
+                last_ns = stamp_ns
+    return found
 
-    def __init__(self) -> None:
-        self._packet = bytearray(PACKET.size + 1)  # one more, so that a longer packet shows
-        self._buffers = (memoryview(self._packet),)
-        self.dropped = 0  # packets that found the receive queue full, as the kernel counts them
-        self.malformed = 0  # packets that are no frame
 
-    def read(self, sock: socket.socket, offset_ns: int, into: list[Frame]) -> bool:
-        """Append the next frame that waits in a non-blocking socket, if there is one.
+def take(
+    sock: socket.socket, offset_ns: int, into: list[Frame], counts: array[int], class_: type[Frame] = Frame
+) -> bool:
+    """Append the next frame that waits in a non-blocking socket, if there is one.
 
-        Args:
-            sock: where from.
-            offset_ns: what to take from the kernel's stamp.
-            into: where to.
+    Args:
+        sock: where from.
+        offset_ns: what to take from the kernel's stamp.
+        into: where to.
+        counts: as from `counts`.
+        class_: of the frame.
 
-        Returns:
-            False where the other end has closed and everything has been read.
+    Returns:
+        False where the other end has closed and everything has been read.
 
-        Raises:
-            OSError: other than that nothing waits.
-        """
-        try:
-            count, ancillary, _, _ = sock.recvmsg_into(self._buffers, _ANCILLARY)
-        except BlockingIOError:
-            return True
-        if count == 0:
-            return False
-        can_id, length, data = PACKET.unpack_from(self._packet)
-        if count != PACKET.size or length > 8:
-            self.malformed += 1
-            return True
-        stamp_ns = 0
-        for _, kind, value in ancillary:
-            if kind == _SO_TIMESTAMPNS:
-                seconds, nanoseconds = _TIMESPEC.unpack(value)
-                stamp_ns = seconds * 1_000_000_000 + nanoseconds - offset_ns
-            elif kind == _SO_RXQ_OVFL:
-                self.dropped = _COUNT.unpack(value)[0]
-        into.append(Frame(stamp_ns, can_id, data[:length]))
+    Raises:
+        OSError: other than that nothing waits.
+    """
+    packet = bytearray(PACKET.size + 1)  # one more, so that a longer packet shows
+    try:
+        count, ancillary, _, _ = sock.recvmsg_into((packet,), _ANCILLARY)
+    except (BlockingIOError, ConnectionResetError):
+        return True  # a reset comes ahead of what the other end had sent before it died
+    if count == 0:
+        return False
+    can_id, length, data = PACKET.unpack_from(packet)
+    if count != PACKET.size or length > 8:
+        counts[MALFORMED] += 1
         return True
+    stamp_ns = 0
+    for _, kind, value in ancillary:
+        if kind == _SO_TIMESTAMPNS:
+            seconds, nanoseconds = _TIMESPEC.unpack(value)
+            stamp_ns = seconds * 1_000_000_000 + nanoseconds - offset_ns
+        elif kind == _SO_RXQ_OVFL:
+            counts[DROPPED] = _COUNT.unpack(value)[0]
+    into.append(class_(stamp_ns, can_id, data[:length]))
+    return True

@@ -36,7 +36,7 @@ _SOURCES = (
     "plant",
     "compiled",
 )
-_KEPT = 8  # builds of other interpreters, compilers and versions that stay
+_KEPT = 16  # builds of other interpreters, compilers and versions that stay
 _PATIENCE_S = 60.0
 
 
@@ -86,52 +86,74 @@ def load(functions: Sequence[Callable[..., Any]]) -> Built:
     Raises:
         BuildError: it cannot be built or loaded.
     """
-    cc = compiler()
-    try:
-        folder = cache_folder()
-        library = folder / f"{_key(cc)}.so"
-        if not library.exists():
-            _build(functions, cc, library)
-            for old in sorted(folder.glob("*.so"), key=lambda path: path.stat().st_mtime)[:-_KEPT]:
-                old.unlink(missing_ok=True)
-    except (OSError, RuntimeError) as e:  # RuntimeError: no home
-        raise BuildError(str(e)) from None
-    try:
-        loader = ExtensionFileLoader(MODULE, str(library))
-        spec = spec_from_loader(MODULE, loader)
-        assert spec is not None
-        module = module_from_spec(spec)
-    except ImportError as e:
-        raise BuildError(f"{library} cannot be loaded: {e}") from None
+
+    def translated() -> str:
+        # slow to import, and seldom needed
+        from pneud.compiled.extension import Extension  # noqa: PLC0415
+
+        return Extension(functions, MODULE).source
+
+    module = _module(MODULE, _files(), translated)
     names = (name.split(":") for name in module.CLASSES.split())
     originals = list(functions)
     module.bind(originals, tuple(getattr(import_module(where), name) for where, name in names))
     return Built([getattr(module, f"f{i}") for i in range(len(functions))], originals)
 
 
-def _key(cc: Path) -> str:
+def load_source(source: Path) -> Any:
+    """The extension module pneud_STEM of a C file, built if need be.
+
+    Raises:
+        BuildError: it cannot be built or loaded.
+    """
+    return _module(f"pneud_{source.stem}", [source], source.read_text)
+
+
+def _files() -> list[Path]:
+    """All that a translation depends on."""
+    paths = [_PACKAGE / part for part in _SOURCES]
+    return [file for path in paths for file in ([path] if path.is_file() else sorted(path.glob("*.py")))]
+
+
+def _module(name: str, files: Sequence[Path], source: Callable[[], str]) -> Any:
+    """A module made of a C source that depends on some files."""
+    cc = compiler()
+    try:
+        folder = cache_folder()
+        library = folder / f"{_key(cc, files)}.so"
+        if not library.exists():
+            _build(source, cc, library)
+            for old in sorted(folder.glob("*.so"), key=lambda path: path.stat().st_mtime)[:-_KEPT]:
+                old.unlink(missing_ok=True)
+    except (OSError, RuntimeError) as e:  # RuntimeError: no home
+        raise BuildError(str(e)) from None
+    try:
+        spec = spec_from_loader(name, ExtensionFileLoader(name, str(library)))
+        assert spec is not None
+        return module_from_spec(spec)
+    except ImportError as e:
+        raise BuildError(f"{library} cannot be loaded: {e}") from None
+
+
+def _key(cc: Path, files: Sequence[Path]) -> str:
     digest = hashlib.sha256()
-    for part in _SOURCES:
-        path = _PACKAGE / part
-        for file in (path,) if path.is_file() else sorted(path.glob("*.py")):
-            digest.update(file.read_bytes())
+    for file in files:
+        digest.update(file.read_bytes())
     found = cc.stat()
     words = (*EXACT, sysconfig.get_config_var("SOABI"), str(cc), str(found.st_mtime_ns), str(found.st_size))
     digest.update(repr(words).encode())
     return digest.hexdigest()[:24]
 
 
-def _build(functions: Sequence[Callable[..., Any]], cc: Path, library: Path) -> None:
-    # slow to import, and seldom needed
-    from pneud.compiled.extension import Extension  # noqa: PLC0415
-    from pneud.compiled.to_c import TranslationError  # noqa: PLC0415
+def _build(make: Callable[[], str], cc: Path, library: Path) -> None:
+    from pneud.compiled.to_c import TranslationError  # noqa: PLC0415 - likewise
 
     include = sysconfig.get_path("include")
     if not (Path(include) / "Python.h").exists():
         raise BuildError(f"{include} has no Python.h: apt install python3-dev")
     source, made = (library.with_suffix(f".{os.getpid()}.{kind}") for kind in ("c", "tmp"))
     try:
-        source.write_text(Extension(functions, MODULE).source)
+        source.write_text(make())
         command: list[str | Path] = [cc, *EXACT, "-shared", "-fPIC", "-I", include, "-o", made, source, "-lm"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=_PATIENCE_S, check=False)
         if done.returncode:

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 
 from pneud import core
 from pneud.axis import Axis, AxisParameters, cycle
-from pneud.compiled.build import BuildError, load
+from pneud.bus import wire
+from pneud.compiled.build import BuildError, load, load_source
 from pneud.compiled.rebinding import rebound
 from pneud.control.reference import at, sine
 from pneud.control.step import join
@@ -35,15 +36,16 @@ _NOISE_PA = 2e4  # so that the command goes from end to end
 
 
 class Law(NamedTuple):
-    """How axis and plant are computed."""
+    """How axis and plant are computed, and frames received."""
 
     axis: Callable[[AxisParameters], Axis]
     advance: Callable[..., dynamics.PlantState]
+    receive: wire.Receive
     name: str  # for the log
     reason: str = ""  # why it is not the compiled one
 
 
-INTERPRETED = Law(Axis, dynamics.advance, "python")
+INTERPRETED = Law(Axis, dynamics.advance, wire.receive, "python")
 
 
 def law(mode: str, p: AxisParameters) -> Law:
@@ -81,7 +83,7 @@ def compiled() -> Law:
     # a tick of which C cannot do all is done in parts
     built.originals[FUNCTIONS.index(cycle)] = rebound(cycle, by)  # type: ignore[arg-type]  # it is a plain function
     axis = type("CompiledAxis", (Axis,), {"_cycle": staticmethod(whole)})
-    return Law(axis, by[dynamics.advance], "compiled")
+    return Law(axis, by[dynamics.advance], load_source(wire.SOURCE).receive, "compiled")
 
 
 def sample(one: Law, p: AxisParameters) -> list[str]:

@@ -92,7 +92,7 @@ def run(o: RunOptions) -> int:
         print(f"pneud: the law runs in Python: {how.reason}", file=sys.stderr)
     log_file, descriptor = open_log(o.log, axis.config.name)
     try:
-        link = open_link(channel, virtual=o.virtual)
+        link = open_link(channel, virtual=o.virtual, receive=how.receive)
         if channel != "auto":
             own = (codecs.sync.can_id, codecs.valve_command.can_id)
             refuse_if_driven(link, own, listening_s(axis.config))
@@ -195,6 +195,7 @@ def _run(
                 memory,
                 max(0, config.realtime.priority - 10),
                 how.advance,
+                how.receive,
                 stage,
             )
             if stage is not None and stage.scenario.orders:

@@ -1,0 +1,179 @@
+"""Frames taken from sockets: Python's way and the one in C take the same, in the same order."""
+
+from __future__ import annotations
+
+import select
+import shutil
+import socket
+import struct
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pneud.bus import wire
+from pneud.compiled.build import load_source
+from pneud.signals import Frame
+
+if shutil.which("cc") is None:  # the loop goes without, too
+    WAYS: dict[str, wire.Receive] = {"python": wire.receive}
+else:
+    WAYS = {"python": wire.receive, "c": load_source(wire.SOURCE).receive}
+
+MOST = 1000
+
+
+@pytest.fixture(params=WAYS)
+def receive(request: pytest.FixtureRequest) -> wire.Receive:
+    return WAYS[request.param]
+
+
+class Ends:
+    """Some pairs of sockets in one epoll set."""
+
+    def __init__(self, count: int) -> None:
+        self.pairs = [socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET) for _ in range(count)]
+        self.epoll = select.epoll()
+        for ours, _ in self.pairs:
+            ours.setblocking(False)
+            wire.stamp_arrivals(ours)
+            self.epoll.register(ours, select.EPOLLIN)
+        self.sources = {ours.fileno(): ours for ours, _ in self.pairs}
+        self.counts = wire.counts()
+        self.frames: list[Frame] = []
+
+    def take(self, receive: wire.Receive, *, wait_ns: int = 0, most: int = MOST, offset_ns: int = 0) -> int:
+        return receive(self.epoll, self.sources, offset_ns, self.frames, most, wait_ns, self.counts, Frame)
+
+
+@contextmanager
+def ends(count: int = 1) -> Iterator[Ends]:
+    made = Ends(count)
+    try:
+        yield made
+    finally:
+        made.epoll.close()
+        for pair in made.pairs:
+            for end in pair:
+                end.close()
+
+
+def packet(can_id: int, data: bytes) -> bytes:
+    return wire.PACKET.pack(can_id, len(data), data)
+
+
+packets = st.one_of(
+    st.builds(packet, st.integers(0, 2**32 - 1), st.binary(max_size=8)),
+    st.binary(min_size=1, max_size=40),
+    st.binary(min_size=16, max_size=16),
+)
+
+
+@given(st.lists(st.tuples(st.integers(0, 2), packets), max_size=20))
+def test_both_ways_take_the_same(sent: list[tuple[int, bytes]]) -> None:
+    taken = []
+    for receive in WAYS.values():
+        with ends(3) as some:
+            for source, data in sent:
+                some.pairs[source][1].send(data)
+            found = some.take(receive)
+            stamps = [frame.stamp_ns for frame in some.frames]
+            assert all(a <= b for a, b in pairwise(stamps)) or found == wire.UNORDERED
+            assert all(type(frame) is Frame for frame in some.frames)
+            by_stamp = sorted(some.frames)
+            taken.append(([frame[1:] for frame in by_stamp], list(some.counts)))
+            assert some.take(receive) == wire.ORDERED
+            assert len(some.frames) + some.counts[wire.MALFORMED] == len(sent)
+    assert all(one == taken[0] for one in taken)
+
+
+def test_stamps_are_of_arrival_less_the_offset(receive: wire.Receive) -> None:
+    with ends() as some:
+        before = time.time_ns()
+        some.pairs[0][1].send(packet(0x181, b"12345678"))
+        after = time.time_ns()
+        assert some.take(receive, offset_ns=1_000_000) == wire.ORDERED
+        (frame,) = some.frames
+        assert before - 1_000_000 <= frame.stamp_ns <= after - 1_000_000
+        assert frame[1:] == (0x181, b"12345678")
+
+
+def test_it_waits_for_the_first_and_not_for_nothing(receive: wire.Receive) -> None:
+    with ends() as some:
+        begin = time.monotonic_ns()
+        assert some.take(receive, wait_ns=20_000_000) == wire.ORDERED
+        assert time.monotonic_ns() - begin >= 20_000_000
+        some.pairs[0][1].send(packet(1, b""))
+        some.take(receive, wait_ns=10**12)
+        assert some.frames[-1].can_id == 1
+
+
+def test_a_stranger_and_whoever_has_left_are_named(receive: wire.Receive) -> None:
+    with ends(2) as some:
+        (ours, theirs), (stranger, knocking) = some.pairs
+        theirs.send(packet(1, b"last"))
+        theirs.close()
+        assert some.take(receive) == ours.fileno()
+        assert [frame.data for frame in some.frames] == [b"last"]
+        some.epoll.unregister(ours)
+        del some.sources[stranger.fileno()]
+        knocking.send(b"x")
+        assert some.take(receive) == stranger.fileno()
+        assert stranger.recv(10) == b"x"  # nothing of it has been taken
+
+
+def test_what_another_had_sent_before_it_died_is_taken(receive: wire.Receive) -> None:
+    with ends() as some:
+        ours, theirs = some.pairs[0]
+        ours.send(b"never read")  # which makes closing a reset
+        theirs.send(packet(1, b"last"))
+        theirs.close()
+        assert some.take(receive) == ours.fileno()
+        assert [frame.data for frame in some.frames] == [b"last"]
+
+
+def test_a_flood_ends_at_the_bound(receive: wire.Receive) -> None:
+    with ends() as some:
+        for n in range(20):
+            some.pairs[0][1].send(packet(n, b""))
+        some.take(receive, most=5)
+        assert [frame.can_id for frame in some.frames] == list(range(5))
+        some.take(receive)
+        assert [frame.can_id for frame in some.frames] == list(range(20))
+
+
+def test_an_error_of_a_source_is_passed_on(receive: wire.Receive) -> None:
+    with ends() as some:
+        some.sources[some.epoll.fileno()] = some.pairs[0][0]
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with listener, socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as caller:
+            listener.bind(f"\0pneud-test-{time.monotonic_ns()}")
+            listener.listen()
+            listener.setblocking(False)
+            caller.connect(listener.getsockname())
+            some.epoll.register(listener, select.EPOLLIN)
+            some.sources[listener.fileno()] = listener
+            with pytest.raises(OSError):
+                some.take(receive)
+
+
+@pytest.mark.skipif("c" not in WAYS, reason="there is no C compiler")
+def test_wrong_arguments_raise_and_do_not_crash() -> None:
+    receive = WAYS["c"]
+    with ends() as some:
+        good = (some.epoll, some.sources, 0, some.frames, 1, 0, some.counts, Frame)
+        for place, wrong in enumerate((object(), [], "0", (), None, 1.5, b"", int)):
+            arguments = list(good)
+            arguments[place] = wrong  # type: ignore[call-overload]
+            with pytest.raises((TypeError, ValueError, BufferError)):
+                receive(*arguments)  # type: ignore[arg-type]
+        with pytest.raises(TypeError):
+            receive()  # type: ignore[call-arg]
+
+
+def test_packets_have_the_kernels_layout() -> None:
+    assert struct.calcsize(wire.PACKET.format) == wire.PACKET.size == 16
