@@ -168,7 +168,7 @@ def test_wrong_arguments_raise_and_do_not_crash() -> None:
         good = (some.epoll, some.sources, 0, some.frames, 1, 0, some.counts, Frame)
         for place, wrong in enumerate((object(), [], "0", (), None, 1.5, b"", int)):
             arguments = list(good)
-            arguments[place] = wrong  # type: ignore[call-overload]
+            arguments[place] = wrong
             with pytest.raises((TypeError, ValueError, BufferError)):
                 receive(*arguments)  # type: ignore[arg-type]
         with pytest.raises(TypeError):

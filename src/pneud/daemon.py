@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import os
 import signal
 import time
@@ -40,6 +41,19 @@ FOREIGN_S = 1.0  # how long another controller counts as present after its last 
 DOZE_MARGIN_NS = 50_000
 DOZE_STEP_NS = 2_000
 NAN = float("nan")
+# plain numbers: an operation on a flag of the enum module costs ten times as much
+LINK_DOWN, SEND_FAILED, RECEIVE_OVERFLOW = (
+    int(Host.LINK_DOWN),
+    int(Host.SEND_FAILED),
+    int(Host.RECEIVE_OVERFLOW),
+)
+CLOCK_STEP, OTHER_CONTROLLER = int(Host.CLOCK_STEP), int(Host.OTHER_CONTROLLER)
+RECORDER_LOST, DISK_FULL, CONFIG_CHANGED = (
+    int(Host.RECORDER_LOST),
+    int(Host.DISK_FULL),
+    int(Host.CONFIG_CHANGED),
+)
+ARM, DISARMED, FAULT = int(RequestKind.ARM), int(State.DISARMED), int(State.FAULT)
 
 
 class Options(NamedTuple):
@@ -100,13 +114,12 @@ class Loop:
         self.present = 0
         self.refused = 0  # faults that showed only when the axis was asked to arm
         self.recorder_lost = False
-        self.disk_full = False
-        self.config_changed = False
         self.operated = False  # an operator has asked something of the axis
         self._console = console
         self._codecs = codecs
         self._recorder = recorder
         self._recorder_gone = False
+        self._recorder_flags = 0  # bits of Host
         self._stop = False
         self._armed = not options.auto_arm
         self._shut = False  # shutdown has been requested of the axis
@@ -151,6 +164,7 @@ class Loop:
 
     def _run(self) -> None:
         o, link, inbox, axis, console = self.options, self.link, self.inbox, self.axis, self._console
+        truth = self.truth
         period_ns, ring, clock = self.period_ns, self.ring, time.monotonic_ns
         pacer = Pacer(period_ns, round(o.spin_us * 1e3))
         wait_ns = round(period_ns * o.set_deadline)
@@ -190,9 +204,18 @@ class Loop:
             inbox.begin(t_ns)
             sync_sent_ns = link.send(sync_id, sync_data)
             limit_ns = t_ns + wait_ns
+            # while the nodes answer
+            if count % check_ticks == check_ticks - 1:
+                self._check()
+            request = self._request(tick, total)
+            asked = False
+            if request is None and console is not None:
+                request = console.take()
+                asked = request is not None
             doze_ns = t_ns + set_arrives_ns - DOZE_MARGIN_NS - clock()
             if doze_ns > 0:
                 time.sleep(doze_ns * 1e-9)
+            truth_m = truth.get(t_ns, sync_sent_ns) if truth is not None else NAN
             while not inbox.complete:
                 left_ns = limit_ns - clock()
                 if left_ns <= 0:
@@ -214,37 +237,25 @@ class Loop:
 
             flags = host | inbox.conditions
             if link.down:
-                flags |= Host.LINK_DOWN
+                flags |= LINK_DOWN
                 inbox.bus_restarted()
                 if count % check_ticks == 0:
                     link.reopen()
             if link.tx_failed != failed_before:
                 failed_before = link.tx_failed
-                flags |= Host.SEND_FAILED
+                flags |= SEND_FAILED
             if link.rx_dropped != dropped_before:
                 dropped_before = link.rx_dropped
-                flags |= Host.RECEIVE_OVERFLOW
+                flags |= RECEIVE_OVERFLOW
             if step_ns:
-                flags |= Host.CLOCK_STEP
+                flags |= CLOCK_STEP
             if inbox.foreign != foreign_before:
                 foreign_before = inbox.foreign
                 foreign_until = count + foreign_ticks
             if count < foreign_until:
-                flags |= Host.OTHER_CONTROLLER
-            if count % check_ticks == check_ticks - 1:
-                self._check()
-            if self.recorder_lost:
-                flags |= Host.RECORDER_LOST
-            if self.disk_full:
-                flags |= Host.DISK_FULL
-            if self.config_changed:
-                flags |= Host.CONFIG_CHANGED
+                flags |= OTHER_CONTROLLER
+            flags |= self._recorder_flags
             measurement = inbox.measurement(skipped, flags)
-            request = self._request(tick, total)
-            asked = False
-            if request is None and console is not None:
-                request = console.take()
-                asked = request is not None
             tick = axis.cycle(measurement, request, t_ns)
             cycle_ns = clock()
             command = tick.command
@@ -253,7 +264,8 @@ class Loop:
 
             newest_ns = frames[-1].stamp_ns if len(frames) > before else 0
             latency_ns = sent_ns - newest_ns if newest_ns and sent_ns > 0 else -1
-            truth_m = self.truth.get(t_ns, sync_sent_ns) if self.truth is not None else NAN
+            if truth is not None and math.isnan(truth_m):  # the plant had not seen SYNC before
+                truth_m = truth.get(t_ns, sync_sent_ns)
             end_ns = clock()
             ring.put(
                 Record(
@@ -285,7 +297,7 @@ class Loop:
 
             count += 1
             self._count = count
-            if request is not None and not asked and request.kind == RequestKind.ARM:
+            if request is not None and not asked and request.kind == ARM:
                 # what shows only now would show again; anything else may pass, and arming is tried again
                 self.refused = 0 if is_engaged(tick.state) else tick.present & BLOCKS_ARM
                 self._armed = is_engaged(tick.state) or bool(tick.present & 1 << F.UNREACHABLE)
@@ -316,7 +328,7 @@ class Loop:
                 if (
                     o.end_on_fault
                     and not self.operated  # whoever commands is there to clear it
-                    and tick.state == State.FAULT
+                    and tick.state == FAULT
                     and idle_ticks >= fault_ticks
                 ):
                     break
@@ -327,12 +339,7 @@ class Loop:
             self._shut = True
             self._service.stopping()
             return Request(RequestKind.SHUTDOWN)
-        if (
-            not self._armed
-            and last is not None
-            and last.state == State.DISARMED
-            and not last.present & BLOCKS_ARM
-        ):
+        if not self._armed and last is not None and last.state == DISARMED and not last.present & BLOCKS_ARM:
             return Request(RequestKind.ARM, (1.0,))
         return None
 
@@ -340,11 +347,14 @@ class Loop:
         """Look at what changes slowly: the recorder."""
         if self._recorder and not self._recorder_gone:
             status = self.ring.status()
-            self.disk_full = status.failing != 0 and status.error == errno.ENOSPC
-            self.config_changed = status.config_changed != 0
+            disk_full = status.failing != 0 and status.error == errno.ENOSPC
             self._recorder_gone = _gone(self._recorder)
-            failing = status.failing != 0 and not self.disk_full
-            self.recorder_lost = failing or self._recorder_gone
+            self.recorder_lost = (status.failing != 0 and not disk_full) or self._recorder_gone
+            self._recorder_flags = (
+                (RECORDER_LOST if self.recorder_lost else 0)
+                | (DISK_FULL if disk_full else 0)
+                | (CONFIG_CHANGED if status.config_changed else 0)
+            )
 
 
 def _has_terminal() -> bool:
