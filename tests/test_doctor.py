@@ -14,7 +14,7 @@ import pytest
 
 from commands import object_of, pneud
 from pneud.loading import load
-from pneud.rt import machine
+from pneud.rt import machine, setup
 from pneud.rt.machine import Facts, Interface
 from pneud.rt.probe import Finding, Level, Wanted, examine
 from pneud.rt.setup import Report
@@ -184,8 +184,8 @@ def test_preemption_model(
 
 
 def test_lists_of_cpus() -> None:
-    assert machine.cpu_list("1,3-5,8") == (1, 3, 4, 5, 8)
-    assert machine.cpu_list("") == ()
+    assert setup.cpu_list("1,3-5,8") == (1, 3, 4, 5, 8)
+    assert setup.cpu_list("") == ()
 
 
 @pytest.fixture
@@ -286,7 +286,8 @@ def test_the_object_carries_machine_and_findings(capsys: pytest.CaptureFixture[s
 
 
 def test_what_a_configuration_wants() -> None:
-    assert wanted_by(load("rig.toml").config) == Wanted(80, None, True, True, "can0", 1000.0)
+    cpu = setup.own_cpu("auto")
+    assert wanted_by(load("rig.toml").config) == Wanted(80, cpu, True, True, "can0", 1000.0)
     assert wanted_by(load("virtual.toml").config).interface is None
 
 

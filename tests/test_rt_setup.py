@@ -104,6 +104,52 @@ def test_a_cpu_that_is_not_there_is_refused_with_those_that_are() -> None:
         assert f"one of {min(os.sched_getaffinity(0))}" in report.reason
 
 
+def test_the_loop_has_its_cpu_and_the_others_theirs() -> None:
+    first, *others = sorted(os.sched_getaffinity(0))
+    if not others:
+        pytest.skip("this machine has one CPU")
+
+    def fork_and_apply() -> list[object]:
+        moved = setup.leave_to_the_loop(first, ())
+        child = in_child(lambda: sorted(os.sched_getaffinity(0)))
+        reports = {r.name: r for r in setup.apply(0, first, False)}
+        return [moved.ok, child == str(others), reports["affinity"].ok, os.sched_getaffinity(0) == {first}]
+
+    assert in_child(fork_and_apply) == "[True, True, True, True]"
+    chosen = in_child(lambda: [setup.leave_to_the_loop(first, others[:1]).reason, os.sched_getaffinity(0)])
+    assert chosen == str([f"CPUs {others[0]}", {others[0]}])
+
+
+def test_others_stay_where_they_are_without_a_cpu_for_the_loop() -> None:
+    report = reports_in_child(lambda: [setup.leave_to_the_loop(None, (5000,))])["others"]
+    assert (report.ok, report.asked) == (False, False)
+
+
+def test_cpus_for_the_others_that_are_not_there_are_named() -> None:
+    report = reports_in_child(lambda: [setup.leave_to_the_loop(0, (5000,))])["others"]
+    assert not report.ok
+    assert "5000" in report.reason
+    assert "realtime.other_cpus" in report.reason
+
+
+def test_a_single_cpu_is_not_taken_from_the_others() -> None:
+    def alone() -> list[Report]:
+        os.sched_setaffinity(0, {0})
+        return [setup.leave_to_the_loop(0, ())]
+
+    assert "no other CPU than 0" in reports_in_child(alone)["others"].reason
+
+
+def test_auto_is_the_last_isolated_cpu_else_the_last_of_several(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    for isolated, allowed in (((2, 3), {0, 1}), ((), {0, 1, 5}), ((), {4})):
+        monkeypatch.setattr(setup, "isolated_cpus", lambda isolated=isolated: isolated)
+        monkeypatch.setattr(os, "sched_getaffinity", lambda _, allowed=allowed: allowed)
+        found.append(setup.own_cpu("auto"))
+    assert found == [3, 5, None]
+    assert [setup.own_cpu(wanted) for wanted in (7, None)] == [7, None]
+
+
 def test_an_impossible_priority_is_a_refusal_too() -> None:
     report = reports_in_child(lambda: setup.apply(1000, None, False))["fifo"]
     assert not report.ok

@@ -98,10 +98,17 @@ class LoopConfig(Section):
 
 
 class RealtimeConfig(Section):
-    """What is asked of the operating system."""
+    """What is asked of the operating system.
+
+    The loop has `cpu` to itself: recorder, console, screen and plant run on `other_cpus`, or on all but that
+    one where none are given. "auto" is the last isolated CPU, else the last of several.
+    """
 
     priority: Annotated[int, Field(ge=0, le=98)] = 80
-    cpu: Annotated[int, Field(ge=0)] | None = None
+    cpu: Annotated[int, Field(ge=0)] | Literal["auto"] | None = None
+    other_cpus: tuple[Annotated[int, Field(ge=0)], ...] = ()
+    plant_priority: Annotated[int, Field(ge=0, le=98)] | None = None
+    recorder_nice: Annotated[int, Field(ge=0, le=19)] = 5
     lock_memory: bool = True
     required: bool = False
 

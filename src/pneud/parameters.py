@@ -5,7 +5,16 @@ from __future__ import annotations
 import math
 
 from pneud.axis import AxisParameters
-from pneud.config import BusConfig, Config, cylinder_of, friction_of, gas_of, plant_of, valve_of
+from pneud.config import (
+    BusConfig,
+    Config,
+    RealtimeConfig,
+    cylinder_of,
+    friction_of,
+    gas_of,
+    plant_of,
+    valve_of,
+)
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.homing import HomingParameters
 from pneud.control.homogeneous import feedback
@@ -174,3 +183,8 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
         stop_centres=limits.stop_then == "centre",
         join_at_once=c.reference.join == "at_once",
     )
+
+
+def plant_priority(c: RealtimeConfig) -> int:
+    """The software plant's: below the loop's, since on a rig nobody competes with the loop."""
+    return max(0, c.priority - 10) if c.plant_priority is None else c.plant_priority

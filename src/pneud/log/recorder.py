@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _POLL_S = 0.04  # with an open chunk of 100 ms, a kill costs less than 0.2 s
 _LOOK_POLLS = 25  # how often the watched files are looked at
-_NICE = 5
+NICE = 5
 _ERROR = 4  # a `Level`; their module is heavy to load
 
 
@@ -34,6 +34,7 @@ def start_recorder(
     files: tuple[Path, ...] = (),
     words: socket.socket | None = None,
     rotation: Rotation | None = None,
+    nice: int = NICE,
 ) -> int:
     """Fork the recorder.
 
@@ -46,6 +47,7 @@ def start_recorder(
         files: what the run began with; it is watched whether they stay as they are.
         words: the recorder's end of `messages.pair`; closed here.
         rotation: how the log is split and what is kept; None for one file.
+        nice: its niceness.
 
     Returns:
         The child's process id; wait for it after `ring.set_closed()`.
@@ -63,7 +65,7 @@ def start_recorder(
     status = 1
     try:
         leave_the_parents_files(descriptor, *([words.fileno()] if words is not None else []))
-        status = recorder_main(ring, descriptor, header, parent, files, words, rotation)
+        status = recorder_main(ring, descriptor, header, parent, files, words, rotation, nice)
     finally:
         os._exit(status)
 
@@ -88,6 +90,7 @@ def recorder_main(
     files: tuple[Path, ...] = (),
     words: socket.socket | None = None,
     rotation: Rotation | None = None,
+    nice: int = NICE,
 ) -> int:
     """Record until the ring is closed or the parent is gone, then finish the file.
 
@@ -99,6 +102,7 @@ def recorder_main(
         files: to be watched.
         words: where other processes' words for the log come from.
         rotation: how the log is split and what is kept; None for one file.
+        nice: niceness of this process.
 
     Returns:
         Exit status: 0, or 1 if records are missing or the file is incomplete.
@@ -110,7 +114,7 @@ def recorder_main(
     ):
         signal.signal(number, signal.SIG_IGN)
     try:
-        os.nice(_NICE)
+        os.nice(nice)
         # protobuf and MCAP are loaded here, beside the loop's own start, while the ring keeps what comes
         from pneud.log.writer import LogWriter  # noqa: PLC0415
 

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pneud.rt import setup
+from pneud.rt.setup import isolated_cpus
 
 HRTIMER_RESOLUTION_S = 1e-6  # without high-resolution timers the clock tells 1 ms or more
 TOOLS = ("cyclictest", "cc", "ip", "candump")
@@ -104,7 +105,7 @@ def read(
         ),
         cpu_model=_field(info, "model name") or platform.processor() or platform.machine(),
         cpus=tuple(sorted(os.sched_getaffinity(0))),
-        isolated=cpu_list(_text(cpu / "isolated")),
+        isolated=isolated_cpus(root),
         governors=tuple(sorted({_text(p) for p in cpu.glob("cpu[0-9]*/cpufreq/scaling_governor")} - {""})),
         clock_source=_text(root / "sys/devices/system/clocksource/clocksource0/current_clocksource"),
         clock_ns=_clock_cost_ns(),
@@ -171,16 +172,6 @@ def preemption(realtime: str, version: str, debug: str, cmdline: str, config: st
     if "PREEMPT_DYNAMIC" in version:
         return "dynamic"
     return "full" if re.search(r"\bPREEMPT\b", version) else ""
-
-
-def cpu_list(text: str) -> tuple[int, ...]:
-    """The numbers in a list such as 1,3-5."""
-    found: list[int] = []
-    for part in text.split(","):
-        first, _, last = part.partition("-")
-        if first.strip().isdigit():
-            found += range(int(first), int(last or first) + 1)
-    return tuple(found)
 
 
 def _text(path: Path) -> str:

@@ -13,7 +13,7 @@ import os
 import resource
 import signal
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -57,6 +57,60 @@ def apply(priority: int, cpu: int | None, lock_memory: bool) -> list[Report]:
         _attempt("timer_slack", _timer_slack),
         _attempt("fifo", lambda: _fifo(priority)) if priority > 0 else _unasked("fifo", "priority"),
     ]
+
+
+def cpu_list(text: str) -> tuple[int, ...]:
+    """The numbers in a list such as 1,3-5."""
+    found: list[int] = []
+    for part in text.split(","):
+        first, _, last = part.partition("-")
+        if first.strip().isdigit():
+            found += range(int(first), int(last or first) + 1)
+    return tuple(found)
+
+
+def isolated_cpus(root: Path = Path("/")) -> tuple[int, ...]:
+    """CPUs on which the kernel puts nothing by itself; `root` is taken for /."""
+    try:
+        return cpu_list((root / "sys/devices/system/cpu/isolated").read_text())
+    except OSError:
+        return ()
+
+
+def own_cpu(wanted: int | str | None) -> int | None:
+    """The CPU that the loop is to have.
+
+    Args:
+        wanted: its number; "auto" for the last isolated one, else the last one of several; None for none.
+    """
+    if not isinstance(wanted, str):
+        return wanted
+    allowed = sorted(os.sched_getaffinity(0))
+    return max(isolated_cpus(), default=allowed[-1] if len(allowed) > 1 else None)
+
+
+def leave_to_the_loop(cpu: int | None, others: Sequence[int]) -> Report:
+    """Take this process, and what it forks from now on, off the loop's CPU; `apply` puts the loop there.
+
+    Args:
+        cpu: the loop's; None for none.
+        others: the CPUs to use; none given for all but that one.
+    """
+    if cpu is None:
+        return _unasked("others", "cpu")
+
+    def move() -> str:
+        rest = set(others) or os.sched_getaffinity(0) - {cpu}
+        if not rest:
+            raise OSError(errno.EINVAL, f"there is no other CPU than {cpu} for the other processes")
+        try:
+            os.sched_setaffinity(0, rest)
+        except (OSError, ValueError, OverflowError):
+            listed = ", ".join(map(str, sorted(rest)))
+            raise OSError(errno.EINVAL, f"CPUs {listed} are not available; see realtime.other_cpus") from None
+        return f"CPUs {', '.join(map(str, sorted(rest)))}"
+
+    return _attempt("others", move)
 
 
 def as_text(reports: list[Report]) -> dict[str, str]:

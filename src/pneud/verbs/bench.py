@@ -20,6 +20,7 @@ from pneud.bus.link import open_link
 from pneud.config import ConfigError
 from pneud.loading import Loaded, bus_name, load
 from pneud.rt import machine
+from pneud.rt.setup import own_cpu
 from pneud.summary import finite
 
 TURN_S = 1.0
@@ -152,9 +153,8 @@ def _disturb(track: Track, o: BenchOptions, facts: Mapping[str, Any]) -> int:
 
 def _track(axis: Loaded, bus: str | None, scratch: Path) -> Track:
     wanted = axis.config.realtime
-    granted = {
-        report.name: report for report in machine.attempt(wanted.priority, wanted.cpu, wanted.lock_memory)
-    }
+    cpu = own_cpu(wanted.cpu)
+    granted = {report.name: report for report in machine.attempt(wanted.priority, cpu, wanted.lock_memory)}
     for report in granted.values():
         if report.asked and not report.ok:
             print(f"pneud: {report.name}: {report.reason}", file=sys.stderr)
@@ -167,7 +167,7 @@ def _track(axis: Loaded, bus: str | None, scratch: Path) -> Track:
         axis.path,
         name,
         wanted.priority if fifo is not None and fifo.ok else 0,
-        wanted.cpu if pinned is not None and pinned.ok else None,
+        cpu if pinned is not None and pinned.ok else None,
         scratch,
     )
 

@@ -17,7 +17,7 @@ from pneud.log.files import log_folder
 from pneud.rt import machine
 from pneud.rt.machine import Facts
 from pneud.rt.probe import Finding, Level, Wanted, examine, worst_first
-from pneud.rt.setup import Report
+from pneud.rt.setup import Report, own_cpu
 
 _STYLE = {Level.LACK: "bold red", Level.WARNING: "yellow", Level.OK: "green"}
 _SIGN = {Level.LACK: "lack", Level.WARNING: "warn", Level.OK: "ok"}
@@ -64,7 +64,7 @@ def wanted_by(c: Config) -> Wanted:
     kind, _, name = c.bus.channel.partition(":")
     r = c.realtime
     interface = name if kind == "socketcan" else None
-    return Wanted(r.priority, r.cpu, r.lock_memory, r.required, interface, c.loop.rate_hz)
+    return Wanted(r.priority, own_cpu(r.cpu), r.lock_memory, r.required, interface, c.loop.rate_hz)
 
 
 def as_object(config: str, facts: Facts, findings: Sequence[Finding]) -> dict[str, Any]:

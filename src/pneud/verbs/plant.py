@@ -59,7 +59,7 @@ def plant(config_file: str | None, bus: str, scenario_file: str | None, seed: in
             engine = Engine(scenario, rig, codecs, seed, rate_hz, advance=how.advance)
         node = engine.node if engine is not None else PlantNode(rig, codecs, seed, advance=how.advance)
         print(f"plant {config.name} on {link.name}; Ctrl-C stops", file=sys.stderr, flush=True)
-        setup.apply(max(0, config.realtime.priority - 10), None, False)
+        setup.apply(parameters.plant_priority(config.realtime), None, False)
         serve(link, node, stop=lambda: stopped, on_valve_state=say)
     if engine is not None:
         engine.settle()

@@ -147,6 +147,8 @@ def _run(
     viewers: tuple[str, int] | None,
 ) -> int:
     config, path, text, dbc, codecs = loaded
+    wanted = config.realtime
+    cpu = setup.own_cpu(wanted.cpu)
     ring = Ring.create()
     header = LogHeader(
         name=config.name,
@@ -168,8 +170,15 @@ def _run(
     try:
         words, heard = messages.pair()
         asking, taking = handoff.pair()
+        reports = [setup.leave_to_the_loop(cpu, wanted.other_cpus)]
         recorder = start_recorder(
-            ring, descriptor, header, (path, dbc), heard, _rotation(config.log, o.log, log_file)
+            ring,
+            descriptor,
+            header,
+            (path, dbc),
+            heard,
+            _rotation(config.log, o.log, log_file),
+            wanted.recorder_nice,
         )
         # before the others, who must not hold its sockets open
         console = fork_console(
@@ -193,7 +202,7 @@ def _run(
                 codecs,
                 o.seed,
                 memory,
-                max(0, config.realtime.priority - 10),
+                parameters.plant_priority(config.realtime),
                 how.advance,
                 how.receive,
                 stage,
@@ -206,7 +215,7 @@ def _run(
             screen = fork_screen(ring, link, config, log_file)
         if viewers is not None:
             live = fork_live(ring, link, header, config, *viewers)
-        reports = setup.apply(config.realtime.priority, config.realtime.cpu, config.realtime.lock_memory)
+        reports += setup.apply(wanted.priority, cpu, wanted.lock_memory)
         ring.set_notes(setup.as_text(reports))
         fifo = next(r for r in reports if r.name == "fifo")
         loop = Loop(
