@@ -331,6 +331,16 @@ def test_a_disarmed_axis_arms_onto_it() -> None:
     assert last.reference.position_m == pytest.approx(OTHER.centre_m, abs=1e-3)
 
 
+def test_an_axis_that_joins_at_once_starts_on_it() -> None:
+    rig = ready()
+    rig.axis.parameters = P._replace(join_at_once=True)
+    here = Sine(rig.node.truth().position_m, 0.01, 1.0)
+    assert rig.tick(ARM, 1.0).answer == Answer.BLOCKED
+    assert rig.tick(GAINS, *NOW, *here).answer == Answer.TAKEN
+    tick = rig.tick(ARM, 1.0)
+    assert (tick.state, tick.reference) == (State.TRACKING, sine(0.0, here))
+
+
 def test_one_out_of_the_run_ups_reach_keeps_a_disarmed_axis_from_tracking() -> None:
     rig = ready()
     assert rig.tick(GAINS, *NOW, 0.08, 0.05, 2.0 * math.pi * 2.0).answer == Answer.TAKEN
