@@ -99,9 +99,8 @@ def cycle(
         p: parameters.
     """
     law, limits = state.law, p.limits
-    configured, changed = p.reference, state.reference
-    if changed is not None:
-        configured = changed
+    changed = state.reference
+    configured = _tracked(changed, p.reference)
     h = law.h
     before = state.supervisor
     engaged = is_engaged(before.state)
@@ -250,6 +249,13 @@ def cycle(
         asked.answer,
     )
     return state, tick
+
+
+def _tracked(changed: Sine | None, configured: Sine) -> Sine:
+    """The reference that the axis tracks when it is told to."""
+    if changed is not None:
+        return changed
+    return configured
 
 
 class Axis:
