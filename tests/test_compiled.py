@@ -29,6 +29,7 @@ from pneud.compiled.rebinding import rebound
 from pneud.compiled.to_c import MOST, plain
 from pneud.control.plan import COMING_TO_REST, FOLLOWING, GOING, JOINING, NONE, RESTING
 from pneud.control.reference import Septic, at, sine
+from pneud.control.tuning import tunables
 from pneud.loading import load as load_axis
 from pneud.plant import dynamics
 from pneud.safety.supervisor import INITIAL, advance
@@ -322,6 +323,8 @@ def test_python_is_called_for_requests_and_changes_of_state_only(monkeypatch: py
 
     run(80)
     run(700, ARM, 1.0)
+    run(200, RequestKind.GAINS, *tunables(PARAMETERS.controller), 0.45, 0.03, 3.0)
+    assert rig.axis.state.reference is not None
     run(200, RequestKind.GOTO, 0.48)
     run(1500, RequestKind.HOLD)
     run(100, RequestKind.STOP)

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 from console_bench import Bench, bench, message
 from log_samples import tick_at
+from pneud import resources
 from pneud.console import handoff, server
 from pneud.console.lease import Lease
 from pneud.console.peer import Peer, may_command
@@ -286,6 +287,43 @@ def test_a_silent_loop_is_reported_and_what_it_missed_does_not_happen_later(desk
     assert desk.requests == []
     assert desk.ask(client, "goto", x_mm=200)["ok"]
     assert [r.values[0] for r in desk.requests] == [0.2]
+
+
+def test_a_signal_asks_without_a_client_and_every_refusal_is_told(tmp_path: Path) -> None:
+    file = tmp_path / "axis.toml"
+    text = (resources.configs() / "virtual.toml").read_text()
+    file.write_text(text)
+    told: list[str] = []
+
+    def hang_up(text: str) -> list[str]:
+        """What is told to who sent the signal."""
+        file.write_text(text)
+        told.clear()
+        b.server.ask(
+            parse(json.dumps(message("tune_reload")).encode()), "SIGHUP", lambda e: told.append(str(e))
+        )
+        b.turn()
+        return told
+
+    with bench(tmp_path, config=file) as b:
+        assert hang_up(text.replace('detail = "compact"', 'detail = "full"')) == []
+        assert (
+            b.said[-1] == "SIGHUP: tune from the file: nothing to change (at the next start only: log.detail)"
+        )
+        wide = text.replace("amplitude_m = 0.05", "amplitude_m = 0.4")
+        b.answer = lambda _: Answer.OUT_OF_TRAVEL
+        words = "tune from the file: reference.amplitude_m 0.05 → 0.4"
+        assert hang_up(wide) == [f"{words}: the way leaves the travel 20 … 980 mm"]
+        assert b.said[-1] == f"SIGHUP: {words} → out_of_travel"
+        b.answer = lambda _: Answer.TAKEN
+        assert hang_up(wide) == []
+        assert b.said[-1] == f"SIGHUP: {words} → taken"
+        (other,) = hang_up(wide.replace("travel_max_m = 0.98", "travel_max_m = 0.97"))
+        assert "limits.travel_max_m changed, and limits change at a restart only" in other
+        (beyond,) = hang_up(text.replace("amplitude_m = 0.05", "amplitude_m = 0.6"))
+        assert "beyond limits.travel" in beyond
+        assert b.ask(b.connect(), "tune_get")["gains"]["reference.amplitude_m"] == 0.4
+    assert len(b.requests) == 2
 
 
 def test_late_requests_are_turned_away_but_for_stops() -> None:

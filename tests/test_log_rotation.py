@@ -286,6 +286,19 @@ def test_another_tree_is_refused(data: str) -> None:
         from_json(Rest, data)
 
 
+class Longer(NamedTuple):
+    t_ns: int
+    value: float
+    other: Rest | None = None
+
+
+def test_a_field_that_is_absent_has_its_default() -> None:
+    assert from_json(Longer, to_json(Rest(1, 2.0))) == Longer(1, 2.0)
+    assert from_json(Longer, to_json(Longer(1, 2.0, Rest(3, 4.0)))) == Longer(1, 2.0, Rest(3, 4.0))
+    with pytest.raises(SnapshotError):
+        from_json(Longer, '{"t_ns": 1, "other": null}')
+
+
 def one_or_none(path: Path) -> LogReader | None:
     try:
         return read_log(path)

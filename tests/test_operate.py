@@ -21,10 +21,10 @@ from pneud.config import load_config
 from pneud.console import place
 from pneud.console.client import Client
 from pneud.console.place import PlaceError
-from pneud.console.tuning import gains_of
+from pneud.console.tuning import NAMES, REFERENCE, values_of
 from pneud.control.tuning import LAWS, TUNABLE, tunables
 from pneud.parameters import axis_of
-from pneud.signals import RequestKind
+from pneud.signals import Answer, RequestKind
 
 
 @pytest.fixture
@@ -86,7 +86,15 @@ def test_without_a_daemon_the_exit_status_is_3_and_one_line_says_what_helps(
             "mark",
             "tune set",
         ),
-        *("tune set k1", "tune set k9=3", "tune set k1=x", "track sine 5", "tune nonsense"),
+        *(
+            "tune set k1",
+            "tune set k9=3",
+            "tune set k1=x",
+            "tune set reference.kind=sine",
+            "tune set amplitude_m=0.1",
+            "track sine 5",
+            "tune nonsense",
+        ),
     ],
 )
 def test_what_is_no_command_is_a_usage_error(words: str, runtime: Path) -> None:
@@ -167,6 +175,7 @@ def test_tuning_changes_compares_and_saves_and_the_comments_stay(tmp_path: Path)
         words = "law composite-implicit → ismc-explicit, k1 95000 → 90000, gain_n_s2 2400 → 2300"
         assert object_of(pneud_here("tune", "set", *settings, *at))["changed"] == words
         assert b.requests[-1].values[:2] == (3.0, 90000.0)
+        assert len(b.requests[-1].values) == len(TUNABLE)
         assert object_of(pneud_here("tune", "set", "law=pid", *at))["error"]["type"] == "invalid"
         assert set(object_of(pneud_here("tune", "diff", *at))["changes"]) == {"law", "k1", "gain_n_s2"}
         assert object_of(pneud_here("tune", "save", *at))["changed"] == words
@@ -179,8 +188,12 @@ def test_tuning_changes_compares_and_saves_and_the_comments_stay(tmp_path: Path)
 
         file.write_text(text.replace("amplitude_m = 0.05", "amplitude_m = 0.04"))
         found = object_of(pneud_here("tune", "reload", *at))
-        assert found["at_restart"] == ["reference.amplitude_m"]
         assert found["gains"]["k1"] == 95000.0
+        assert found["gains"]["reference.amplitude_m"] == 0.04
+        assert (found["changed"].split(", ")[-1], found["at_restart"]) == (
+            "reference.amplitude_m 0.05 → 0.04",
+            [],
+        )
         file.write_text(text.replace("tracking_error_m = 0.02", "tracking_error_m = 0.03"))
         refused = object_of(pneud_here("tune", "reload", *at))["error"]
         assert "limits.tracking_error_m changed" in refused["message"]
@@ -190,14 +203,62 @@ def test_tuning_changes_compares_and_saves_and_the_comments_stay(tmp_path: Path)
     assert list(tmp_path.glob(".*")) == []
 
 
+def test_the_reference_is_tuned_like_a_gain(tmp_path: Path) -> None:
+    file = tmp_path / "axis.toml"
+    text = (resources.configs() / "virtual.toml").read_text()
+    file.write_text(text)
+    wanted = text.replace("amplitude_m = 0.05", "amplitude_m = 0.03")
+    wanted = wanted.replace("frequency_hz = 0.5", "frequency_hz = 1.25")
+    with served(tmp_path, file) as b:
+        at = ("--socket", b.path, "--json")
+        settings = ("reference.amplitude_m=0.03", "reference.frequency_hz=1.25")
+        words = "reference.amplitude_m 0.05 → 0.03, reference.frequency_hz 0.5 → 1.25"
+        assert object_of(pneud_here("tune", "set", *settings, *at))["changed"] == words
+        file.write_text(wanted)
+        asked = axis_of(load_config(file), 0.0005)
+        assert b.requests[-1].values == (*tunables(asked.controller), *asked.reference)
+        file.write_text(text)
+        assert object_of(pneud_here("tune", "diff", *at))["changes"] == {
+            "reference.amplitude_m": {"file": 0.05, "running": 0.03},
+            "reference.frequency_hz": {"file": 0.5, "running": 1.25},
+        }
+        assert object_of(pneud_here("tune", "save", *at))["changed"] == words
+        assert file.read_text() == wanted
+        assert "reference.frequency_hz = 1.25" in pneud_here("tune", "get", "--socket", b.path).stdout
+        assert object_of(pneud_here("tune", "set", "k1=90000", *at))["changed"] == "k1 95000 → 90000"
+        assert len(b.requests[-1].values) == len(TUNABLE)
+
+        b.answer = lambda _: Answer.OUT_OF_TRAVEL
+        refused = object_of(pneud_here("tune", "set", "reference.amplitude_m=0.6", *at))["error"]
+        assert refused["type"] == "out_of_travel"
+        assert refused["message"].startswith(
+            "tune: reference.amplitude_m 0.03 → 0.6: the way leaves the travel"
+        )
+        assert object_of(pneud_here("tune", "get", *at))["gains"]["reference.amplitude_m"] == 0.03
+
+
+def test_how_a_reference_is_joined_waits_for_the_next_start(tmp_path: Path) -> None:
+    file = tmp_path / "axis.toml"
+    text = (resources.configs() / "virtual.toml").read_text()
+    file.write_text(text)
+    with served(tmp_path, file) as b:
+        file.write_text(text.replace("amplitude_m = 0.05", 'amplitude_m = 0.04\njoin = "at_once"'))
+        found = object_of(pneud_here("tune", "reload", "--socket", b.path, "--json"))
+        assert found["changed"] == "reference.amplitude_m 0.05 → 0.04"
+        assert found["at_restart"] == ["reference.join"]
+    assert "(at the next start only: reference.join) → taken" in b.said[-1]
+
+
 @pytest.mark.parametrize("name", ["virtual.toml", "paper-case1.toml"])
-def test_the_gains_of_a_file_are_those_of_the_loop(name: str) -> None:
+def test_the_values_of_a_file_are_those_of_the_loop(name: str) -> None:
     config = load_config(resources.configs() / name)
-    gains = gains_of(config)
-    assert tuple(gains) == TUNABLE
+    values = values_of(config)
+    assert tuple(values) == NAMES == (*TUNABLE, *REFERENCE)
     running = tunables(axis_of(config, 0.0005).controller)
-    assert [v for n, v in gains.items() if n != "law"] == list(running[1:])
-    assert LAWS[int(running[0])] == gains["law"]
+    assert [values[n] for n in TUNABLE if n != "law"] == list(running[1:])
+    assert LAWS[int(running[0])] == values["law"]
+    r = config.reference
+    assert [values[n] for n in REFERENCE] == [r.effective_centre_m, r.amplitude_m, r.frequency_hz]
 
 
 def test_a_client_is_told_when_the_console_hangs_up(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import pytest
 
 from axis_rig import ARM, Rig, ready, tracking, twin
 from pneud.axis import Axis, AxisState
+from pneud.control.tuning import tunables
 from pneud.safety import checks
 from pneud.safety.faults import BLOCKS_ARM, CENTRES, STOPS, F
 from pneud.safety.supervisor import Supervisor, is_engaged
@@ -36,6 +37,7 @@ REQUESTS = (
     Request(RequestKind.TRACK, (0.0,)),
     Request(RequestKind.PIECE),
     Request(RequestKind.GAINS, (1e9,) * 9),
+    Request(RequestKind.GAINS, (*tunables(ready().axis.state.law), 0.4, 0.03, 3.0)),
     Request(99, (1.0, 2.0)),
 )
 ENGAGING = (RequestKind.ARM, RequestKind.HOME)

@@ -191,6 +191,59 @@ def test_a_session_from_arming_to_disarming_and_its_replay(axis: Path, tmp_path:
     assert any(words.startswith("SIGHUP: tune from the file: k1 90000 → 91000") for words in told)
 
 
+def test_the_reference_in_the_file_is_taken_while_the_axis_tracks(axis: Path, tmp_path: Path) -> None:
+    log = tmp_path / "reload.mcap"
+    text = axis.read_text()
+
+    def reloaded(change: tuple[str, str]) -> None:
+        axis.write_text(text.replace(*change))
+        process.send_signal(signal.SIGHUP)
+
+    def amplitude_m() -> float:
+        value: float = client.ask("tune_get")["gains"]["reference.amplitude_m"]
+        return value
+
+    with daemon(axis, log) as (process, path):
+        with Client(path) as client:
+            until(client, "tracking")
+            reloaded(("amplitude_m = 0.05", "amplitude_m = 0.03"))
+            eventually(lambda: amplitude_m() == 0.03)
+            found = client.ask("tune_set", gains={"reference.frequency_hz": 1.0, "k1": 90000.0})
+            assert found["changed"] == "k1 95000 → 90000, reference.frequency_hz 0.5 → 1"
+            # no room for the run-up
+            near = {"reference.effective_centre_m": 0.0932, "reference.frequency_hz": 2.0}
+            with pytest.raises(RefusedError) as refused:
+                client.ask("tune_set", gains=near)
+            assert refused.value.kind == "out_of_travel"
+            with pytest.raises(RefusedError) as refused:
+                client.ask("tune_set", gains={"reference.frequency_hz": 15.0})
+            assert refused.value.kind == "beyond_limits"
+            assert process.stderr is not None
+            reloaded(("amplitude_m = 0.05", "amplitude_m = 0.6"))
+            assert any("beyond limits.travel" in line for line in iter(process.stderr.readline, ""))
+            assert (amplitude_m(), client.ask("status")["state"]) == (0.03, "tracking")
+            reloaded(("k2 = ", "k2 = 0.01 # "))
+            assert any("not Hurwitz" in line for line in iter(process.stderr.readline, ""))
+            reloaded(("", ""))
+            eventually(lambda: amplitude_m() == 0.05)
+            client.ask("stop")
+            until(client, "holding")
+        status, out, err = ended(process)
+    assert (status, json.loads(out)["faults"]) == (0, []), err
+    again = object_of(pneud("replay", log, "--json"))
+    assert (again["identical"], again["mismatches"]) == (True, 0)
+    told = [e.message for e in read_log(log).events() if e.name == "console"]
+    assert "SIGHUP: tune from the file: reference.amplitude_m 0.05 → 0.03 → taken" in told
+    assert any(words.endswith("reference.frequency_hz 1 → 15 → beyond_limits") for words in told)
+    assert [answer for kind, answer in asked(log) if kind == RequestKind.GAINS] == [
+        Answer.TAKEN,
+        Answer.TAKEN,
+        Answer.OUT_OF_TRAVEL,
+        Answer.BEYOND_LIMITS,
+        Answer.TAKEN,
+    ]
+
+
 def test_a_killed_console_is_reported_and_control_goes_on(axis: Path, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     with daemon(axis, log) as (process, path):

@@ -24,6 +24,7 @@ from pneud.control.profile import (
     meet,
 )
 from pneud.control.reference import (
+    MOST_OMEGA_RAD_S,
     Bounds,
     Septic,
     Sine,
@@ -38,7 +39,7 @@ from pneud.control.reference import (
     way,
 )
 from pneud.control.step import Controller
-from pneud.control.tuning import is_sound, is_stable, tuned
+from pneud.control.tuning import TUNABLE, is_sound, is_stable, tuned
 from pneud.safety.checks import Limits
 from pneud.safety.faults import BLOCKS_ARM, CENTRES, STOPS, F
 from pneud.safety.output import OutputLimits
@@ -74,7 +75,7 @@ COUNTS = {
     JOG: (2,),
     TRACK: (1,),
     PIECE: (0, 9),
-    GAINS: (9,),
+    GAINS: (len(TUNABLE), len(TUNABLE) + len(Sine._fields)),
     HOME: (0,),
 }
 
@@ -107,6 +108,7 @@ class Asked(NamedTuple):
     plan: Plan | None = None  # what the reference does from now on
     profile: Profile | None = None  # the uploaded one from now on
     law: Controller | None = None  # with its gains from now on
+    reference: Sine | None = None  # the configured one from now on
     faults: int = 0  # that showed only now
 
 
@@ -123,6 +125,7 @@ def ask(
     e: Estimate,
     now_ns: int,
     law: Controller,
+    configured: Sine,
     p: AxisParameters,
 ) -> Asked:
     """What becomes of a request in this tick.
@@ -137,6 +140,7 @@ def ask(
         e: the estimate.
         now_ns: the instant that both belong to.
         law: with its present gains.
+        configured: the present reference.
         p: parameters.
     """
     kind, values = request
@@ -147,7 +151,7 @@ def ask(
     if kind == SHUTDOWN:
         return Asked(TAKEN, SHUTDOWN)
     if kind == ARM:
-        return _arm(values == (1.0,), s, present, e, now_ns, p)
+        return _arm(values == (1.0,), s, present, e, now_ns, configured, p)
     if kind == HOME:
         return _home(s, present, p)
     if kind == CLEAR:
@@ -159,9 +163,7 @@ def ask(
             return Asked(WRONG_STATE)
         return Asked(TAKEN, DISARM if p.stop_centres else kind)
     if kind == GAINS:
-        if not is_sound(values):
-            return Asked(MALFORMED)
-        return Asked(TAKEN, law=tuned(values, law)) if is_stable(values, law) else Asked(UNSTABLE)
+        return _tune(values, plan, now, now_ns, law, p)
     if kind == PIECE:
         return _piece(values, plan, profile, p)
     if s.state not in STEERED:
@@ -174,14 +176,16 @@ def ask(
     if kind == JOG and values[0] != 0.0:
         return _jog(values[0], values[1], plan, now, now_ns, p)
     if kind == TRACK:
-        return _track(values[0], profile, now, now_ns, p)
+        return _track(values[0], profile, now, now_ns, configured, p)
     if s.state == State.HOLDING or plan.phase == COMING_TO_REST:
         return Asked(TAKEN)
     limits = p.limits
     return Asked(TAKEN, HOLD, halting(plan, now, now_ns, p.motion, limits.travel_min_m, limits.travel_max_m))
 
 
-def _arm(track: bool, s: Supervisor, present: int, e: Estimate, now_ns: int, p: AxisParameters) -> Asked:
+def _arm(
+    track: bool, s: Supervisor, present: int, e: Estimate, now_ns: int, configured: Sine, p: AxisParameters
+) -> Asked:
     if s.state != State.DISARMED:
         return Asked(WRONG_STATE)
     if s.closing:
@@ -192,7 +196,7 @@ def _arm(track: bool, s: Supervisor, present: int, e: Estimate, now_ns: int, p: 
     here = rest(e.position_m)
     if not track:
         return Asked(TAKEN, ARM, resting(e.position_m, now_ns))
-    first = sine(0.0, p.reference)
+    first = sine(0.0, configured)
     if p.join_at_once:
         reachable = abs(first.position_m - e.position_m) <= p.limits.tracking_error_m
         plan = Plan(FOLLOWING, now_ns, still(first.position_m))
@@ -209,6 +213,35 @@ def _home(s: Supervisor, present: int, p: AxisParameters) -> Asked:
     if s.closing:
         return Asked(CLOSING)
     return Asked(BLOCKED) if present & BLOCKS[HOME] else Asked(TAKEN, HOME)
+
+
+def _tune(
+    values: tuple[float, ...], plan: Plan, now: Reference, now_ns: int, law: Controller, p: AxisParameters
+) -> Asked:
+    """Other gains, and perhaps another configured reference: both or neither."""
+    gains, motion = values[: len(TUNABLE)], values[len(TUNABLE) :]
+    if not is_sound(gains):
+        return Asked(MALFORMED)
+    if not is_stable(gains, law):
+        return Asked(UNSTABLE)
+    asked = _configure(Sine(*motion), plan, now, now_ns, p) if motion else Asked(TAKEN)
+    return asked._replace(law=tuned(gains, law)) if asked.answer == TAKEN else asked
+
+
+def _configure(wanted: Sine, plan: Plan, now: Reference, now_ns: int, p: AxisParameters) -> Asked:
+    """Another configured reference; an axis that follows the present one goes over to it."""
+    limits = p.limits
+    centre_m, amplitude_m, omega_rad_s = wanted
+    if amplitude_m < 0.0 or not 0.0 <= omega_rad_s <= MOST_OMEGA_RAD_S:
+        return Asked(MALFORMED)
+    if centre_m - amplitude_m < limits.travel_min_m or centre_m + amplitude_m > limits.travel_max_m:
+        return Asked(OUT_OF_TRAVEL)
+    if omega_rad_s * amplitude_m > limits.speed_m_s:
+        return Asked(BEYOND_LIMITS)
+    if plan.phase not in (JOINING, FOLLOWING) or plan.uploaded:
+        return Asked(TAKEN, reference=wanted)
+    joining = _join(sine(0.0, wanted), now, now_ns, p)
+    return Asked(TAKEN, plan=joining, reference=wanted) if joining is not None else Asked(OUT_OF_TRAVEL)
 
 
 def _bounds(wanted: tuple[float, ...], most: Bounds) -> Bounds | int:
@@ -259,16 +292,24 @@ def _jog(velocity: float, lease: float, plan: Plan, now: Reference, now_ns: int,
     return Asked(TAKEN, JOG, Plan(GOING, now_ns, path, jog_m_s=velocity, lease=int(lease)))
 
 
-def _track(what: float, profile: Profile, now: Reference, now_ns: int, p: AxisParameters) -> Asked:
+def _track(
+    what: float, profile: Profile, now: Reference, now_ns: int, configured: Sine, p: AxisParameters
+) -> Asked:
     if what not in (CONFIGURED, UPLOADED):
         return Asked(MALFORMED)
     if what == UPLOADED and not ends_at_rest(profile):
         return Asked(NO_PROFILE)
-    first = at(0.0, profile[0]) if what == UPLOADED else sine(0.0, p.reference)
-    path = transfer(now, first, p.transfer)
-    if not stays(path, p.limits.travel_min_m, p.limits.travel_max_m):
+    first = at(0.0, profile[0]) if what == UPLOADED else sine(0.0, configured)
+    joining = _join(first, now, now_ns, p)
+    if joining is None:
         return Asked(OUT_OF_TRAVEL)
-    return Asked(TAKEN, TRACK, Plan(JOINING, now_ns, path, uploaded=what == UPLOADED))
+    return Asked(TAKEN, TRACK, joining._replace(uploaded=what == UPLOADED))
+
+
+def _join(first: Reference, now: Reference, now_ns: int, p: AxisParameters) -> Plan | None:
+    """The way in motion to where a reference begins; None where it would leave the travel."""
+    path = transfer(now, first, p.transfer)
+    return Plan(JOINING, now_ns, path) if stays(path, p.limits.travel_min_m, p.limits.travel_max_m) else None
 
 
 def _piece(values: tuple[float, ...], plan: Plan, profile: Profile, p: AxisParameters) -> Asked:

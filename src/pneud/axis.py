@@ -13,7 +13,7 @@ from pneud.control import homing
 from pneud.control.homing import NOWHERE, Homing
 from pneud.control.plan import FOLLOWING, IDLE, NONE, Plan, follow, halting, resting
 from pneud.control.profile import Profile
-from pneud.control.reference import Way, rest
+from pneud.control.reference import Sine, Way, rest
 from pneud.control.step import Controller, ControllerState, change, join, start
 from pneud.core import Instants, drive, sense
 from pneud.safety import checks
@@ -68,6 +68,7 @@ class AxisState(NamedTuple):
     zero_m: float  # where an incremental encoder shows 0
     referenced: bool  # whether that is known
     homing: Homing
+    reference: Sine | None = None  # the configured one, where it has been changed
 
     @property
     def phase(self) -> int:
@@ -98,6 +99,8 @@ def cycle(
         p: parameters.
     """
     law, limits = state.law, p.limits
+    changed = state.reference
+    configured = _tracked(changed, p.reference)
     h = law.h
     before = state.supervisor
     engaged = is_engaged(before.state)
@@ -138,7 +141,7 @@ def cycle(
             nowhere = watched.seen._replace(position_m=NAN, changed1_m=NAN, changed2_m=NAN)
             watched = watched._replace(seen=nowhere)
     elif engaged:
-        plan, reference, at_rest = follow(plan, sampled_ns, p.reference, state.profile)
+        plan, reference, at_rest = follow(plan, sampled_ns, configured, state.profile)
         error_m = reference.position_m - estimate.position_m
         if controller is not None and not abs(error_m) <= limits.tracking_error_m:
             present |= TRACKING_ERROR
@@ -147,7 +150,19 @@ def cycle(
 
     asked = NOTHING
     if request is not None:
-        asked = ask(request, before, present, plan, state.profile, reference, estimate, sampled_ns, law, p)
+        asked = ask(
+            request,
+            before,
+            present,
+            plan,
+            state.profile,
+            reference,
+            estimate,
+            sampled_ns,
+            law,
+            configured,
+            p,
+        )
         present |= asked.faults
     if present & LOSES_REFERENCE:
         referenced = False
@@ -156,6 +171,8 @@ def cycle(
         profile = asked.profile
     if asked.law is not None:
         gains = asked.law
+    if asked.reference is not None:
+        changed = asked.reference
     after = advance(before, present, asked.kind, at_rest)
 
     command = CENTRED_COMMAND
@@ -174,7 +191,7 @@ def cycle(
             plan, reference = resting(estimate.position_m, sampled_ns), rest(estimate.position_m)
             controller = join(controller, estimate, reference, law)
         elif not engaged:
-            plan, reference, _ = follow(plan, sampled_ns, p.reference, profile)
+            plan, reference, _ = follow(plan, sampled_ns, configured, profile)
             controller = join(controller, estimate, reference, law)
         elif after.state == HOLDING and before.state != HOLDING:
             plan = resting(reference.position_m, sampled_ns)
@@ -217,6 +234,7 @@ def cycle(
         zero_m,
         referenced,
         way,
+        changed,
     )
     tick = Tick(
         t_ns,
@@ -231,6 +249,13 @@ def cycle(
         asked.answer,
     )
     return state, tick
+
+
+def _tracked(changed: Sine | None, configured: Sine) -> Sine:
+    """The reference that the axis tracks when it is told to."""
+    if changed is not None:
+        return changed
+    return configured
 
 
 class Axis:

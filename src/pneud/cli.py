@@ -21,7 +21,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-tune = typer.Typer(help="Gains of the running daemon.", no_args_is_help=True)
+tune = typer.Typer(help="Gains and reference of the running daemon.", no_args_is_help=True)
 app.add_typer(tune, name="tune")
 
 ConfigOption = Annotated[
@@ -539,7 +539,7 @@ def track(
 
 @tune.command("get")
 def tune_get(socket: SocketOption = None, json: JsonOption = False) -> None:
-    """The running gains."""
+    """The running gains and reference."""
     from pneud.verbs.tune import get
 
     _exit(get, socket, json)
@@ -551,7 +551,7 @@ def tune_set(
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Change gains, all or none, without a step of the command."""
+    """Change gains and reference, all or none, without a step of the command."""
     from pneud.verbs.tune import change
 
     _exit(change, socket, json, settings)
@@ -559,7 +559,7 @@ def tune_set(
 
 @tune.command("diff")
 def tune_diff(socket: SocketOption = None, json: JsonOption = False) -> None:
-    """What the running gains have that the file has not."""
+    """Where the running gains and reference differ from the file."""
     from pneud.verbs.tune import diff
 
     _exit(diff, socket, json)
@@ -567,7 +567,7 @@ def tune_diff(socket: SocketOption = None, json: JsonOption = False) -> None:
 
 @tune.command("save")
 def tune_save(socket: SocketOption = None, json: JsonOption = False) -> None:
-    """Write the running gains into the daemon's configuration; comments stay."""
+    """Write the running gains and reference into the daemon's configuration; comments stay."""
     from pneud.verbs.tune import save
 
     _exit(save, socket, json)
@@ -575,7 +575,7 @@ def tune_save(socket: SocketOption = None, json: JsonOption = False) -> None:
 
 @tune.command("reload")
 def tune_reload(socket: SocketOption = None, json: JsonOption = False) -> None:
-    """Take the gains of the daemon's configuration, as SIGHUP does."""
+    """Take gains and reference of the daemon's configuration, as SIGHUP does."""
     from pneud.verbs.tune import reload
 
     _exit(reload, socket, json)

@@ -91,6 +91,14 @@ def _homing_of(c: Config) -> HomingParameters:
     )
 
 
+def reference_of(c: Config) -> Sine:
+    """The configured reference, in the stroke coordinate."""
+    r = c.reference
+    return Sine(
+        r.effective_centre_m - c.cylinder.dead_length_1_m, r.amplitude_m, 2.0 * math.pi * r.frequency_hz
+    )
+
+
 def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
     """Everything `Axis` needs.
 
@@ -165,11 +173,7 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
             c.cylinder.dead_length_2_m,
             *_swings_pa_m_s(c),
         ),
-        reference=Sine(
-            c.reference.effective_centre_m - c.cylinder.dead_length_1_m,
-            c.reference.amplitude_m,
-            2.0 * math.pi * c.reference.frequency_hz,
-        ),
+        reference=reference_of(c),
         transfer=Bounds(
             limits.transfer.speed_m_s, limits.transfer.acceleration_m_s2, limits.transfer.jerk_m_s3
         ),

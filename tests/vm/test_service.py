@@ -253,10 +253,26 @@ def valve() -> tuple[int, int]:
     return int.from_bytes(data[:2], "little", signed=True), data[2]
 
 
-def test_a_reload_keeps_the_process() -> None:
-    pid = main_pid()
-    run("systemctl", "reload", AXIS)
-    time.sleep(1.0)
+def test_a_reload_takes_gains_and_reference_and_keeps_the_process() -> None:
+    pid, file = main_pid(), Path("/etc/pneud/vcan.toml")
+    text = file.read_text()
+
+    def tuned(name: str) -> float:
+        value: float = json.loads(run(PNEUD, "tune", "get", "--json"))["gains"][name]
+        return value
+
+    try:
+        file.write_text(text.replace("amplitude_m = 0.05", "amplitude_m = 0.03"))
+        run("systemctl", "reload", AXIS)
+        eventually(lambda: tuned("reference.amplitude_m") == 0.03, "the file's amplitude")
+        file.write_text(text.replace("amplitude_m = 0.05", "amplitude_m = 0.6"))
+        run("systemctl", "reload", AXIS)
+        eventually(lambda: "beyond limits.travel" in run("journalctl", "--no-pager", "-u", AXIS), "why not")
+        assert tuned("reference.amplitude_m") == 0.03
+    finally:
+        file.write_text(text)
+        run("systemctl", "reload", AXIS)
+    eventually(lambda: tuned("reference.amplitude_m") == 0.05, "as before")
     assert (disarmed(), main_pid()) == (True, pid)
 
 

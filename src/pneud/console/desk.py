@@ -135,8 +135,8 @@ class AxisDesk:
                 requests = [Request(RequestKind.PIECE)] if first else []
                 requests += [Request(RequestKind.PIECE, tuple(piece)) for piece in pieces]
                 return Plan(f"upload of {len(pieces)} pieces", tuple(requests))
-            case protocol.TuneSet(gains=gains):
-                return self._tuning.set(gains)
+            case protocol.TuneSet(gains=values):
+                return self._tuning.set(values)
             case protocol.TuneReload():
                 return self._tuning.reload()
             case protocol.Mark(text=text):

@@ -22,7 +22,7 @@ _WATCH_S = 0.1  # the ring keeps some seconds
 def serve(
     listener: socket.socket, loop: socket.socket, words: socket.socket, run: Run, ring: Ring, parent: int
 ) -> None:
-    """Serve until the ring is closed or the parent is gone; SIGHUP takes the gains of the file.
+    """Serve until the ring is closed or the parent is gone; SIGHUP takes gains and reference of the file.
 
     Args:
         listener: bound and listening.
@@ -38,6 +38,9 @@ def serve(
         nonlocal reload
         reload = True
 
+    def refused(error: protocol.ProtocolError) -> None:
+        print(f"pneud: {error}", file=sys.stderr, flush=True)
+
     signal.signal(signal.SIGHUP, hang_up)
     teller = Teller(words, "console")
     watch = Watch(ring)
@@ -50,8 +53,6 @@ def serve(
             due_s = now_s + _WATCH_S
         if reload:
             reload = False
-            problem = server.ask(protocol.TuneReload(v=1, id=0, verb="tune_reload"), "SIGHUP")
-            if problem is not None:
-                print(f"pneud: {problem}", file=sys.stderr, flush=True)
+            server.ask(protocol.TuneReload(v=1, id=0, verb="tune_reload"), "SIGHUP", refused)
         server.step(_STEP_S)
     server.close()

@@ -152,20 +152,20 @@ class Upload(Message):
 
 
 class TuneGet(Message):
-    """The running gains."""
+    """The running gains and reference."""
 
     verb: Literal["tune_get"]
 
 
 class TuneSet(Message):
-    """Change gains, all at once or none."""
+    """Change gains and reference, all at once or none."""
 
     verb: Literal["tune_set"]
-    gains: Annotated[dict[str, float | str], Field(min_length=1, max_length=9)]
+    gains: Annotated[dict[str, float | str], Field(min_length=1, max_length=12)]
 
 
 class TuneReload(Message):
-    """Take the gains of the configuration on the disk."""
+    """Take gains and reference of the configuration on the disk."""
 
     verb: Literal["tune_reload"]
 

@@ -117,11 +117,19 @@ class _Client:
 class _Job:
     """A plan under way; its client may have gone (None) meanwhile."""
 
-    def __init__(self, client: _Client | None, number: int | None, plan: Plan, label: str) -> None:
+    def __init__(
+        self,
+        client: _Client | None,
+        number: int | None,
+        plan: Plan,
+        label: str,
+        refused: Callable[[ProtocolError], None] | None = None,
+    ) -> None:
         self.client = client
         self.number = number
         self.plan = plan
         self.label = label
+        self.refused = refused
         self.next = 0
         self.ended = False  # its client has been told that it is not done
 
@@ -188,22 +196,26 @@ class Server:
             self._serve(client, now_s)
         self._hand_over()
 
-    def ask(self, message: protocol.Request, label: str) -> ProtocolError | None:
+    def ask(self, message: protocol.Request, label: str, refused: Callable[[ProtocolError], None]) -> None:
         """Do what no client asks for, without a lease.
 
-        Returns:
-            Why it cannot be done; the axis's own answer goes to the log.
+        Args:
+            message: what to do.
+            label: who asks, for the log.
+            refused: is told why it is not done, now or later.
         """
         try:
             plan = self._desk.plan(message)
         except ProtocolError as e:
             self._say(WARNING, f"{label}: {message.verb} → {e.kind}: {e.message}")
-            return e
+            refused(e)
+            return
         if plan.requests:
-            self._jobs.append(_Job(None, None, plan, label))
-        elif plan.done is not None:
+            self._jobs.append(_Job(None, None, plan, label, refused))
+            return
+        self._say(INFO, f"{label}: {plan.words}")
+        if plan.done is not None:
             plan.done()
-        return None
 
     def close(self) -> None:
         """Leave all clients."""
@@ -517,6 +529,8 @@ class Server:
         error.number = job.number
         self._say(WARNING, f"{job.label}: {job.plan.words} → {error.kind}")
         self._send(job.client, protocol.refusal(error))
+        if job.refused is not None:
+            job.refused(error)
 
 
 def _why_read_only(peer: Peer) -> str:

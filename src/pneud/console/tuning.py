@@ -1,4 +1,4 @@
-"""Gains while the loop runs: what they are, what they are asked to become, and what the file says."""
+"""Gains and reference while the loop runs: what they are, are asked to become, and are in the file."""
 
 from __future__ import annotations
 
@@ -9,43 +9,51 @@ from pneud.config import Config, ConfigError, load_config
 from pneud.console.protocol import Error, ProtocolError
 from pneud.console.server import Plan
 from pneud.control.tuning import LAWS, TUNABLE
+from pneud.parameters import reference_of
 from pneud.signals import Request, RequestKind
 
-Gains = dict[str, float | str]
-"""By name, in the order of TUNABLE; the law by its name, all others numbers."""
+Values = dict[str, float | str]
+"""By name, in the order of NAMES; the law by its name, all others numbers."""
 
+REFERENCE = ("reference.effective_centre_m", "reference.amplitude_m", "reference.frequency_hz")
+NAMES = (*TUNABLE, *REFERENCE)
 _OBSERVER = ("lambda0", "lambda1", "gain_n_s2")
 
 
-def gains_of(c: Config) -> Gains:
-    """The gains of a configuration."""
+def values_of(c: Config) -> Values:
+    """What a configuration says."""
     law = f"{c.control.law}-{c.control.discretisation}"
-    return {name: law if name == "law" else float(_value(c, name)) for name in TUNABLE}
+    return {name: law if name == "law" else _value(c, name) for name in NAMES}
 
 
 def _value(c: Config, name: str) -> float:
-    value: float = getattr(c.control.observer if name in _OBSERVER else c.control, name)
-    return value
+    (key,) = keys(name)
+    table: Any = c
+    for step in key:
+        table = getattr(table, step)
+    return float(table)
 
 
 def keys(name: str) -> tuple[tuple[str, ...], ...]:
-    """Where a gain stands in the file; the law in two places."""
+    """Where a value stands in the file; the law in two places."""
     if name == "law":
         return ("control", "law"), ("control", "discretisation")
+    if name in REFERENCE:
+        return (tuple(name.split(".")),)
     return (("control", "observer", name) if name in _OBSERVER else ("control", name),)
 
 
-def difference(old: Gains, new: Gains) -> str:
+def difference(old: Values, new: Values) -> str:
     """What changes, in words; empty for nothing."""
 
     def shown(value: float | str) -> str:
         return value if isinstance(value, str) else f"{value:.10g}"
 
-    return ", ".join(f"{n} {shown(old[n])} → {shown(new[n])}" for n in TUNABLE if old[n] != new[n])
+    return ", ".join(f"{n} {shown(old[n])} → {shown(new[n])}" for n in NAMES if old[n] != new[n])
 
 
 class Tuning:
-    """The running gains of one axis."""
+    """The running gains and reference of one axis."""
 
     def __init__(self, config: Config, path: Path, text: str) -> None:
         """As they were loaded.
@@ -55,35 +63,35 @@ class Tuning:
             path: its file.
             text: the file's, as it was loaded.
         """
-        self.running = gains_of(config)
+        self.running = values_of(config)
         self._config = config
         self._path = path
         self._text = text
 
     def changed_on_disk(self) -> bool:
-        """Whether the file is another one than that whose gains were taken last."""
+        """Whether the file is another one than that whose values were taken last."""
         try:
             return self._path.read_text(encoding="utf-8") != self._text
         except (OSError, UnicodeDecodeError):
             return True
 
-    def set(self, gains: Gains) -> Plan:
-        """Change some of the gains.
+    def set(self, values: Values) -> Plan:
+        """Change some of the values.
 
         Raises:
-            ProtocolError: there is no such gain, or no such law.
+            ProtocolError: there is no such value, or no such law.
         """
-        unknown = [name for name in gains if name not in TUNABLE]
+        unknown = [name for name in values if name not in NAMES]
         if unknown:
-            raise ProtocolError(Error.INVALID, f"{unknown[0]!r} is none of {', '.join(TUNABLE)}")
-        for name, value in gains.items():
+            raise ProtocolError(Error.INVALID, f"{unknown[0]!r} is none of {', '.join(NAMES)}")
+        for name, value in values.items():
             if (name == "law") != isinstance(value, str):
                 kind = f"one of {', '.join(LAWS)}" if name == "law" else "a number"
                 raise ProtocolError(Error.INVALID, f"{name} is {kind}")
-        return self._plan("tune", {**self.running, **gains}, {})
+        return self._plan("tune", {**self.running, **values}, {})
 
     def reload(self) -> Plan:
-        """Take the gains of the file; limits never, and everything else at the next start.
+        """Take the values of the file; limits never, and everything else at the next start.
 
         Raises:
             ProtocolError: the file cannot be used, or has other limits.
@@ -93,7 +101,7 @@ class Tuning:
             text = self._path.read_text(encoding="utf-8")
         except (ConfigError, OSError, UnicodeDecodeError) as e:
             raise ProtocolError(Error.CONFIGURATION, str(e)) from None
-        tunable = {".".join(key) for name in TUNABLE for key in keys(name)}
+        tunable = {".".join(key) for name in NAMES for key in keys(name)}
         running, found = _flat(self._config.model_dump()), _flat(config.model_dump())
         # the rate may have been given on the command line
         other = sorted(
@@ -108,19 +116,22 @@ class Tuning:
                 f"{self._path}: {', '.join(limits)} changed, and limits change at a restart only;"
                 " nothing has been taken",
             )
-        plan = self._plan("tune from the file", gains_of(config), {"at_restart": other})
+        plan = self._plan("tune from the file", values_of(config), {"at_restart": other})
+        words = plan.words + (f" (at the next start only: {', '.join(other)})" if other else "")
 
         def done() -> dict[str, Any]:
             self._text = text
             return plan.done() if plan.done is not None else {}
 
-        return plan._replace(done=done)
+        return plan._replace(words=words, done=done)
 
-    def _plan(self, words: str, wanted: Gains, more: dict[str, Any]) -> Plan:
+    def _plan(self, words: str, wanted: Values, more: dict[str, Any]) -> Plan:
         law = wanted["law"]
         if law not in LAWS:
             raise ProtocolError(Error.INVALID, f"law is one of {', '.join(LAWS)}")
         values = tuple(float(LAWS.index(law)) if n == "law" else float(wanted[n]) for n in TUNABLE)
+        if any(wanted[n] != self.running[n] for n in REFERENCE):
+            values += self._sine(wanted)
         changes = difference(self.running, wanted)
 
         def done() -> dict[str, Any]:
@@ -129,6 +140,12 @@ class Tuning:
 
         requests = (Request(RequestKind.GAINS, values),) if changes else ()
         return Plan(f"{words}: {changes or 'nothing to change'}", requests, done=done)
+
+    def _sine(self, wanted: Values) -> tuple[float, ...]:
+        """The reference as the axis knows it."""
+        changed = {name.partition(".")[2]: wanted[name] for name in REFERENCE}
+        reference = self._config.reference.model_copy(update=changed)
+        return reference_of(self._config.model_copy(update={"reference": reference}))
 
 
 def _flat(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:

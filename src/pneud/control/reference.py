@@ -21,6 +21,7 @@ LEAST_CRUISE_S = 1e-9
 HALVINGS = 40
 MAX_HARDENINGS = 10
 SAMPLES = 32
+MOST_OMEGA_RAD_S = 2.0 * math.pi * 20.0  # of a sine
 
 
 class Sine(NamedTuple):

@@ -40,7 +40,7 @@ def _plain(node: Any) -> Any:
 
 
 def from_json(of: Any, data: bytes | str) -> Any:
-    """A tree as it was.
+    """A tree as it was; a field that is absent has its default.
 
     Args:
         of: type of the tree: numbers, strings, booleans, None, NamedTuples and tuples of such.
@@ -82,10 +82,12 @@ def _built(of: Any, node: Any, where: str) -> Any:
 
 
 def _record(of: Any, node: Any, where: str) -> Any:
-    if not isinstance(node, dict) or set(node) != set(of._fields):
+    fields = set(of._fields)
+    if not isinstance(node, dict) or not fields - set(of._field_defaults) <= set(node) <= fields:
         raise SnapshotError(f"{where or 'it'}: has not the fields of {of.__name__}")
     types = _hints(of)
-    return of(*(_built(types[name], node[name], f"{where}.{name}".lstrip(".")) for name in of._fields))
+    built = {name: _built(types[name], part, f"{where}.{name}".lstrip(".")) for name, part in node.items()}
+    return of(**built)
 
 
 def _tuple(of: tuple[Any, ...], node: Any, where: str) -> tuple[Any, ...]:

@@ -1,4 +1,4 @@
-"""Gains of a running daemon: read, changed, compared with the file, written into it."""
+"""Gains and reference of a running daemon: read, changed, compared with the file, written into it."""
 
 from __future__ import annotations
 
@@ -15,12 +15,11 @@ from pneud.config import ConfigError, load_config
 from pneud.console.client import Client, RefusedError
 from pneud.console.place import PlaceError
 from pneud.console.results import refused, show
-from pneud.console.tuning import Gains, difference, gains_of, keys
-from pneud.control.tuning import TUNABLE
+from pneud.console.tuning import NAMES, Values, difference, keys, values_of
 
 
 def get(socket: str | None, json: bool) -> int:
-    """Print the running gains.
+    """Print the running values.
 
     Returns:
         Exit status: 0.
@@ -35,7 +34,7 @@ def get(socket: str | None, json: bool) -> int:
 
 
 def change(socket: str | None, json: bool, settings: list[str]) -> int:
-    """Change gains, all or none.
+    """Change some of them, all or none.
 
     Args:
         socket: `--socket`.
@@ -49,22 +48,22 @@ def change(socket: str | None, json: bool, settings: list[str]) -> int:
         ConfigError: not such settings.
         PlaceError: no daemon to talk to.
     """
-    gains: Gains = {}
+    values: Values = {}
     for setting in settings:
         name, equals, value = setting.partition("=")
-        if not equals or name not in TUNABLE:
-            raise ConfigError(f"{setting!r} is no NAME=VALUE; names are {', '.join(TUNABLE)}")
-        gains[name] = value
+        if not equals or name not in NAMES:
+            raise ConfigError(f"{setting!r} is no NAME=VALUE; names are {', '.join(NAMES)}")
+        values[name] = value
         if name != "law":
             try:
-                gains[name] = float(value)
+                values[name] = float(value)
             except ValueError:
                 raise ConfigError(f"{setting!r}: {value!r} is no number") from None
-    return _ask(socket, json, "tune_set", gains=gains)
+    return _ask(socket, json, "tune_set", gains=values)
 
 
 def reload(socket: str | None, json: bool) -> int:
-    """Let the daemon take the gains of its file.
+    """Let the daemon take the values of its file.
 
     Returns:
         Exit status: 0, or 1 where it was refused.
@@ -89,7 +88,7 @@ def _ask(socket: str | None, json: bool, verb: str, **fields: Any) -> int:
 
 
 def diff(socket: str | None, json: bool) -> int:
-    """Print what the running gains have that the file has not.
+    """Print where what runs differs from the file.
 
     Returns:
         Exit status: 0.
@@ -99,14 +98,14 @@ def diff(socket: str | None, json: bool) -> int:
         PlaceError: no daemon to talk to.
     """
     running, path = _running(socket)
-    found = gains_of(load_config(path))
-    changes = {n: {"file": found[n], "running": running[n]} for n in TUNABLE if found[n] != running[n]}
+    found = values_of(load_config(path))
+    changes = {n: {"file": found[n], "running": running[n]} for n in NAMES if found[n] != running[n]}
     show({"config": str(path), "changes": changes}, json, difference(found, running) or "nothing differs")
     return 0
 
 
 def save(socket: str | None, json: bool) -> int:
-    """Write the running gains into the daemon's file, whose comments and order stay as they are.
+    """Write what runs into the daemon's file, whose comments and order stay as they are.
 
     Returns:
         Exit status: 0.
@@ -116,28 +115,28 @@ def save(socket: str | None, json: bool) -> int:
         PlaceError: no daemon to talk to, or the file cannot be written.
     """
     running, path = _running(socket)
-    found = gains_of(load_config(path))
+    found = values_of(load_config(path))
     changes = difference(found, running)
     if changes:
         try:
-            _replace(path, _with_gains(path.read_text(encoding="utf-8"), found, running))
+            _replace(path, _with(path.read_text(encoding="utf-8"), found, running))
         except TOMLKitError as e:
             raise ConfigError(f"{path}: {e}") from None
         except OSError as e:
             raise PlaceError(f"{path}: cannot be written: {e.strerror}; try sudo") from None
-    show({"config": str(path), "changed": changes}, json, f"{path}: {changes or 'has these gains'}")
+    show({"config": str(path), "changed": changes}, json, f"{path}: {changes or 'has these values'}")
     return 0
 
 
-def _running(socket: str | None) -> tuple[Gains, Path]:
+def _running(socket: str | None) -> tuple[Values, Path]:
     with Client(socket) as client:
         reply = client.ask("tune_get")
     return reply["gains"], Path(reply["config"])
 
 
-def _with_gains(text: str, old: Gains, new: Gains) -> str:
+def _with(text: str, old: Values, new: Values) -> str:
     document = tomlkit.parse(text)
-    for name in TUNABLE:
+    for name in NAMES:
         if new[name] == old[name]:
             continue
         value = new[name]
