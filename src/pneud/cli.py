@@ -375,9 +375,13 @@ def install_service(
     """Put the systemd units of this installation in place (see docs/rig-pc.md)."""
     if networkd and config is None:
         _fail("--networkd is about the interface of an axis; name its --config")
+    from pneud.installation import InstallError
     from pneud.verbs.install_service import install_service as verb
 
-    _exit(verb, config, destdir, networkd)
+    try:
+        _exit(verb, config, destdir, networkd)
+    except InstallError as e:
+        _fail(str(e), e.exit_code)
 
 
 @app.command()
@@ -617,7 +621,6 @@ def _exit(verb: object, *args: object) -> NoReturn:
     from pneud.compiled.build import BuildError
     from pneud.config import ConfigError
     from pneud.console.place import PlaceError
-    from pneud.installation import InstallError
     from pneud.log.files import LogError
 
     assert callable(verb)
@@ -625,7 +628,7 @@ def _exit(verb: object, *args: object) -> NoReturn:
         status = verb(*args)
     except (ConfigError, DatabaseError, LogError) as e:
         _fail(str(e))
-    except (LinkError, PlaceError, InstallError) as e:
+    except (LinkError, PlaceError) as e:
         _fail(str(e), e.exit_code)
     except BuildError as e:
         _fail(f"loop.compiled: {e}", MACHINE)

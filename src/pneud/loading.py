@@ -6,7 +6,7 @@ import json
 import tempfile
 import tomllib
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import ValidationError
 
@@ -21,7 +21,9 @@ from pneud.config import (
     load_with_text,
     parse,
 )
-from pneud.plant.scenario_file import Scenario, parse_scenario
+
+if TYPE_CHECKING:
+    from pneud.plant.scenario_file import Scenario
 
 SYNC_COUNTERS = 240  # SYNC counts 1 … 240
 
@@ -103,6 +105,8 @@ def load_scenario(file: str | Path) -> Scenario:
     Raises:
         ConfigError: the scenario cannot be used.
     """
+    from pneud.plant.scenario_file import parse_scenario  # noqa: PLC0415 - slow to import, for a few runs only
+
     name = str(file)
     try:
         path = resources.find(name if name.endswith(".toml") else f"{name}.toml")

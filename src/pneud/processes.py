@@ -12,7 +12,7 @@ import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 from pneud.bus.codec import Codecs
 from pneud.bus.link import Link, LinkError, open_link
@@ -26,11 +26,13 @@ from pneud.log.ring import Ring
 from pneud.plant.node import Advance, PlantNode
 from pneud.plant.parameters import PlantParameters
 from pneud.plant.process import serve
-from pneud.plant.scenario import Engine
-from pneud.plant.scenario_file import Scenario
 from pneud.plant.truth import TruthWriter
 from pneud.rt import setup
 from pneud.safety.faults import FAULT_CURES, FAULT_NAMES
+
+if TYPE_CHECKING:
+    from pneud.plant.scenario import Engine
+    from pneud.plant.scenario_file import Scenario
 
 
 def fork(main: Callable[[], None]) -> int:
@@ -72,6 +74,7 @@ class Stage(NamedTuple):
 
     def engine(self, p: PlantParameters, codecs: Codecs, seed: int, advance: Advance) -> Engine:
         """Plays the scenario on a plant."""
+        from pneud.plant.scenario import Engine  # noqa: PLC0415
 
         def order(number: int) -> None:
             os.write(self.orders, bytes((number,)))
