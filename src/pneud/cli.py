@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import sys
 from pathlib import Path
@@ -624,6 +625,8 @@ def _exit(verb: object, *args: object) -> NoReturn:
     from pneud.log.files import LogError
 
     assert callable(verb)
+    gc.freeze()  # what has been imported stays
+    gc.enable()
     try:
         status = verb(*args)
     except (ConfigError, DatabaseError, LogError) as e:
@@ -646,6 +649,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without Greek letters is no reason to fail
+    gc.disable()  # else a sixth of the start would be a search for garbage in what is being imported
     app()
 
 

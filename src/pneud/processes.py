@@ -18,8 +18,7 @@ from pneud.bus.codec import Codecs
 from pneud.bus.link import Link, LinkError, open_link
 from pneud.bus.wire import Receive
 from pneud.config import Config
-from pneud.console.desk import Run
-from pneud.console.process import serve as serve_console
+from pneud.console.run import Run
 from pneud.log.header import LogHeader
 from pneud.log.recorder import leave_the_parents_files
 from pneud.log.ring import Ring
@@ -142,6 +141,9 @@ def fork_console(
     def main() -> None:
         # a Ctrl-C reaches the whole group; the console leaves with the loop
         setup.ignore_terminal_signals()
+        # the protocol is loaded here, beside the loop's own start; who calls meanwhile is queued
+        from pneud.console.process import serve as serve_console  # noqa: PLC0415
+
         leave_the_parents_files(*(listener.fileno(), loop.fileno(), words.fileno()), ring.descriptor)
         serve_console(listener, loop, words, run, ring, parent)
 

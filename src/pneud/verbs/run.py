@@ -18,7 +18,7 @@ from pneud.bus.link import Link, LinkError, open_link, refuse_if_driven
 from pneud.compiled.law import Law, law
 from pneud.config import Config, ConfigError, LogConfig
 from pneud.console import handoff, place
-from pneud.console.desk import Run
+from pneud.console.run import Run
 from pneud.daemon import Loop, options_of
 from pneud.loading import Loaded, bus_name, listening_s, load_axis, load_scenario
 from pneud.log import messages
