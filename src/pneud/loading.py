@@ -62,7 +62,7 @@ def load(
         dbc = resources.find(config.bus.dbc, path.parent)
     except FileNotFoundError as e:
         raise ConfigError(f"{path}: bus.dbc: {e}") from None
-    codecs = load_codecs(config.bus, dbc)
+    codecs = load_codecs(config.bus, dbc, keep=True)
     _check_ranges(config, codecs, dbc)
     return Loaded(config, path, text, dbc, codecs)
 
