@@ -1,28 +1,45 @@
-"""The command line: options in, one call for each verb out."""
+"""The command line: options in, one call for each verb out.
 
-from __future__ import annotations
+Annotations are no strings here: typer would compile every one of them anew, at every start.
+"""
 
 import gc
 import io
 import sys
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
+from typer.core import TyperGroup
 
 from pneud import __version__
 
 DONE, ANSWER_IS_NO, USAGE, MACHINE = 0, 1, 2, 3
 
+
+class Verbs(TyperGroup):
+    """A list of verbs that says of each all that its first line says."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the list; typer's own cuts lines off."""
+        verbs = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, (verb.help or "").partition("\n")[0]) for name, verb in verbs if verb])
+
+
 app = typer.Typer(
     name="pneud",
+    cls=Verbs,
     help="Real-time controller for pneumatic servo axes on a CAN bus.",
     no_args_is_help=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # to load rich takes longer than all the rest of --help
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-tune = typer.Typer(help="Gains of the running daemon.", no_args_is_help=True)
+tune = typer.Typer(
+    cls=Verbs, help="Gains of the running daemon.", no_args_is_help=True, rich_markup_mode=None
+)
 app.add_typer(tune, name="tune")
 
 ConfigOption = Annotated[
