@@ -101,7 +101,8 @@ if [ "$(SOUND)" = False ] || ! fits $(BIN)/python || ! { has_uv || $(BIN)/python
 fi; \
 if has_uv; then uv pip install --quiet --python $(BIN)/python -e $(1); \
 else $(BIN)/python -m pip install --quiet --disable-pip-version-check -e $(1); fi || \
-  fail "packages could not be installed (see above); this needs a package index once"
+  fail "packages could not be installed (see above); this needs a package index once"; \
+$(BIN)/python -m compileall -q src || : # uncompiled modules, where Python may not or shall not write them, cost at every start
 endef
 
 $(RUNTIME): pyproject.toml

@@ -13,7 +13,8 @@ from log_samples import tick_at
 from pneud import resources
 from pneud.config import load_config
 from pneud.console import handoff
-from pneud.console.desk import AxisDesk, Run
+from pneud.console.desk import AxisDesk
+from pneud.console.run import Run
 from pneud.console.server import BOUNDS, Bounds, Server
 from pneud.console.watch import Watch
 from pneud.log.ring import Ring

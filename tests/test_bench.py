@@ -29,6 +29,7 @@ from pneud.benchmark.sample import Sample, Series, from_object, process_state, r
 from pneud.compiled.to_c import TranslationError, Translator
 from pneud.config import ConfigError
 from pneud.loading import Loaded, load
+from pneud.log.reader import read_log
 from pneud.verbs.bench import BenchOptions, Contestant, bench
 
 MACHINE = {"kernel": "Linux", "cpu_model": "A CPU", "cpus": [0, 1], "hypervisor": "", "load": 0.5}
@@ -54,6 +55,15 @@ def track(tmp_path: Path) -> Track:
 
 
 # Samples
+
+
+def test_a_series_tells_when_the_first_ticks_came() -> None:
+    one = Series("x", "")
+    assert one.as_object()["first_tick_ms"] is None
+    for turn, start_ns in enumerate((3_000_000, 8_000_000, 4_000_000)):
+        one.add(sample([10], start_ns=start_ns), turn)
+    found = one.as_object()["first_tick_ms"]
+    assert found == pytest.approx({"median": 4.0, "least": 3.0, "greatest": 8.0})
 
 
 def test_a_series_counts_all_values_of_all_turns() -> None:
@@ -386,6 +396,9 @@ def test_a_log_yields_the_durations_of_its_ticks(tmp_path: Path) -> None:
     assert len(found.durations_ns["wakeup"]) >= 199, "nothing takes too long there"
     assert found.durations_ns["own"] == [], "a simulation measures no hand-over"
     assert found.incomplete == found.skipped == 0
+    assert found.start_ns is None
+    first_ns = next(iter(read_log(log))).t_ns
+    assert contestants.sample_of_log(log, 100, 200, first_ns - 7).start_ns == 7
 
 
 def test_contestants_that_cannot_start_say_why(track: Track, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -428,6 +441,7 @@ def test_every_contestant_yields_a_sample(name: str, track: Track) -> None:
         assert len(own) >= 80
         assert min(latency) > 0
     if name == "pneud":
+        assert found.start_ns > 0
         assert set(found.cpu_s) == {"loop", "recorder", "console", "plant"}
         parts = [found.durations_ns[part] for part in ("read", "cycle", "write", "record")]
         assert [sum(values) for values in zip(*parts, strict=True)] == found.durations_ns["own"]

@@ -21,9 +21,10 @@ import pytest
 from axis_rig import ARM, CLEAR, DISARM, ENCODER, VALVE, Rig, loaded, ready
 from pneud import parameters
 from pneud.axis import Axis, cycle
+from pneud.bus.folder import cache_folder
 from pneud.compiled import build
 from pneud.compiled import law as law_module
-from pneud.compiled.build import BuildError, cache_folder, load
+from pneud.compiled.build import BuildError, load
 from pneud.compiled.law import FUNCTIONS, INTERPRETED, Law, compiled, law, sample
 from pneud.compiled.rebinding import rebound
 from pneud.compiled.to_c import MOST, plain
@@ -234,7 +235,7 @@ def test_a_cache_that_others_may_write_to_is_not_used(elsewhere: Path) -> None:
 
 
 def test_a_library_that_does_not_load_is_named(elsewhere: Path) -> None:
-    folder = cache_folder()
+    folder = cache_folder("compiled")
     assert folder == elsewhere
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
     (folder / f"{build._key(build.compiler(), build._files())}.so").write_text("no library")

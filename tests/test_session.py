@@ -281,7 +281,7 @@ def test_floods_and_hostile_lines_ask_nothing_of_the_loop(axis: Path, tmp_path: 
                 line = dice.choice(
                     [
                         dice.randbytes(dice.randrange(200)) + b"\n",
-                        b'{"v":1,"id":1,"verb":"goto","x_mm":' + dice.randbytes(3) + b"}\n",
+                        b'{"v":1,"id":1,"verb":"goto","x_mm":[' + dice.randbytes(3) + b"]}\n",
                         b'{"v":1,"id":1,"verb":"goto","x_mm":99999}\n',
                         b'{"v":1,"id":1,"verb":"status"}\n',
                         b"[" * dice.randrange(20_000),

@@ -1,27 +1,48 @@
-"""The command line: options in, one call for each verb out."""
+"""The command line: options in, one call for each verb out.
 
-from __future__ import annotations
+Annotations are no strings here: typer would compile every one of them anew, at every start.
+"""
 
+import gc
 import io
 import sys
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
+from typer.core import TyperGroup
 
 from pneud import __version__
 
 DONE, ANSWER_IS_NO, USAGE, MACHINE = 0, 1, 2, 3
 
+
+class Verbs(TyperGroup):
+    """A list of verbs that says of each all that its first line says."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the list; typer's own cuts lines off."""
+        verbs = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, (verb.help or "").partition("\n")[0]) for name, verb in verbs if verb])
+
+
 app = typer.Typer(
     name="pneud",
+    cls=Verbs,
     help="Real-time controller for pneumatic servo axes on a CAN bus.",
     no_args_is_help=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # to load rich takes longer than all the rest of --help
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-tune = typer.Typer(help="Gains and reference of the running daemon.", no_args_is_help=True)
+tune = typer.Typer(
+    cls=Verbs,
+    help="Gains and reference of the running daemon.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
 app.add_typer(tune, name="tune")
 
 ConfigOption = Annotated[
@@ -375,9 +396,13 @@ def install_service(
     """Put the systemd units of this installation in place (see docs/rig-pc.md)."""
     if networkd and config is None:
         _fail("--networkd is about the interface of an axis; name its --config")
+    from pneud.installation import InstallError
     from pneud.verbs.install_service import install_service as verb
 
-    _exit(verb, config, destdir, networkd)
+    try:
+        _exit(verb, config, destdir, networkd)
+    except InstallError as e:
+        _fail(str(e), e.exit_code)
 
 
 @app.command()
@@ -617,15 +642,16 @@ def _exit(verb: object, *args: object) -> NoReturn:
     from pneud.compiled.build import BuildError
     from pneud.config import ConfigError
     from pneud.console.place import PlaceError
-    from pneud.installation import InstallError
     from pneud.log.files import LogError
 
     assert callable(verb)
+    gc.freeze()  # what has been imported stays
+    gc.enable()
     try:
         status = verb(*args)
     except (ConfigError, DatabaseError, LogError) as e:
         _fail(str(e))
-    except (LinkError, PlaceError, InstallError) as e:
+    except (LinkError, PlaceError) as e:
         _fail(str(e), e.exit_code)
     except BuildError as e:
         _fail(f"loop.compiled: {e}", MACHINE)
@@ -643,6 +669,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without Greek letters is no reason to fail
+    gc.disable()  # else a sixth of the start would be a search for garbage in what is being imported
     app()
 
 

@@ -6,7 +6,7 @@ import json
 import tempfile
 import tomllib
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import ValidationError
 
@@ -21,7 +21,9 @@ from pneud.config import (
     load_with_text,
     parse,
 )
-from pneud.plant.scenario_file import Scenario, parse_scenario
+
+if TYPE_CHECKING:
+    from pneud.plant.scenario_file import Scenario
 
 SYNC_COUNTERS = 240  # SYNC counts 1 … 240
 
@@ -60,7 +62,7 @@ def load(
         dbc = resources.find(config.bus.dbc, path.parent)
     except FileNotFoundError as e:
         raise ConfigError(f"{path}: bus.dbc: {e}") from None
-    codecs = load_codecs(config.bus, dbc)
+    codecs = load_codecs(config.bus, dbc, keep=True)
     _check_ranges(config, codecs, dbc)
     return Loaded(config, path, text, dbc, codecs)
 
@@ -103,6 +105,8 @@ def load_scenario(file: str | Path) -> Scenario:
     Raises:
         ConfigError: the scenario cannot be used.
     """
+    from pneud.plant.scenario_file import parse_scenario  # noqa: PLC0415 - slow to import, for a few runs only
+
     name = str(file)
     try:
         path = resources.find(name if name.endswith(".toml") else f"{name}.toml")

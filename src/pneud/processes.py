@@ -12,25 +12,26 @@ import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 from pneud.bus.codec import Codecs
 from pneud.bus.link import Link, LinkError, open_link
 from pneud.bus.wire import Receive
 from pneud.config import Config
-from pneud.console.desk import Run
-from pneud.console.process import serve as serve_console
+from pneud.console.run import Run
 from pneud.log.header import LogHeader
 from pneud.log.recorder import leave_the_parents_files
 from pneud.log.ring import Ring
 from pneud.plant.node import Advance, PlantNode
 from pneud.plant.parameters import PlantParameters
 from pneud.plant.process import serve
-from pneud.plant.scenario import Engine
-from pneud.plant.scenario_file import Scenario
 from pneud.plant.truth import TruthWriter
 from pneud.rt import setup
 from pneud.safety.faults import FAULT_CURES, FAULT_NAMES
+
+if TYPE_CHECKING:
+    from pneud.plant.scenario import Engine
+    from pneud.plant.scenario_file import Scenario
 
 
 def fork(main: Callable[[], None]) -> int:
@@ -72,6 +73,7 @@ class Stage(NamedTuple):
 
     def engine(self, p: PlantParameters, codecs: Codecs, seed: int, advance: Advance) -> Engine:
         """Plays the scenario on a plant."""
+        from pneud.plant.scenario import Engine  # noqa: PLC0415
 
         def order(number: int) -> None:
             os.write(self.orders, bytes((number,)))
@@ -139,6 +141,9 @@ def fork_console(
     def main() -> None:
         # a Ctrl-C reaches the whole group; the console leaves with the loop
         setup.ignore_terminal_signals()
+        # the protocol is loaded here, beside the loop's own start; who calls meanwhile is queued
+        from pneud.console.process import serve as serve_console  # noqa: PLC0415
+
         leave_the_parents_files(*(listener.fileno(), loop.fileno(), words.fileno()), ring.descriptor)
         serve_console(listener, loop, words, run, ring, parent)
 

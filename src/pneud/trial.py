@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pneud.config import Config, ConfigError
-from pneud.plant.scenario_file import Expect, Scenario
 from pneud.safety.faults import FAULT_NAMES, STOPS, names
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import State, Tick
+
+if TYPE_CHECKING:
+    from pneud.plant.scenario_file import Expect, Scenario
 
 
 class Seen(NamedTuple):

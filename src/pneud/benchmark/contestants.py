@@ -146,6 +146,7 @@ def pneud(track: Track, rate_hz: float, seconds: float, disturb: Disturb | None 
     socket = log.with_suffix(".sock")
     words = ["--config", str(track.config_file), "--rate", f"{rate_hz:g}", "--bus", _bus_of(track)]
     duration = ["--duration", str(seconds + SETTLE_S + 0.2)]
+    began_ns = time.monotonic_ns()
     process = subprocess.Popen(
         [
             sys.executable,
@@ -179,7 +180,7 @@ def pneud(track: Track, rate_hz: float, seconds: float, disturb: Disturb | None 
     if not out:
         raise AbsentError((err.splitlines() or ["pneud said nothing"])[-1])
     summary = json.loads(out)
-    sample = sample_of_log(log, round(SETTLE_S * rate_hz), round(seconds * rate_hz))
+    sample = sample_of_log(log, round(SETTLE_S * rate_hz), round(seconds * rate_hz), began_ns)
     log.unlink()
     note = f"faults: {', '.join(summary['faults'])}" if summary["faults"] else ""
     if summary["faults"] or summary["log_dropped"]:
@@ -199,8 +200,14 @@ def pneud(track: Track, rate_hz: float, seconds: float, disturb: Disturb | None 
     )
 
 
-def sample_of_log(log: Path, first: int, count: int) -> Sample:
+def sample_of_log(log: Path, first: int, count: int, began_ns: int | None = None) -> Sample:
     """The durations of some ticks of a log, by their numbers.
+
+    Args:
+        log: the log.
+        first: number of the first tick that counts.
+        count: how many.
+        began_ns: CLOCK_MONOTONIC when the process of the loop was started, where that is known.
 
     Raises:
         LogError: the log cannot be read.
@@ -209,7 +216,10 @@ def sample_of_log(log: Path, first: int, count: int) -> Sample:
     ticks = skipped = incomplete = 0
     ended_ns = 0  # the tick before
     last: tuple[int, int, int] | None = None  # read, cycle, write of the tick before, if it was complete
+    start_ns = None
     for number, logged in enumerate(read_log(log)):
+        if number == 0 and began_ns is not None:
+            start_ns = logged.t_ns - began_ns
         if number < first:
             continue
         if number > first + count:
@@ -234,7 +244,7 @@ def sample_of_log(log: Path, first: int, count: int) -> Sample:
             found["latency"].append(t.latency_ns)
             newest_ns = logged.frames[-1].stamp_ns
             last = (logged.t_ns + t.set_ns - newest_ns, t.cycle_ns, t.send_ns)
-    return Sample(found, ticks, skipped, incomplete)
+    return Sample(found, ticks, skipped, incomplete, start_ns=start_ns)
 
 
 def _members(process: subprocess.Popen[str]) -> dict[str, int]:

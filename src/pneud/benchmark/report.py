@@ -130,6 +130,12 @@ def _ours(report: Mapping[str, Any]) -> list[str]:
     if all(figures for _, figures in parts):
         shown = ", ".join(f"{name} {f['p50']:.0f}/{f['p99']:.0f}" for name, f in parts)
         lines.append(f"pneud's tick, µs p50/p99: {shown}")
+    if ours["first_tick_ms"] is not None:
+        start = ours["first_tick_ms"]
+        lines.append(
+            f"pneud's first tick: {start['median']:.0f} ms after the start of its process"
+            f" ({start['least']:.0f} … {start['greatest']:.0f})"
+        )
     if ours["cpu_percent"]:
         shown = ", ".join(f"{name} {percent:.1f} %" for name, percent in ours["cpu_percent"].items())
         lines.append(f"pneud's processes: {shown} of a CPU")

@@ -35,6 +35,7 @@ class Sample(NamedTuple):
     page_faults: int | None = None  # in the loop's process
     switches: tuple[int, int] | None = None  # voluntary, involuntary
     note: str = ""  # what was odd
+    start_ns: int | None = None  # from the start of the process to its first tick
 
 
 def from_object(data: Mapping[str, Any]) -> Sample:
@@ -125,6 +126,7 @@ class Series:
     switches: tuple[int, int] | None = None
     highest_rate_hz: float | None = None
     notes: list[str] = field(default_factory=list)
+    starts_ns: list[int] = field(default_factory=list)
 
     def add(self, sample: Sample, turn: int) -> None:
         """Take one turn in."""
@@ -149,6 +151,8 @@ class Series:
         if sample.switches is not None:
             had = self.switches or (0, 0)
             self.switches = (had[0] + sample.switches[0], had[1] + sample.switches[1])
+        if sample.start_ns is not None:
+            self.starts_ns.append(sample.start_ns)
         if sample.note and sample.note not in self.notes:
             self.notes.append(sample.note)
 
@@ -171,6 +175,15 @@ class Series:
             "switches_per_tick": (
                 {"voluntary": self.switches[0] * per_tick, "involuntary": self.switches[1] * per_tick}
                 if self.switches is not None
+                else None
+            ),
+            "first_tick_ms": (
+                {
+                    "median": statistics.median(self.starts_ns) * 1e-6,
+                    "least": min(self.starts_ns) * 1e-6,
+                    "greatest": max(self.starts_ns) * 1e-6,
+                }
+                if self.starts_ns
                 else None
             ),
             "highest_rate_hz": self.highest_rate_hz,

@@ -1,7 +1,6 @@
 """Codecs of the five frames, compiled at start-up from a DBC and the roles its messages play.
 
-`cantools` reads the database and is not needed afterwards. Values are in SI units, whatever units the
-database uses.
+Values are in SI units, whatever units the database uses.
 """
 
 from __future__ import annotations
@@ -11,13 +10,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 from math import ceil, floor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from pneud.bus import database
+from pneud.bus.database import Message, Signal
 from pneud.bus.layout import Field, bit_range, compile_functions
 from pneud.config import BusConfig, FrameConfig
-
-if TYPE_CHECKING:
-    from cantools.database.can import Database, Message, Signal
 
 _KILO, _MILLI, _MICRO = Fraction(1000), Fraction(1, 1000), Fraction(1, 1_000_000)
 _UNITS: dict[str, dict[str, Fraction]] = {
@@ -95,13 +93,18 @@ class Codecs:
     older_s: float  # an age of this or more means "older than can be told"; infinite without an age
 
 
-def load_codecs(bus: BusConfig, dbc_path: Path) -> Codecs:
+def load_codecs(bus: BusConfig, dbc_path: Path, *, keep: bool = False) -> Codecs:
     """The codecs for the messages named in `bus.frames`.
+
+    Args:
+        bus: which messages play which roles.
+        dbc_path: the DBC.
+        keep: keep in the user's cache what the DBC says.
 
     Raises:
         DatabaseError: the file, a message or a signal is missing or cannot be used; names it and the cure.
     """
-    loader = _Loader(dbc_path, _load(dbc_path))
+    loader = _Loader(dbc_path, _load(dbc_path, keep))
     codecs = {role: loader.codec(role, getattr(bus.frames, role)) for role in _ROLES}
     voltage = loader.fields["valve_command"]["voltage_v"]
     age = loader.fields["encoder"].get("age_s")
@@ -115,27 +118,21 @@ def load_codecs(bus: BusConfig, dbc_path: Path) -> Codecs:
     )
 
 
-def _load(path: Path) -> Database:
-    import cantools  # noqa: PLC0415 - slow to import, and needed by nothing but this
-    from cantools.database.can import Database  # noqa: PLC0415
-
+def _load(path: Path, keep: bool) -> dict[str, Message]:
     try:
-        database = cantools.database.load_file(path, database_format="dbc", cache_dir=None)
+        return {message.name: message for message in database.messages(path.read_bytes(), keep=keep)}
     except OSError as e:
         raise DatabaseError(f"{path}: cannot be read: {e.strerror or e}; see bus.dbc") from None
     except Exception as e:  # the parser lets more than its own errors through
         raise DatabaseError(f"{path}: not a usable DBC: {' '.join(str(e).split())}") from None
-    if not isinstance(database, Database):
-        raise DatabaseError(f"{path}: not a CAN database; bus.dbc must name a DBC")
-    return database
 
 
 class _Loader:
     """Takes messages from one database, each for one role only."""
 
-    def __init__(self, path: Path, database: Database) -> None:
+    def __init__(self, path: Path, messages: dict[str, Message]) -> None:
         self.path = path
-        self.database = database
+        self.messages = messages
         self.fields: dict[str, dict[str, Field]] = {}
         self._taken: dict[int, str] = {}
 
@@ -163,7 +160,7 @@ class _Loader:
         if frame.crc is not None:
             self._check_crc(message, frame.crc)
         functions = compile_functions(
-            message.frame_id,
+            message.can_id,
             message.length,
             [fields.get(key) for key in values],
             [0 if default is _REQUIRED else default for default in values.values()],
@@ -172,7 +169,7 @@ class _Loader:
         )
         mask = 0 if counter is None else (1 << counter.length) - 1
         return Codec(
-            message.frame_id,
+            message.can_id,
             message.length,
             mask,
             *functions,
@@ -183,31 +180,28 @@ class _Loader:
 
     def _message(self, role: str, frame: FrameConfig) -> Message:
         name = frame.message
-        try:
-            message = self.database.get_message_by_name(name)
-        except KeyError:
-            there = ", ".join(sorted(m.name for m in self.database.messages)) or "none"
+        message = self.messages.get(name)
+        if message is None:
+            there = ", ".join(sorted(self.messages)) or "none"
             cure = f"bus.frames.{role}.message must be one of: {there}"
-            raise self._error(name, None, f"not in the database; {cure}") from None
-        if message.is_extended_frame:
+            raise self._error(name, None, f"not in the database; {cure}")
+        if message.extended:
             raise self._error(name, None, "has a 29-bit identifier; only 11-bit ones are used")
         if message.length > 8:
             raise self._error(name, None, f"is {message.length} bytes long; classic CAN carries at most 8")
         if message.length == 0 and (role != "sync" or frame.counter is not None):
             raise self._error(name, None, "has no bytes; give the message its length")
-        if message.is_multiplexed():
+        if message.multiplexed:
             raise self._error(name, None, "is multiplexed; name a message that always has the same signals")
-        other = self._taken.setdefault(message.frame_id, role)
+        other = self._taken.setdefault(message.can_id, role)
         if other != role:
-            raise self._error(
-                name, None, f"0x{message.frame_id:03X} is {other} and {role}; each needs its own"
-            )
+            raise self._error(name, None, f"0x{message.can_id:03X} is {other} and {role}; each needs its own")
         return message
 
     def _signal(self, message: Message, name: str) -> Signal:
         for signal in message.signals:
             if signal.name == name:
-                if signal.is_float:
+                if signal.floating:
                     raise self._error(
                         message.name, name, "is a floating-point signal; only integers are used"
                     )
@@ -236,7 +230,7 @@ class _Loader:
         # the database's decimals are taken exactly, so that −2147.483648 / 1e-6 is the last raw value and
         # not beyond it
         scale, offset = Fraction(str(signal.scale)), Fraction(str(signal.offset))
-        low, high = bit_range(signal.length, signal.is_signed)
+        low, high = bit_range(signal.length, signal.signed)
         bounds = [Fraction(str(b)) for b in (signal.minimum, signal.maximum) if b is not None]
         if len(bounds) == 2:
             first, last = sorted((bound - offset) / scale for bound in bounds)
@@ -247,8 +241,8 @@ class _Loader:
             label=f"{message.name}.{signal.name}",
             start=signal.start,
             length=signal.length,
-            big_endian=signal.byte_order == "big_endian",
-            signed=signal.is_signed,
+            big_endian=signal.big_endian,
+            signed=signal.signed,
             integer=integer,
             scale=float(scale * unit),
             offset=float(offset * unit),
@@ -258,7 +252,7 @@ class _Loader:
 
     def _counter(self, message: Message, name: str) -> Field:
         signal = self._signal(message, name)
-        if signal.is_signed or signal.scale != 1 or signal.offset != 0 or signal.length < 2:
+        if signal.signed or signal.scale != 1 or signal.offset != 0 or signal.length < 2:
             raise self._error(
                 message.name, name, "a counter is unsigned with factor 1, offset 0 and 2 bits or more"
             )
@@ -267,8 +261,8 @@ class _Loader:
     def _check_crc(self, message: Message, name: str) -> None:
         signal = self._signal(message, name)
         last = message.length - 1
-        start = 8 * last + (7 if signal.byte_order == "big_endian" else 0)
-        if signal.length != 8 or signal.start != start or signal.is_signed:
+        start = 8 * last + (7 if signal.big_endian else 0)
+        if signal.length != 8 or signal.start != start or signal.signed:
             raise self._error(
                 message.name, name, f"the checksum must be the whole last byte (byte {last}), unsigned"
             )

@@ -1,4 +1,4 @@
-"""The private folder in which sockets of a running pneud lie."""
+"""The private folders of a user: for the sockets of a running pneud, and for what outlives it."""
 
 from __future__ import annotations
 
@@ -33,6 +33,20 @@ def runtime_folder() -> Path:
     if session and Path(session).is_dir() and Path(session).stat().st_uid == os.geteuid():
         return private_folder(Path(session) / "pneud")
     return private_folder(Path(tempfile.gettempdir()) / f"pneud-{os.geteuid()}")
+
+
+def cache_folder(name: str) -> Path:
+    """Where something is kept: in `$CACHE_DIRECTORY`, else `$XDG_CACHE_HOME/pneud`, else `~/.cache/pneud`.
+
+    Raises:
+        OSError: it cannot be made, or someone else might write to it.
+        RuntimeError: there is no home.
+    """
+    given = os.environ.get("CACHE_DIRECTORY", "").split(":")[0]
+    home = os.environ.get("XDG_CACHE_HOME", "")
+    base = Path(given) if given else Path(home or "~/.cache").expanduser() / "pneud"
+    base.mkdir(parents=True, exist_ok=True)
+    return private_folder(base / name)  # what lies there is believed and run
 
 
 def private_folder(path: Path) -> Path:

@@ -14,7 +14,7 @@ from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pneud.bus.folder import private_folder
+from pneud.bus.folder import cache_folder
 
 EXACT = (
     "-O2",
@@ -42,19 +42,6 @@ _PATIENCE_S = 60.0
 
 class BuildError(Exception):
     """There is no compiled law; the text is one line for a person."""
-
-
-def cache_folder() -> Path:
-    """Where builds are kept: `$CACHE_DIRECTORY`, else `$XDG_CACHE_HOME/pneud`, else `~/.cache/pneud`.
-
-    Raises:
-        OSError: it cannot be made, or someone else might write to it.
-    """
-    given = os.environ.get("CACHE_DIRECTORY", "").split(":")[0]
-    home = os.environ.get("XDG_CACHE_HOME", "")
-    base = Path(given) if given else Path(home or "~/.cache").expanduser() / "pneud"
-    base.mkdir(parents=True, exist_ok=True)
-    return private_folder(base / "compiled")  # what lies there is run
 
 
 def compiler() -> Path:
@@ -119,7 +106,7 @@ def _module(name: str, files: Sequence[Path], source: Callable[[], str]) -> Any:
     """A module made of a C source that depends on some files."""
     cc = compiler()
     try:
-        folder = cache_folder()
+        folder = cache_folder("compiled")
         library = folder / f"{_key(cc, files)}.so"
         if not library.exists():
             _build(source, cc, library)

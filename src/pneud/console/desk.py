@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from pneud.config import Config
 from pneud.console import protocol
 from pneud.console.handoff import Outcome
 from pneud.console.protocol import Error, ProtocolError
+from pneud.console.run import Run
 from pneud.console.server import Plan
 from pneud.console.tuning import Tuning
 from pneud.console.watch import Watch, faults
@@ -26,17 +25,6 @@ _SIMPLE = {
 }
 _BLOCKS = {"arm": BLOCKS[RequestKind.ARM], "home": BLOCKS[RequestKind.HOME]}  # faults, by what they forbid
 _URGENT = {protocol.Disarm: RequestKind.DISARM, protocol.Stop: RequestKind.STOP}
-
-
-class Run(NamedTuple):
-    """What stays the same while a daemon runs."""
-
-    config: Config
-    path: Path  # of the configuration
-    text: str  # of the configuration, as it was loaded
-    bus: str
-    note: str  # one line, for example how the bus was chosen
-    log_path: str
 
 
 class AxisDesk:

@@ -9,7 +9,8 @@ import sys
 import time
 
 from pneud.console import protocol
-from pneud.console.desk import AxisDesk, Run
+from pneud.console.desk import AxisDesk
+from pneud.console.run import Run
 from pneud.console.server import Server
 from pneud.console.watch import Watch
 from pneud.log.messages import Teller

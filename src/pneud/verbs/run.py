@@ -9,7 +9,7 @@ import socket as socket_
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pneud import parameters, trial
 from pneud.axis import Axis
@@ -18,7 +18,7 @@ from pneud.bus.link import Link, LinkError, open_link, refuse_if_driven
 from pneud.compiled.law import Law, law
 from pneud.config import Config, ConfigError, LogConfig
 from pneud.console import handoff, place
-from pneud.console.desk import Run
+from pneud.console.run import Run
 from pneud.daemon import Loop, options_of
 from pneud.loading import Loaded, bus_name, listening_s, load_axis, load_scenario
 from pneud.log import messages
@@ -26,14 +26,15 @@ from pneud.log.files import open_log
 from pneud.log.header import LogHeader, Rotation
 from pneud.log.recorder import start_recorder
 from pneud.log.ring import Ring
-from pneud.plant.scenario_file import Scenario
 from pneud.plant.truth import TruthReader, truth_memory
 from pneud.processes import Stage, end, end_screen, fork_console, fork_live, fork_plant, fork_screen, wait
 from pneud.rt import setup
-from pneud.sabotage import Victims, fork_saboteur
 from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES, names
 from pneud.signals import State
 from pneud.summary import in_words, summarise
+
+if TYPE_CHECKING:
+    from pneud.plant.scenario_file import Scenario
 
 RECORDER_PATIENCE_S = 15.0
 CONSOLE_PATIENCE_S = 1.0
@@ -208,6 +209,8 @@ def _run(
                 stage,
             )
             if stage is not None and stage.scenario.orders:
+                from pneud.sabotage import Victims, fork_saboteur  # noqa: PLC0415
+
                 kind, _, name = link.name.partition(":")
                 victims = Victims(os.getpid(), recorder, plant, name if kind == "socketcan" else "")
                 saboteur = fork_saboteur(stage.scenario, orders, victims)

@@ -1,0 +1,137 @@
+"""What a DBC says, read by `cantools`.
+
+`cantools` takes longer to load than all that a daemon needs besides. So what it made of a DBC can be kept, in
+the user's cache, and is found there by the bytes of the DBC, as long as `cantools` and this module stay as
+they are.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+from contextlib import suppress
+from importlib.util import find_spec
+from pathlib import Path
+from typing import NamedTuple
+
+from pneud.bus.folder import cache_folder
+
+_KEPT = 32  # databases that stay
+
+
+class Signal(NamedTuple):
+    """One signal, as its line in the DBC has it."""
+
+    name: str
+    start: int
+    length: int
+    big_endian: bool
+    signed: bool
+    floating: bool
+    scale: float  # an int where the DBC has one, here and below
+    offset: float
+    minimum: float | None
+    maximum: float | None
+    unit: str | None
+
+
+class Message(NamedTuple):
+    """One message."""
+
+    name: str
+    can_id: int
+    length: int
+    extended: bool
+    multiplexed: bool
+    signals: tuple[Signal, ...]
+
+
+def messages(dbc: bytes, *, keep: bool = False) -> list[Message]:
+    """The messages of a DBC.
+
+    Args:
+        dbc: content of the file.
+        keep: use and fill the cache; without a place for one this makes no difference.
+
+    Raises:
+        Exception: it is no usable DBC; what the parser lets through is not only its own errors.
+    """
+    if not keep:
+        return _parsed(dbc)
+    try:
+        file = cache_folder("databases") / f"{_key(dbc)}.json"
+    except (OSError, RuntimeError):  # RuntimeError: no home
+        return _parsed(dbc)
+    with suppress(OSError, ValueError):
+        return _unpacked(file.read_text(encoding="utf-8"))
+    found = _parsed(dbc)
+    with suppress(OSError):
+        made = file.with_suffix(f".{os.getpid()}.tmp")
+        made.write_text(_packed(found), encoding="utf-8")
+        made.replace(file)
+        for old in sorted(file.parent.glob("*.json"), key=lambda path: path.stat().st_mtime)[:-_KEPT]:
+            old.unlink(missing_ok=True)
+    return found
+
+
+def _parsed(dbc: bytes) -> list[Message]:
+    import cantools  # noqa: PLC0415 - slow to import, and needed by nothing but this
+    from cantools.database.can import Database  # noqa: PLC0415
+
+    # the encoding that DBC files have
+    text = io.TextIOWrapper(io.BytesIO(dbc), encoding="cp1252", errors="replace")
+    database = cantools.database.load(text, database_format="dbc")
+    assert isinstance(database, Database)
+    return [
+        Message(
+            m.name,
+            m.frame_id,
+            m.length,
+            m.is_extended_frame,
+            m.is_multiplexed(),
+            tuple(
+                Signal(
+                    s.name,
+                    s.start,
+                    s.length,
+                    s.byte_order == "big_endian",
+                    s.is_signed,
+                    s.is_float,
+                    s.scale,
+                    s.offset,
+                    s.minimum,
+                    s.maximum,
+                    s.unit,
+                )
+                for s in m.signals
+            ),
+        )
+        for m in database.messages
+    ]
+
+
+def _key(dbc: bytes) -> str:
+    digest = hashlib.sha256(dbc)
+    digest.update(Path(__file__).read_bytes())
+    spec = find_spec("cantools")
+    if spec is not None and spec.origin is not None:
+        found = Path(spec.origin).stat()
+        digest.update(f"{spec.origin} {found.st_mtime_ns} {found.st_size}".encode())
+    return digest.hexdigest()[:24]
+
+
+def _packed(found: list[Message]) -> str:
+    text = json.dumps(found)
+    return f"{hashlib.sha256(text.encode()).hexdigest()}\n{text}"
+
+
+def _unpacked(packed: str) -> list[Message]:
+    digest, _, text = packed.partition("\n")
+    if digest != hashlib.sha256(text.encode()).hexdigest():
+        raise ValueError("damaged")
+    return [
+        Message._make((*fields, tuple(Signal._make(signal) for signal in signals)))
+        for *fields, signals in json.loads(text)
+    ]
