@@ -187,6 +187,11 @@ class Axis:
             present |= checks.believed(estimate, (read_ns - state.read_ns) * 1e-9, limits)
             if not engaged:
                 present |= checks.unready(estimate, sampled_ns - started_ns, h)
+        astray = abs(estimate.x3_hat_n - estimate.x3_n) > limits.disagreement_n
+        if astray and not engaged and not present >> F.MOVING & 1:
+            # one absurd reading leaves the observer wrong for hours: it begins anew with the next tick
+            controller = None
+            present |= 1 << F.UNSETTLED
         plan, reference, at_rest, way = state.plan, NO_REFERENCE, False, state.homing
         if engaged:
             present |= checks.engaged(m, estimate, before.state, before.ticks, h, limits)
