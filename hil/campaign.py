@@ -338,7 +338,11 @@ def main() -> int:
         )
         (folder / "matrix.html").write_text(page(o.bus, cases, left_out, seconds))
     good = sum(case["met"] for case in cases)
-    print(f"{good} of {len(cases)} as expected, {len(left_out)} left out, {seconds:.0f} s")
+    twice = sum("again" in case for case in cases)
+    print(
+        f"{o.bus}: {good} of {len(cases)} as expected, {twice} played a second time,"
+        f" {len(left_out)} cannot be played here, {seconds:.0f} s"
+    )
     return 0 if good == len(cases) else 1
 
 

@@ -36,7 +36,9 @@ from pneud.sim.lockstep import Simulation, law_of
 PNEUD = [sys.executable, "-m", "pneud.cli"]
 EVERY_S, LASTS_S = 10.0, 0.3  # a fault, and how long it is there
 BACK_S = 8.0  # from a fault's onset the axis must track again within this time
-SAMPLE_S = 60.0
+SAMPLE_S = 60.0  # of simulated time
+LOOK_S = 5.0  # of real time
+MORE_KIB = 4096  # that a process may take beyond what it has settled at, apart from a tenth
 
 
 def faults(duration_s: float, chance: random.Random) -> list[dict[str, Any]]:
@@ -95,6 +97,7 @@ class Findings:
     def __init__(self) -> None:
         self.problems: list[str] = []
         self.latched: dict[str, int] = {}
+        self.seen: set[str] = set()  # latched faults, as the operator was told
         self.recoveries = 0
         self.longest_s = 0.0
 
@@ -153,21 +156,26 @@ def simulated(duration_s: float, seed: int) -> Findings:
         found.problems.append(f"exception in the cycle: {run.axis.failure!r}")
     if held_ns:
         found.problems.append("never came back from the last fault")
-    check_growth(sizes, found)
+    check_growth("the simulation", sizes, found)
     return found
 
 
-def check_growth(sizes_kib: list[int], found: Findings) -> None:
+def check_growth(name: str, sizes_kib: list[int], found: Findings) -> None:
     """Memory may settle in the first third, and must then stay."""
     if len(sizes_kib) >= 6:
         settled, last = sizes_kib[len(sizes_kib) // 3], sizes_kib[-1]
-        print(f"memory {settled} KiB after a third, {last} KiB at the end")
-        if last > 1.1 * settled + 4096:
-            found.problems.append(f"memory grew from {settled} to {last} KiB")
+        print(f"memory of {name}: {settled} KiB after a third, {last} KiB at the end")
+        if last > 1.1 * settled + MORE_KIB:
+            found.problems.append(f"memory of {name} grew from {settled} to {last} KiB")
+
+
+def children(pid: int) -> list[int]:
+    """Process ids of a process's children, the oldest first."""
+    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
 def size_of(pid: int) -> tuple[int, int]:
-    """Resident memory [KiB] and open files of a process."""
+    """Resident memory [KiB] and number of open files of a process."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * resource.getpagesize() // 1024, len(list(Path(f"/proc/{pid}/fd").iterdir()))
 
@@ -226,17 +234,21 @@ def operate(
         found.problems.append("no console")
         return
     end, next_sample, held = time.monotonic() + duration_s, 0.0, 0.0
-    refusal = "none"
-    sizes: list[tuple[int, int]] = []
+    refusal, tracked = "none", False
+    recorder, console = children(daemon.pid)
+    processes = {"control": daemon.pid, "recorder": recorder, "console": console, "plant": plant.pid}
+    sizes: dict[str, list[tuple[int, int]]] = {name: [] for name in processes}
     with client:
         while time.monotonic() < end and daemon.poll() is None and plant.poll() is None:
             time.sleep(0.2)
-            state = client.ask("status")["state"]
+            status = client.ask("status")
+            state = status["state"]
+            found.seen |= {fault["name"] for fault in status["faults"] if fault["latched"]}
             now = time.monotonic()
             if state == "tracking":
-                if held:
+                if held and tracked:
                     found.back(now - held, duration_s - (end - now))
-                held = 0.0
+                held, tracked = 0.0, True
             else:
                 held = held or now
                 try:
@@ -249,15 +261,18 @@ def operate(
                 except RefusedError as e:
                     refusal = str(e)  # asked again as long as it holds
             if now > next_sample:
-                next_sample = now + SAMPLE_S / 2
-                sizes.append(size_of(daemon.pid))
+                next_sample = now + LOOK_S
+                for name, pid in processes.items():
+                    sizes[name].append(size_of(pid))
     if daemon.poll() is not None or plant.poll() is not None:
         found.problems.append("a process has ended")
     if held:
         found.problems.append(f"not tracking at the end; the last refusal: {refusal}")
-    check_growth([size for size, _ in sizes], found)
-    if len({files for _, files in sizes[1:]}) > 1:
-        found.problems.append(f"open files: {[files for _, files in sizes]}")
+    for name, looks in sizes.items():
+        check_growth(name, [size for size, _ in looks], found)
+        files = [number for _, number in looks[1:]]
+        if len(set(files)) > 1:
+            found.problems.append(f"open files of {name}: {files}")
 
 
 def read_back(log: Path, out: str, err: str, found: Findings) -> None:
@@ -269,7 +284,7 @@ def read_back(log: Path, out: str, err: str, found: Findings) -> None:
         if tick.latched & ~latched:
             found.held(tick.latched & ~latched)
         latched = tick.latched
-    unlogged = set(summary["faults"]) - set(found.latched)
+    unlogged = (set(summary["faults"]) | found.seen) - set(found.latched)
     if unlogged:
         found.problems.append(f"not in the log: {', '.join(sorted(unlogged))}")
     if reader.truncated or reader.missing or summary["log_dropped"]:
@@ -292,12 +307,14 @@ def main() -> int:
             began = time.monotonic()
             found = run(duration_s, o.seed)
             took_s = time.monotonic() - began
-            print(f"{name}: {duration_s:g} s with a fault every {EVERY_S:g} s took {took_s:.0f} s")
-            print(
-                f"{found.recoveries} recoveries, the longest {found.longest_s:.1f} s; held by {found.latched}"
-            )
             for problem in found.problems:
                 print(f"PROBLEM {problem}")
+            held = ", ".join(f"{fault} {times}" for fault, times in sorted(found.latched.items()))
+            injected = len(faults(duration_s, random.Random(o.seed)))
+            print(
+                f"{name}: {duration_s:g} s took {took_s:.0f} s; {injected} random faults, {found.recoveries} recoveries, the longest {found.longest_s:.1f} s,"
+                f" {len(found.problems)} problems; held by {held or 'nothing'}"
+            )
             bad += len(found.problems)
     return 1 if bad else 0
 

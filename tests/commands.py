@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+Figures = Callable[[str], None]  # takes a line that is printed when all tests are over
 PNEUD = [sys.executable, "-m", "pneud.cli"]
 
 

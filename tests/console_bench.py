@@ -21,6 +21,16 @@ from pneud.log.ring import Ring
 from pneud.signals import Answer, Request, State
 
 CONFIG = resources.configs() / "virtual.toml"
+PIECE = [0.5, *[0.0] * 8]
+COMMANDS: dict[str, dict[str, Any]] = {  # fields of requests that have some
+    "goto": {"x_mm": 100},
+    "jog": {"velocity_mm_s": 10},
+    "track": {"what": "reference"},
+    "upload": {"first": True, "pieces": [PIECE]},
+    "mark": {"text": "x"},
+    "tune_set": {"gains": {"k1": 1.0}},
+}
+LOOKS = ("status", "attach", "observe", "tune_get")
 
 
 class Bench:

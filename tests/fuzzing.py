@@ -1,13 +1,16 @@
-"""Input that nobody would send: frames, configurations, databases and logs, arbitrary and nearly right."""
+"""Input that nobody would send, arbitrary and nearly right: frames, messages, configurations, DBCs, logs."""
 
 from __future__ import annotations
 
+import json
 import random
 import re
 from collections.abc import Iterator
 
+from console_bench import COMMANDS, LOOKS, message
 from pneud.bus.codec import Codec, Codecs
 from pneud.bus.wire import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from pneud.console.protocol import VERBS, ProtocolError, parse
 
 Bare = tuple[int, bytes]  # identifier with its flags, data
 
@@ -34,7 +37,7 @@ _DBC_WORDS = (
 def frames(codecs: Codecs, seed: int) -> Iterator[Bare]:
     """Frames without end; `own` ones among them, such as SYNC, so not for a bus that must go on running."""
     rng = random.Random(seed)
-    roles = (codecs.encoder, codecs.pressure, codecs.valve_status, codecs.valve_command, codecs.sync)
+    roles = _roles(codecs)
     while True:
         kind = rng.random()
         if kind < 0.25:
@@ -51,6 +54,22 @@ def frames(codecs: Codecs, seed: int) -> Iterator[Bare]:
             yield CAN_ERR_FLAG | classes, rng.randbytes(rng.choice((8, 8, 8, rng.randrange(9))))
         else:
             yield _of_role(rng, rng.choice(roles))
+
+
+def strangers(codecs: Codecs, seed: int) -> Iterator[Bare]:
+    """Frames without end under identifiers that mean nothing to an axis; some look like those that do."""
+    rng = random.Random(seed)
+    roles = _roles(codecs)
+    ours = {codec.can_id for codec in roles}
+    while True:
+        can_id = rng.choice((rng.getrandbits(11), rng.getrandbits(29) | CAN_EFF_FLAG))
+        if can_id not in ours and not 0x080 <= can_id < 0x100 and not 0x700 <= can_id < 0x780:
+            codec = rng.choice(roles)
+            yield can_id, rng.choice((_encoded(rng, codec) or b"", rng.randbytes(rng.randrange(9))))
+
+
+def _roles(codecs: Codecs) -> tuple[Codec, ...]:
+    return codecs.encoder, codecs.pressure, codecs.valve_status, codecs.valve_command, codecs.sync
 
 
 def _of_role(rng: random.Random, codec: Codec) -> Bare:
@@ -79,6 +98,38 @@ def _encoded(rng: random.Random, codec: Codec) -> bytes | None:
         return codec.encode(*near, counter=rng.getrandbits(8) & codec.counter_mask)
     except ValueError:
         return None
+
+
+def hostile(dice: random.Random) -> bytes:
+    """A line, or what is meant to be mistaken for one."""
+    verb = dice.choice([verb for verb in VERBS if verb not in LOOKS])
+    fields = {**message(verb), **COMMANDS.get(verb, {})}
+    match dice.randrange(7):
+        case 0:
+            return dice.randbytes(dice.randrange(300))
+        case 1:
+            return json.dumps(fields).encode()[: dice.randrange(40)]
+        case 2:
+            fields[dice.choice(list(fields))] = dice.choice(
+                [None, "", [], {}, -1, True, 1e308, 10**400, "\ud800"]
+            )
+        case 3:
+            fields["x_mm"] = dice.choice([-1e9, 1e5, float("nan"), float("-inf")])
+        case 4:
+            return b'{"v":1,"id":1,"verb":"' + dice.randbytes(20) + b'"}'
+        case 5:
+            return b"[" * dice.randrange(300) + json.dumps(fields).encode("utf-16")
+        case 6:
+            fields[dice.choice("abc")] = 1
+    return json.dumps(fields).encode()
+
+
+def well_formed(line: bytes) -> bool:
+    try:
+        parse(line)
+    except ProtocolError:
+        return False
+    return True
 
 
 def configuration(text: str, rng: random.Random) -> bytes:

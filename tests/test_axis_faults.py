@@ -405,6 +405,24 @@ def test_what_would_centre_keeps_from_arming_as_well(case: Case, monkeypatch: py
     assert tick.present & 1 << case.fault
 
 
+@pytest.mark.parametrize("before", [ready, tracking])
+@pytest.mark.parametrize("position_m", [-5.0, 1.1, 2000.0])
+def test_one_absurd_reading_is_no_blow_when_the_axis_arms_again(
+    position_m: float, before: Callable[[], Rig]
+) -> None:
+    rig = before()
+    rig.measurement = lambda m: m._replace(position_m=position_m)
+    assert not is_engaged(rig.tick().state)
+    rig.measurement = lambda m: m
+    held = rig.tick()
+    while not is_engaged(held.state):  # as soon as it can be done
+        assert rig.count < 3000
+        held = rig.tick(CLEAR if held.state == State.FAULT else ARM)
+    for tick in rig.ticks(300):
+        assert tick.state == State.HOLDING
+        assert tick.measurement.position_m == pytest.approx(held.measurement.position_m, abs=1e-3)
+
+
 def test_the_valve_node_is_given_time_to_disable_before_that_is_wrong() -> None:
     rig = tracking()
     shown: list[Tick] = [rig.tick(kind) for kind in (0, 0)]

@@ -16,19 +16,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from console_bench import Bench, bench, message
+from console_bench import COMMANDS, LOOKS, PIECE, Bench, bench, message
+from fuzzing import hostile, well_formed
 from log_samples import tick_at
 from pneud import resources
 from pneud.console import handoff, server
 from pneud.console.lease import Lease
 from pneud.console.peer import Peer, may_command
-from pneud.console.protocol import VERBS, Error, ProtocolError, parse
+from pneud.console.protocol import VERBS, Error, parse
 from pneud.console.server import BOUNDS
 from pneud.console.wire import MAX_LINE
 from pneud.safety.faults import F
 from pneud.signals import Answer, Record, Request, RequestKind, State, Timing
-
-PIECE = [0.5, *[0.0] * 8]
 
 
 @pytest.fixture
@@ -120,17 +119,6 @@ def test_root_the_daemons_user_and_the_group_may_command() -> None:
     assert may_command(Peer(1, 54321, frozenset((5, 77))), 77)
     assert not may_command(Peer(1, 54321, frozenset((5,))), 77)
     assert not may_command(Peer(1, 54321, frozenset((5,))), None)
-
-
-COMMANDS: dict[str, dict[str, Any]] = {
-    "goto": {"x_mm": 100},
-    "jog": {"velocity_mm_s": 10},
-    "track": {"what": "reference"},
-    "upload": {"first": True, "pieces": [PIECE]},
-    "mark": {"text": "x"},
-    "tune_set": {"gains": {"k1": 1.0}},
-}
-LOOKS = ("status", "attach", "observe", "tune_get")
 
 
 def test_a_wrong_user_may_look_but_not_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -479,14 +467,6 @@ HOSTILE = (
 )
 
 
-def well_formed(line: bytes) -> bool:
-    try:
-        parse(line)
-    except ProtocolError:
-        return False
-    return True
-
-
 @settings(deadline=None, max_examples=60)
 @given(st.lists(HOSTILE, min_size=1, max_size=8))
 def test_whatever_comes_nothing_malformed_reaches_the_loop(lines: list[bytes]) -> None:
@@ -499,30 +479,6 @@ def test_whatever_comes_nothing_malformed_reaches_the_loop(lines: list[bytes]) -
         assert bool(b.requests) <= bool(good)
         assert all(isinstance(r["ok"], bool) and (r["ok"] or r["error"]["message"]) for r in replies)
         assert b.ask(b.connect(), "status")["ok"]
-
-
-def hostile(dice: random.Random) -> bytes:
-    """A line, or what is meant to be mistaken for one."""
-    verb = dice.choice([verb for verb in VERBS if verb not in LOOKS])
-    fields = {**message(verb), **COMMANDS.get(verb, {})}
-    match dice.randrange(7):
-        case 0:
-            return dice.randbytes(dice.randrange(300))
-        case 1:
-            return json.dumps(fields).encode()[: dice.randrange(40)]
-        case 2:
-            fields[dice.choice(list(fields))] = dice.choice(
-                [None, "", [], {}, -1, True, 1e308, 10**400, "\ud800"]
-            )
-        case 3:
-            fields["x_mm"] = dice.choice([-1e9, 1e5, float("nan"), float("-inf")])
-        case 4:
-            return b'{"v":1,"id":1,"verb":"' + dice.randbytes(20) + b'"}'
-        case 5:
-            return b"[" * dice.randrange(300) + json.dumps(fields).encode("utf-16")
-        case 6:
-            fields[dice.choice("abc")] = 1
-    return json.dumps(fields).encode()
 
 
 @pytest.mark.slow

@@ -8,37 +8,46 @@ from pathlib import Path
 
 import pytest
 
+from commands import Figures
+
 HIL = Path(__file__).parent.parent / "hil"
 
 
 def run(script: str, *arguments: object, timeout_s: float) -> str:
-    """The output of one of the scripts, which must have found nothing wrong."""
+    """The last line of one of the scripts, which must have found nothing wrong."""
     command = [sys.executable, str(HIL / script), *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    return done.stdout.splitlines()[-1]
 
 
-@pytest.mark.slow
-def test_random_faults_for_two_simulated_minutes_leave_nothing_stuck() -> None:
-    assert "simulated: 120 s" in run("soak.py", "--sim", 120, timeout_s=300)
+def sizes(few: int, all_of_them: int) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize(
+        "count",
+        [
+            pytest.param(few, id="few", marks=pytest.mark.slow),
+            pytest.param(all_of_them, id="all", marks=pytest.mark.soak),
+        ],
+    )
 
 
-@pytest.mark.slow
-def test_two_kills_in_motion_are_survived() -> None:
-    assert "2 kills, 0 bad" in run("kills.py", 2, timeout_s=120)
+@sizes(120, 3600)
+def test_random_faults_in_simulated_time_leave_nothing_stuck(count: int, figures: Figures) -> None:
+    figures(run("soak.py", "--sim", count, timeout_s=60 + 2 * count))
+
+
+@sizes(20, 600)
+def test_random_faults_in_real_time_leave_nothing_stuck(count: int, figures: Figures) -> None:
+    figures(run("soak.py", "--real", count, timeout_s=120 + 2 * count))
+
+
+@sizes(2, 200)
+def test_kills_in_motion_are_survived(count: int, figures: Figures) -> None:
+    words = run("kills.py", count, timeout_s=120 + 20 * count)
+    assert f"{count} kills" in words
+    figures(words)
 
 
 @pytest.mark.soak
-def test_random_faults_for_a_simulated_hour_leave_nothing_stuck() -> None:
-    run("soak.py", "--sim", 3600, timeout_s=7200)
-
-
-@pytest.mark.soak
-def test_random_faults_for_ten_minutes_leave_nothing_stuck() -> None:
-    run("soak.py", "--real", 600, timeout_s=1200)
-
-
-@pytest.mark.soak
-def test_two_hundred_kills_in_motion_are_survived() -> None:
-    assert "200 kills, 0 bad" in run("kills.py", 200, timeout_s=3600)
+def test_every_scenario_in_real_time_comes_as_expected(figures: Figures) -> None:
+    figures(run("campaign.py", "--bus", "unixcan", "-o", HIL.parent / "build" / "campaign", timeout_s=3600))

@@ -18,7 +18,7 @@ from pneud.signals import ALL_SOURCES, Estimate, Measurement, Reference, Source
 
 NAN = float("nan")
 ENCODER, VALVE = int(Source.ENCODER), int(Source.VALVE)
-UNSETTLED = 1 << F.UNSETTLED
+UNSETTLED, MOVING = 1 << F.UNSETTLED, 1 << F.MOVING
 
 
 class Instants(NamedTuple):
@@ -121,6 +121,11 @@ def sense(
         present |= checks.believed(estimate, (read_ns - instants.read_ns) * 1e-9, limits)
         if not engaged:
             present |= checks.unready(estimate, sampled_ns - started_ns, h)
+            astray = abs(estimate.x3_hat_n - estimate.x3_n) > limits.disagreement_n
+            if astray and not present & MOVING:
+                # one absurd reading leaves the observer wrong for hours: it begins anew with the next tick
+                controller = None
+                present |= UNSETTLED
     elif not present & NO_SENSORS:
         # sensors that never answer together are not lacking, but there is nothing to arm on
         present |= UNSETTLED
