@@ -17,6 +17,7 @@ from pneud.compiled.build import BuildError, load, load_source
 from pneud.compiled.rebinding import rebound
 from pneud.control.reference import at, sine
 from pneud.control.step import join
+from pneud.log import packing
 from pneud.plant import dynamics
 from pneud.safety import supervisor
 from pneud.signals import ALL_SOURCES, EncoderStatus, Measurement, Request, RequestKind, State, ValveState
@@ -36,16 +37,17 @@ _NOISE_PA = 2e4  # so that the command goes from end to end
 
 
 class Law(NamedTuple):
-    """How axis and plant are computed, and frames received."""
+    """How axis and plant are computed, frames received and records handed over."""
 
     axis: Callable[[AxisParameters], Axis]
     advance: Callable[..., dynamics.PlantState]
     receive: wire.Receive
+    pack: packing.Pack
     name: str  # for the log
     reason: str = ""  # why it is not the compiled one
 
 
-INTERPRETED = Law(Axis, dynamics.advance, wire.receive, "python")
+INTERPRETED = Law(Axis, dynamics.advance, wire.receive, packing.pack, "python")
 
 
 def law(mode: str, p: AxisParameters) -> Law:
@@ -83,7 +85,13 @@ def compiled() -> Law:
     # a tick of which C cannot do all is done in parts
     built.originals[FUNCTIONS.index(cycle)] = rebound(cycle, by)  # type: ignore[arg-type]  # it is a plain function
     axis = type("CompiledAxis", (Axis,), {"_cycle": staticmethod(whole)})
-    return Law(axis, by[dynamics.advance], load_source(wire.SOURCE).receive, "compiled")
+    return Law(
+        axis,
+        by[dynamics.advance],
+        load_source(wire.SOURCE).receive,
+        load_source(packing.SOURCE).pack,
+        "compiled",
+    )
 
 
 def sample(one: Law, p: AxisParameters) -> list[str]:

@@ -21,6 +21,7 @@ import time
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
+from pneud.log.packing import REFUSALS, Pack, layout, pack
 from pneud.signals import (
     REQUEST_VALUES,
     Command,
@@ -44,7 +45,7 @@ _HEAD_BYTES = 16_384
 _STATE_BYTES = 1 << 17
 _STATE = struct.Struct("=QqQ")
 
-_FRAME = "qI B3x 8s"
+_FRAME = "qI9p3x"
 _FRAME_BYTES = 24
 _PREFIX = struct.Struct("QQ HHHH")  # sequence, record, part, parts, frames in this slot, frames of the record
 _TICK = "q" + "qIddddd" + "I" + "I" + "qqq" + "III" + "qII" + "d" * 8 + "dddd" + "dIIddd" + "IQQ" + "III"
@@ -106,8 +107,9 @@ class RecorderStatus(NamedTuple):
 class Ring:
     """The loop's end; `create` it before forking."""
 
-    def __init__(self, memory: mmap.mmap, slots: int, slot_bytes: int) -> None:
+    def __init__(self, memory: mmap.mmap, slots: int, slot_bytes: int, pack: Pack = pack) -> None:
         self._memory = memory
+        self._pack = pack
         self.descriptor = -1
         """Of the memory, where this process made it."""
         self._words = memoryview(memory).cast("Q")
@@ -119,23 +121,20 @@ class Ring:
         self._more_frames = (slot_bytes - 8 - _PREFIX.size) // _FRAME_BYTES
         if self._first_frames < 1 or slot_bytes % 8:
             raise ValueError(f"slot_bytes = {slot_bytes} is too small or no multiple of 8")
-        self._layouts = [
-            struct.Struct(_PREFIX.format + _BODY + _FRAME * n) for n in range(self._first_frames + 1)
-        ]
-        self._more_layouts = [
-            struct.Struct(_PREFIX.format + _FRAME * n) for n in range(self._more_frames + 1)
-        ]
+        self._layouts = [layout(_PREFIX.format + _BODY + _FRAME * n) for n in range(self._first_frames + 1)]
+        self._more_layouts = [layout(_PREFIX.format + _FRAME * n) for n in range(self._more_frames + 1)]
         self._longest = slots // 4
         self._sequence = 0
         self._number = 0
 
     @classmethod
-    def create(cls, slots: int = 4096, slot_bytes: int = 1024) -> Ring:
+    def create(cls, slots: int = 4096, slot_bytes: int = 1024, pack: Pack = pack) -> Ring:
         """A new ring with all its pages in memory.
 
         Args:
             slots: how many records of an ordinary tick it holds.
             slot_bytes: size of one; 1024 hold a tick with 20 frames.
+            pack: `packing.pack` or its twin.
 
         Raises:
             OSError: no memory for it.
@@ -154,7 +153,7 @@ class Ring:
             raise
         for page in range(0, size, mmap.PAGESIZE):
             memory[page] = 0
-        ring = cls(memory, slots, slot_bytes)
+        ring = cls(memory, slots, slot_bytes, pack)
         ring.descriptor = descriptor
         return ring
 
@@ -200,46 +199,32 @@ class Ring:
         parts = 1 if count == first else 1 - (first - count) // self._more_frames
         request = tick.request
         kind, wanted = (0, ()) if request is None else request
-        values: list[int | float | bytes] = []
-        for stamp_ns, can_id, data in everything[:first]:
-            values += (stamp_ns, can_id, len(data), data)
         sequence = self._sequence + 1
         offset = _HEAD_BYTES + sequence % self.slots * self.slot_bytes
         try:
             if parts > self._longest:
                 return  # counted by the readers, which miss its number
             wanted_bytes = _VALUES[len(wanted)].pack(*wanted)
-            self._layouts[first].pack_into(
+            self._pack(
                 self._memory,
                 offset,
-                sequence,
-                self._number,
-                0,
-                parts,
-                first,
-                0,
-                len(sent),
-                before,
-                tick.t_ns,
-                *tick.measurement,
-                *tick.estimate,
-                *tick.reference,
-                *tick.command,
-                tick.state,
-                tick.present,
-                tick.latched,
-                tick.answer,
-                kind,
-                len(wanted),
-                wanted_bytes,
-                *timing,
-                truth_m,
-                *values,
+                *self._layouts[first],
+                (
+                    (sequence, self._number, 0, parts, first, 0, len(sent), before, tick.t_ns),
+                    tick.measurement,
+                    tick.estimate,
+                    tick.reference,
+                    tick.command,
+                    (tick.state, tick.present, tick.latched, tick.answer, kind, len(wanted), wanted_bytes),
+                    timing,
+                    (truth_m,),
+                    *everything[:first],
+                ),
             )
             self._words[(offset + self.slot_bytes) // 8 - 1] = sequence
             if parts > 1:
                 sequence = self._put_rest(everything[first:], sequence, parts)
-        except (struct.error, IndexError):
+        except (*REFUSALS, IndexError):
             return  # a value that no slot can hold: the record is missed, the loop goes on
         finally:
             self._words[_NUMBER] = self._number
@@ -249,14 +234,10 @@ class Ring:
     def _put_rest(self, frames: tuple[Frame, ...], sequence: int, parts: int) -> int:
         for part in range(1, parts):
             some = frames[(part - 1) * self._more_frames : part * self._more_frames]
-            values: list[int | bytes] = []
-            for stamp_ns, can_id, data in some:
-                values += (stamp_ns, can_id, len(data), data)
             sequence += 1
             offset = _HEAD_BYTES + sequence % self.slots * self.slot_bytes
-            self._more_layouts[len(some)].pack_into(
-                self._memory, offset, sequence, self._number, part, parts, len(some), 0, *values
-            )
+            head = (sequence, self._number, part, parts, len(some), 0)
+            self._pack(self._memory, offset, *self._more_layouts[len(some)], (head, *some))
             self._words[(offset + self.slot_bytes) // 8 - 1] = sequence
         return sequence
 
@@ -375,18 +356,16 @@ class Ring:
         _, number, part, parts, count, _ = _PREFIX.unpack_from(slot)
         if part:
             return None
-        v = self._layouts[count].unpack_from(slot)
+        v = self._layouts[count].whole.unpack_from(slot)
         flat = v[_F:]
         for more in range(1, parts):
             rest = self._slot(sequence + more)
             if rest is None:
                 return None
             n = _PREFIX.unpack_from(rest)[4]
-            flat += self._more_layouts[n].unpack_from(rest)[6:]
+            flat += self._more_layouts[n].whole.unpack_from(rest)[6:]
         new = tuple.__new__  # half the time of Frame(…)
-        frames = tuple(
-            [new(Frame, (flat[i], flat[i + 1], flat[i + 3][: flat[i + 2]])) for i in range(0, len(flat), 4)]
-        )
+        frames = tuple([new(Frame, flat[i : i + 3]) for i in range(0, len(flat), 3)])
         received = len(frames) - v[6]
         tick = Tick(
             v[8],

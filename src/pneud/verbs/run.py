@@ -150,7 +150,7 @@ def _run(
     config, path, text, dbc, codecs = loaded
     wanted = config.realtime
     cpu = setup.own_cpu(wanted.cpu)
-    ring = Ring.create()
+    ring = Ring.create(pack=how.pack)
     header = LogHeader(
         name=config.name,
         bus=link.name,
