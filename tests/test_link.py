@@ -58,7 +58,7 @@ class Faulty:
             raise OSError(self.error, "told so")
         return 1
 
-    def send(self, packet: bytes) -> None:
+    def send(self, can_id: int, data: bytes) -> None:
         if self.error:
             raise OSError(self.error, "told so")
         self.sent.append(packet)

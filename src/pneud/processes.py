@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 from pneud.bus.codec import Codecs
 from pneud.bus.link import Link, LinkError, open_link
-from pneud.bus.wire import Receive
+from pneud.bus.wire import Carriage
 from pneud.config import Config
 from pneud.console.run import Run
 from pneud.log.header import LogHeader
@@ -90,7 +90,7 @@ def fork_plant(
     truth: mmap.mmap,
     priority: int,
     advance: Advance,
-    receive: Receive,
+    by: Carriage,
     stage: Stage | None = None,
 ) -> int:
     """The software plant on the same bus.
@@ -104,7 +104,7 @@ def fork_plant(
         truth: shared memory for the true positions.
         priority: real-time priority to try for, since frames that come late are not what a real bus does.
         advance: what integrates the plant.
-        receive: what takes frames from the bus.
+        by: how frames are taken from the bus and given to it.
         stage: a scenario to play.
     """
     parent = os.getpid()
@@ -120,7 +120,7 @@ def fork_plant(
         signal.signal(signal.SIGTERM, stop)
         setup.die_with_parent(parent)
         inherited.close()
-        with open_link(channel, virtual=True, receive=receive) as link:
+        with open_link(channel, virtual=True, by=by) as link:
             engine = stage.engine(p, codecs, seed, advance) if stage is not None else None
             node = engine.node if engine is not None else PlantNode(p, codecs, seed, advance=advance)
             setup.apply(priority, None, False)

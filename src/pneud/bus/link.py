@@ -39,7 +39,7 @@ class Carrier(Protocol):
 
     def fileno(self) -> int: ...  # noqa: D102
     def drain(self, offset_ns: int, into: list[Frame], wait_ns: int = 0) -> int: ...  # noqa: D102
-    def send(self, packet: bytes) -> None: ...  # noqa: D102
+    def send(self, can_id: int, data: bytes) -> None: ...  # noqa: D102
     def close(self) -> None: ...  # noqa: D102
     @property
     def dropped(self) -> int: ...  # noqa: D102
@@ -120,7 +120,7 @@ class Link:
             CLOCK_MONOTONIC [ns] right after it was handed to the kernel, or −1 when it could not be.
         """
         try:
-            self._transmit(wire.PACKET.pack(can_id, len(data), data))
+            self._transmit(can_id, data)
         except OSError as e:
             self.tx_failed += 1
             if e.errno in _DOWN:
@@ -169,25 +169,25 @@ class Link:
         self._carrier.close()
 
 
-def open_link(channel: str, *, virtual: bool = False, receive: wire.Receive = wire.receive) -> Link:
+def open_link(channel: str, *, virtual: bool = False, by: wire.Carriage = wire.CARRIAGE) -> Link:
     """Open a bus.
 
     Args:
         channel: "socketcan:IF", "unixcan:NAME", or "auto": vcan0 if it is up and idle, else a new unixcan.
         virtual: refuse what might lead to real devices.
-        receive: `wire.receive` or its twin.
+        by: how frames are taken and given.
 
     Raises:
         LinkError: with `exit_code` 3 where the machine lacks something, 2 for a channel that may not be used.
     """
     if channel == "auto":
-        return _open_auto(receive)
+        return _open_auto(by)
     kind, _, name = channel.partition(":")
     try:
         if kind == "socketcan" and name:
-            return Link(channel, SocketCan(name, virtual=virtual, receive=receive))
+            return Link(channel, SocketCan(name, virtual=virtual, by=by))
         if kind == "unixcan" and name:
-            return Link(channel, Party(name, answers=True, receive=receive))
+            return Link(channel, Party(name, answers=True, by=by))
     except NotVirtualError as e:
         raise LinkError(str(e), USAGE) from None
     except (SocketCanError, UnixCanError) as e:
@@ -225,13 +225,11 @@ def refuse_if_driven(
                 )
 
 
-def _open_auto(receive: wire.Receive) -> Link:
+def _open_auto(by: wire.Carriage) -> Link:
     reason = _why_not(_AUTO_INTERFACE)
     if not reason:
         try:
-            link = Link(
-                f"socketcan:{_AUTO_INTERFACE}", SocketCan(_AUTO_INTERFACE, virtual=True, receive=receive)
-            )
+            link = Link(f"socketcan:{_AUTO_INTERFACE}", SocketCan(_AUTO_INTERFACE, virtual=True, by=by))
         except SocketCanError as e:
             reason = str(e).partition(": ")[2].partition(";")[0]
         else:
@@ -241,7 +239,7 @@ def _open_auto(receive: wire.Receive) -> Link:
             link.close()
             reason = f"{_AUTO_INTERFACE} carries traffic"
     channels()  # which removes what dead ones have left
-    link = open_link(f"unixcan:auto-{os.getpid()}-{secrets.token_hex(2)}", receive=receive)
+    link = open_link(f"unixcan:auto-{os.getpid()}-{secrets.token_hex(2)}", by=by)
     link.note = f"bus {link.name} ({reason})"
     return link
 

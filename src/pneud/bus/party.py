@@ -31,7 +31,6 @@ from pneud.signals import Frame
 SEND_BUFFER_BYTES = 4 * 1024 * 1024
 _SO_SNDBUFFORCE = 32
 _CREDENTIALS = struct.Struct("3i")
-_SEND_FLAGS = socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL
 _MOST_PATH_BYTES = 107
 _ANSWERS, _LISTENS = "a", "l"  # how a party behaves: the last letter of its socket's name
 # a flood must not hold a caller for ever, but to stop short spoils the order: more than the buffers hold
@@ -56,7 +55,7 @@ class Party:
         *,
         answers: bool = False,
         hear_self: bool = False,
-        receive: wire.Receive = wire.receive,
+        by: wire.Carriage = wire.CARRIAGE,
     ) -> None:
         """Join `channel`.
 
@@ -65,7 +64,7 @@ class Party:
             answers: it will send, so that those who may only listen are served before it. Who does not say so
                 is found out when it first sends.
             hear_self: receive the own frames too.
-            receive: `wire.receive` or its twin.
+            by: how frames are taken and given.
 
         Raises:
             UnixCanError: a bad name, or a folder or socket that cannot be made.
@@ -76,10 +75,10 @@ class Party:
         self._peers: dict[int, socket.socket] = {}  # all connections, by descriptor
         self._doors: dict[int, socket.socket] = {}  # those who knock and have not handed over anything yet
         self._talkers: set[int] = set()  # those that answer or ever sent something
-        self._targets: tuple[socket.socket, ...] = ()
+        self._targets: tuple[int, ...] = ()  # descriptors, listeners first
         self._deaf: socket.socket | None = None  # the end on which the own frames come back
         self._changing = threading.Lock()
-        self._receive = receive
+        self._receive, self._send = by
         self._counts = wire.counts()
         self._sources: dict[int, socket.socket] = {}  # those that have sent something
         self._owner = os.getpid()
@@ -165,15 +164,12 @@ class Party:
         if not alive:
             self._forget(descriptor)
 
-    def send(self, packet: bytes) -> None:
-        """Hand one packed frame to everybody; who has no room for it loses it."""
-        for sock in self._targets:
-            try:
-                sock.send(packet, _SEND_FLAGS)
-            except BlockingIOError:
-                self.dropped += 1
-            except OSError:
-                pass  # it has gone: the next drain forgets it
+    def send(self, can_id: int, data: bytes) -> None:
+        """Hand one frame to everybody; who has no room for it loses it."""
+        # who has gone is forgotten by the next drain
+        lost = self._send(self._targets, can_id, data, False)
+        if lost:
+            self.dropped += lost
 
     def admit(self) -> None:
         """Let in everybody who knocks, except other users."""
@@ -272,8 +268,8 @@ class Party:
 
     def _retarget(self) -> None:
         with self._changing:
-            targets = [sock for sock in self._peers.values() if sock is not self._deaf]
-            self._targets = tuple(sorted(targets, key=lambda sock: sock.fileno() in self._talkers))
+            targets = [d for d, sock in self._peers.items() if sock is not self._deaf]
+            self._targets = tuple(sorted(targets, key=lambda d: d in self._talkers))
 
 
 def channels() -> list[str]:

@@ -17,7 +17,6 @@ _SO_RCVBUFFORCE = 33
 _CAN_RAW_ERR_FILTER = 2
 _ALL_ERRORS = struct.pack("=I", 0x1FFFFFFF)
 _EVERYTHING = struct.pack("=II", 0, 0)
-_SEND_FLAGS = socket.MSG_DONTWAIT
 _MOST_AT_ONCE = 4096  # a flood must not hold a caller for ever
 
 
@@ -32,21 +31,19 @@ class NotVirtualError(SocketCanError):
 class SocketCan:
     """A bus of the kernel."""
 
-    def __init__(
-        self, interface: str, *, virtual: bool = False, receive: wire.Receive = wire.receive
-    ) -> None:
+    def __init__(self, interface: str, *, virtual: bool = False, by: wire.Carriage = wire.CARRIAGE) -> None:
         """Open `interface`.
 
         Args:
             interface: such as can0.
             virtual: refuse whatever is not of kind vcan.
-            receive: `wire.receive` or its twin.
+            by: how frames are taken and given.
 
         Raises:
             NotVirtualError: not of kind vcan, though `virtual`.
             SocketCanError: no SocketCAN, no such interface, not up, no permission.
         """
-        self._receive = receive
+        self._receive, self._send = by
         self._counts = wire.counts()
         self._name, self._virtual = interface, virtual
         self._check(interface, virtual)
@@ -57,6 +54,7 @@ class SocketCan:
         except OSError as e:
             raise SocketCanError(_reason(interface, e)) from None
         self._epoll = select.epoll()
+        self._targets = (self._socket.fileno(),)
         self._sources = {self._socket.fileno(): self._socket}
         try:
             self._configure(interface)
@@ -85,13 +83,13 @@ class SocketCan:
         )
         return len(into) - before
 
-    def send(self, packet: bytes) -> None:
-        """Hand one packed frame to the kernel.
+    def send(self, can_id: int, data: bytes) -> None:
+        """Hand one frame to the kernel.
 
         Raises:
             OSError: it has no room for it, or the interface is down or gone.
         """
-        self._socket.send(packet, _SEND_FLAGS)
+        self._send(self._targets, can_id, data, True)
 
     def bind(self) -> bool:
         """Bind to whatever interface now has the name, if there is one that may be used.

@@ -88,7 +88,7 @@ class UnixCanBus(can.BusABC):
         if msg.is_fd:
             raise can.CanOperationError("unixcan carries classic CAN frames only")
         self._party.admit()  # who only sends never drains, and yet others want to join
-        self._party.send(wire.PACKET.pack(_identifier(msg), msg.dlc, bytes(msg.data)))
+        self._party.send(_identifier(msg), bytes(msg.data).ljust(msg.dlc, b"\0"))
 
     def shutdown(self) -> None:
         """Leave the channel."""

@@ -1,18 +1,19 @@
 """Classic CAN frames as the kernel lays them out, and the one way of reading them from a socket.
 
 SocketCAN and unixcan both carry `struct can_frame` in packets and stamp each on arrival, so they share this.
-`receive.c` beside this file is `receive` in C.
+`frames.c` beside this file is `receive` and `send` in C.
 """
 
 from __future__ import annotations
 
+import os
 import select
 import socket
 import struct
 import time
 from array import array
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from pneud.signals import Frame
 
@@ -64,8 +65,16 @@ def realtime_offset_ns(attempts: int = 5) -> int:
     return offset
 
 
-SOURCE = Path(__file__).with_name("receive.c")
+SOURCE = Path(__file__).with_name("frames.c")
 ORDERED, UNORDERED = -1, -2  # everything has been taken; in the order of its stamps, or perhaps not
+
+
+class Send(Protocol):
+    """`send`, or its twin in C."""
+
+    def __call__(  # noqa: D102
+        self, targets: tuple[int, ...], can_id: int, data: bytes, strict: bool, /
+    ) -> int: ...
 
 
 class Receive(Protocol):
@@ -139,6 +148,42 @@ def receive(
     return found
 
 
+class Carriage(NamedTuple):
+    """How frames are taken from sockets and given to them."""
+
+    receive: Receive
+    send: Send
+
+
+def send(targets: tuple[int, ...], can_id: int, data: bytes, strict: bool, /) -> int:
+    """Give one frame to non-blocking sockets, now or never.
+
+    Args:
+        targets: their descriptors.
+        can_id: identifier, with its flag bits.
+        data: at most 8 bytes.
+        strict: raise what goes wrong; else only count who had no room.
+
+    Returns:
+        How many had no room for it.
+
+    Raises:
+        OSError: where strict.
+        ValueError, struct.error: no such frame.
+    """
+    if len(data) > 8:
+        raise ValueError("send: more than 8 bytes")
+    packet, lost = PACKET.pack(can_id, len(data), data), 0
+    for descriptor in targets:
+        try:
+            os.write(descriptor, packet)
+        except OSError as e:
+            if strict:
+                raise
+            lost += isinstance(e, BlockingIOError)
+    return lost
+
+
 def take(
     sock: socket.socket, offset_ns: int, into: list[Frame], counts: array[int], class_: type[Frame] = Frame
 ) -> bool:
@@ -177,3 +222,7 @@ def take(
             counts[DROPPED] = _COUNT.unpack(value)[0]
     into.append(class_(stamp_ns, can_id, data[:length]))
     return True
+
+
+CARRIAGE = Carriage(receive, send)
+"""In Python."""

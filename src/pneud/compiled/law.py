@@ -37,17 +37,17 @@ _NOISE_PA = 2e4  # so that the command goes from end to end
 
 
 class Law(NamedTuple):
-    """How axis and plant are computed, frames received and records handed over."""
+    """How axis and plant are computed, frames carried and records handed over."""
 
     axis: Callable[[AxisParameters], Axis]
     advance: Callable[..., dynamics.PlantState]
-    receive: wire.Receive
+    carriage: wire.Carriage
     pack: packing.Pack
     name: str  # for the log
     reason: str = ""  # why it is not the compiled one
 
 
-INTERPRETED = Law(Axis, dynamics.advance, wire.receive, packing.pack, "python")
+INTERPRETED = Law(Axis, dynamics.advance, wire.CARRIAGE, packing.pack, "python")
 
 
 def law(mode: str, p: AxisParameters) -> Law:
@@ -85,10 +85,11 @@ def compiled() -> Law:
     # a tick of which C cannot do all is done in parts
     built.originals[FUNCTIONS.index(cycle)] = rebound(cycle, by)  # type: ignore[arg-type]  # it is a plain function
     axis = type("CompiledAxis", (Axis,), {"_cycle": staticmethod(whole)})
+    frames = load_source(wire.SOURCE)
     return Law(
         axis,
         by[dynamics.advance],
-        load_source(wire.SOURCE).receive,
+        wire.Carriage(frames.receive, frames.send),
         load_source(packing.SOURCE).pack,
         "compiled",
     )

@@ -49,7 +49,7 @@ def plant(config_file: str | None, bus: str, scenario_file: str | None, seed: in
     codecs = axis.codecs
     answers = (codecs.encoder.can_id, codecs.pressure.can_id, codecs.valve_status.can_id)
     how = law(config.loop.compiled, parameters.axis_of(config, codecs.command_lsb_v))
-    with open_link(channel, virtual=True, receive=how.receive) as link:
+    with open_link(channel, virtual=True, by=how.carriage) as link:
         refuse_if_driven(link, answers, listening_s(config), "other nodes answer there")
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, stop)

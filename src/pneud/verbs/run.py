@@ -93,7 +93,7 @@ def run(o: RunOptions) -> int:
         print(f"pneud: the law runs in Python: {how.reason}", file=sys.stderr)
     log_file, descriptor = open_log(o.log, axis.config.name)
     try:
-        link = open_link(channel, virtual=o.virtual, receive=how.receive)
+        link = open_link(channel, virtual=o.virtual, by=how.carriage)
         if channel != "auto":
             own = (codecs.sync.can_id, codecs.valve_command.can_id)
             refuse_if_driven(link, own, listening_s(axis.config))
@@ -205,7 +205,7 @@ def _run(
                 memory,
                 parameters.plant_priority(config.realtime),
                 how.advance,
-                how.receive,
+                how.carriage,
                 stage,
             )
             if stage is not None and stage.scenario.orders:

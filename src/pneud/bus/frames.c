@@ -1,4 +1,4 @@
-/* What `pneud.bus.wire.receive` does, in C: the same frames in the same order, in a third of the time. */
+/* What `receive` and `send` of `pneud.bus.wire` do, in C: the same frames in the same order, only sooner. */
 #define _GNU_SOURCE
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
@@ -102,12 +102,34 @@ static PyObject *receive(PyObject *self, PyObject *const *args, Py_ssize_t n) {
   return failed ? NULL : PyLong_FromLong(found);
 }
 
+/* send(targets, can_id, data, strict) */
+static PyObject *send_(PyObject *self, PyObject *const *args, Py_ssize_t n) {
+  if (n != 4 || !PyTuple_Check(args[0]) || !PyBytes_Check(args[2]))
+    return PyErr_SetString(PyExc_TypeError, "send: other arguments than expected"), NULL;
+  struct can_frame frame = {.can_id = (canid_t)PyLong_AsUnsignedLong(args[1])};
+  if (PyErr_Occurred()) return NULL;
+  Py_ssize_t length = PyBytes_GET_SIZE(args[2]);
+  if (length > CAN_MAX_DLEN) return PyErr_SetString(PyExc_ValueError, "send: more than 8 bytes"), NULL;
+  frame.can_dlc = (unsigned char)length;
+  memcpy(frame.data, PyBytes_AS_STRING(args[2]), length);
+  long lost = 0;
+  for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(args[0]); i++) {
+    int fd = (int)PyLong_AsLong(PyTuple_GET_ITEM(args[0], i));
+    if (PyErr_Occurred()) return NULL;
+    if (send(fd, &frame, sizeof frame, MSG_DONTWAIT | MSG_NOSIGNAL) >= 0) continue;
+    if (args[3] == Py_True) return PyErr_SetFromErrno(PyExc_OSError);
+    lost += errno == EAGAIN || errno == EWOULDBLOCK;
+  }
+  return PyLong_FromLong(lost);
+}
+
 static PyMethodDef methods[] = {
+    {"send", (PyCFunction)(void (*)(void))send_, METH_FASTCALL, NULL},
     {"receive", (PyCFunction)(void (*)(void))receive, METH_FASTCALL, NULL},
     {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef module = {
-    PyModuleDef_HEAD_INIT, .m_name = "pneud_receive", .m_size = -1, .m_methods = methods};
+    PyModuleDef_HEAD_INIT, .m_name = "pneud_frames", .m_size = -1, .m_methods = methods};
 
-PyMODINIT_FUNC PyInit_pneud_receive(void) { return PyModule_Create(&module); }
+PyMODINIT_FUNC PyInit_pneud_frames(void) { return PyModule_Create(&module); }

@@ -1,4 +1,4 @@
-"""Frames taken from sockets: Python's way and the one in C take the same, in the same order."""
+"""Frames taken from sockets and given to them: Python's way and the one in C do the same."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ from pneud.bus import wire
 from pneud.compiled.build import load_source
 from pneud.signals import Frame
 
-if shutil.which("cc") is None:  # the loop goes without, too
-    WAYS: dict[str, wire.Receive] = {"python": wire.receive}
-else:
-    WAYS = {"python": wire.receive, "c": load_source(wire.SOURCE).receive}
+CARRIAGES = {"python": wire.CARRIAGE}
+if shutil.which("cc") is not None:  # the loop goes without, too
+    MODULE = load_source(wire.SOURCE)
+    CARRIAGES["c"] = wire.Carriage(MODULE.receive, MODULE.send)
+WAYS = {name: carriage.receive for name, carriage in CARRIAGES.items()}
 
 MOST = 1000
 
@@ -159,6 +160,47 @@ def test_an_error_of_a_source_is_passed_on(receive: wire.Receive) -> None:
             some.sources[listener.fileno()] = listener
             with pytest.raises(OSError):
                 some.take(receive)
+
+
+@pytest.fixture(params=CARRIAGES)
+def send(request: pytest.FixtureRequest) -> wire.Send:
+    return CARRIAGES[request.param].send
+
+
+@pytest.mark.parametrize("data", [b"", b"\x01\x02\x03", b"12345678"])
+@pytest.mark.parametrize("can_id", [0, 0x203, 2**32 - 1])
+def test_a_frame_reaches_everybody(send: wire.Send, can_id: int, data: bytes) -> None:
+    with ends(2) as some:
+        targets = tuple(theirs.fileno() for _, theirs in some.pairs)
+        assert send(targets, can_id, data, True) == 0
+        assert [ours.recv(40) for ours, _ in some.pairs] == [packet(can_id, data)] * 2
+
+
+def test_who_has_no_room_is_counted_and_who_has_gone_is_not(send: wire.Send) -> None:
+    with ends(3) as some:
+        (gone, _), (full, filling), (good, _) = some.pairs
+        filling.setblocking(False)
+        for _, theirs in some.pairs:
+            theirs.setblocking(False)
+        gone.close()
+        while True:
+            try:
+                filling.send(b"x")
+            except BlockingIOError:
+                break
+        targets = tuple(theirs.fileno() for _, theirs in some.pairs)
+        assert send(targets, 1, b"now", False) == 1
+        assert good.recv(40) == packet(1, b"now")
+        for target, error in zip(targets, (BrokenPipeError, BlockingIOError), strict=False):
+            with pytest.raises(error):
+                send((target,), 1, b"now", True)
+        assert full.recv(40) == b"x"
+
+
+def test_what_is_no_frame_is_not_sent(send: wire.Send) -> None:
+    for can_id, data in ((1, bytes(9)), (-1, b""), (2**64, b""), ("1", b""), (1, "x")):
+        with pytest.raises((ValueError, TypeError, OverflowError, struct.error)):
+            send((), can_id, data, True)  # type: ignore[arg-type]
 
 
 @pytest.mark.skipif("c" not in WAYS, reason="there is no C compiler")
