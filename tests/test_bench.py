@@ -26,7 +26,8 @@ from pneud.benchmark.disturbances import DISTURBANCES, Disturb, cpus_busy
 from pneud.benchmark.law import Law, LawState, begin, header, law_of, reference, tick
 from pneud.benchmark.report import as_object, in_words
 from pneud.benchmark.sample import Sample, Series, from_object, process_state, ratio_of_turns
-from pneud.compiled.to_c import TranslationError, Translator
+from pneud.compiled.to_c import Translator
+from pneud.compiled.types import TranslationError
 from pneud.config import ConfigError
 from pneud.loading import Loaded, load
 from pneud.log.reader import read_log

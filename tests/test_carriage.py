@@ -171,7 +171,7 @@ def send(request: pytest.FixtureRequest) -> wire.Send:
 @pytest.mark.parametrize("can_id", [0, 0x203, 2**32 - 1])
 def test_a_frame_reaches_everybody(send: wire.Send, can_id: int, data: bytes) -> None:
     with ends(2) as some:
-        targets = tuple(theirs.fileno() for _, theirs in some.pairs)
+        targets = tuple(theirs for _, theirs in some.pairs)
         assert send(targets, can_id, data, True) == 0
         assert [ours.recv(40) for ours, _ in some.pairs] == [packet(can_id, data)] * 2
 
@@ -188,13 +188,23 @@ def test_who_has_no_room_is_counted_and_who_has_gone_is_not(send: wire.Send) -> 
                 filling.send(b"x")
             except BlockingIOError:
                 break
-        targets = tuple(theirs.fileno() for _, theirs in some.pairs)
+        targets = tuple(theirs for _, theirs in some.pairs)
         assert send(targets, 1, b"now", False) == 1
         assert good.recv(40) == packet(1, b"now")
         for target, error in zip(targets, (BrokenPipeError, BlockingIOError), strict=False):
             with pytest.raises(error):
                 send((target,), 1, b"now", True)
         assert full.recv(40) == b"x"
+
+
+def test_a_target_that_another_thread_has_closed_counts_as_gone(send: wire.Send) -> None:
+    with ends(2) as some:
+        (_, closed), (ours, theirs) = some.pairs
+        closed.close()
+        assert send((closed, theirs), 1, b"", False) == 0
+        assert ours.recv(40) == packet(1, b"")
+        with pytest.raises((OSError, ValueError)):
+            send((closed,), 1, b"", True)
 
 
 def test_what_is_no_frame_is_not_sent(send: wire.Send) -> None:

@@ -27,7 +27,7 @@ from pneud.compiled import law as law_module
 from pneud.compiled.build import BuildError, load
 from pneud.compiled.law import FUNCTIONS, INTERPRETED, Law, compiled, law, sample
 from pneud.compiled.rebinding import rebound
-from pneud.compiled.to_c import MOST, plain
+from pneud.compiled.types import MOST, plain
 from pneud.control.plan import COMING_TO_REST, FOLLOWING, GOING, JOINING, NONE, RESTING
 from pneud.control.reference import Septic, at, sine
 from pneud.control.tuning import tunables
@@ -234,12 +234,14 @@ def test_a_cache_that_others_may_write_to_is_not_used(elsewhere: Path) -> None:
     assert "others may enter it" in law("auto", PARAMETERS).reason
 
 
-def test_a_library_that_does_not_load_is_named(elsewhere: Path) -> None:
+def test_a_library_that_does_not_load_is_built_anew(elsewhere: Path) -> None:
     folder = cache_folder("compiled")
     assert folder == elsewhere
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
-    (folder / f"{build._key(build.compiler(), build._files())}.so").write_text("no library")
-    assert "cannot be loaded" in law("auto", PARAMETERS).reason
+    library = folder / f"{build._key(build.compiler(), build._files())}.so"
+    library.write_bytes(b"")
+    assert law("auto", PARAMETERS).name == "compiled"
+    assert library.stat().st_size
 
 
 def test_a_law_that_computes_something_else_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:

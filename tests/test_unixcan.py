@@ -583,3 +583,49 @@ def test_can_player_plays_to_whoever_listens(tmp_path: Path) -> None:
         (0x7FF, b""),
         (0x1ABCDEF0, b"\xff"),
     ]
+
+
+def test_who_joins_while_another_speaks_for_the_first_time_is_let_in() -> None:
+    one, two = Party("x", answers=True), Party("x", answers=True)
+    drained(one)
+    two.send(*FRAME)
+    three = Party("x", answers=True)
+    assert [frame.can_id for frame in drained(one)] == [FRAME[0]]
+    drained(one)
+    assert one.parties == 2
+    one.send(*FRAME)
+    assert [frame.can_id for frame in drained(three)] == [FRAME[0]]
+    for member in (one, two, three):
+        member.close()
+
+
+def test_who_joins_while_another_leaves_is_let_in() -> None:
+    one, two = Party("x", answers=True), Party("x", answers=True)
+    drained(one)
+    two.send(*FRAME)
+    drained(one)
+    two.close()
+    three = Party("x", answers=True)
+    drained(one)
+    assert one.parties == 1
+    for member in (one, three):
+        member.close()
+
+
+def test_a_peer_whose_socket_fails_is_forgotten_and_nobody_waits_for_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    one, two = Party("x", answers=True), Party("x", answers=True)
+    drained(one)
+    two.send(*FRAME)
+    drained(one)
+    two.send(*FRAME)
+
+    def broken(*_: object) -> bool:
+        raise OSError(12, "no memory")
+
+    monkeypatch.setattr(wire, "take", broken)
+    assert drained(one) == []
+    assert one.parties == 0
+    for member in (one, two):
+        member.close()

@@ -112,7 +112,7 @@ def sense(
     elif m.fresh == ALL_SOURCES:
         controller = start(m.position_m, m.p1_pa, m.p2_pa, m.supply_pa, law)
         estimate = first_estimate(controller)
-        read_ns = started_ns = sampled_ns
+        read_ns, started_ns = sampled_ns, sampled_ns
 
     present |= checks.measured(m, limits)
     seen, lasting, bits = look(seen, m, estimate, before.state, engaged, last_v, limited, disagreeing, limits)

@@ -46,6 +46,9 @@ static int take(int fd, long long offset_ns, PyObject *into, PyTypeObject *class
   *stamp_ns = stamp;
   PyObject *made = class->tp_alloc(class, 3);
   if (!made) return -1;
+#if PY_VERSION_HEX >= 0x030E0000
+  ((PyTupleObject *)made)->ob_hash = -1;
+#endif
   PyTuple_SET_ITEM(made, 0, PyLong_FromLongLong(stamp));
   PyTuple_SET_ITEM(made, 1, PyLong_FromUnsignedLong(frame->can_id));
   PyTuple_SET_ITEM(made, 2, PyBytes_FromStringAndSize((const char *)frame->data, frame->can_dlc));
@@ -114,8 +117,12 @@ static PyObject *send_(PyObject *self, PyObject *const *args, Py_ssize_t n) {
   memcpy(frame.data, PyBytes_AS_STRING(args[2]), length);
   long lost = 0;
   for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(args[0]); i++) {
-    int fd = (int)PyLong_AsLong(PyTuple_GET_ITEM(args[0], i));
-    if (PyErr_Occurred()) return NULL;
+    int fd = PyObject_AsFileDescriptor(PyTuple_GET_ITEM(args[0], i));
+    if (fd < 0) {  /* closed by another thread */
+      if (args[3] == Py_True || !PyErr_ExceptionMatches(PyExc_ValueError)) return NULL;
+      PyErr_Clear();
+      continue;
+    }
     if (send(fd, &frame, sizeof frame, MSG_DONTWAIT | MSG_NOSIGNAL) >= 0) continue;
     if (args[3] == Py_True) return PyErr_SetFromErrno(PyExc_OSError);
     lost += errno == EAGAIN || errno == EWOULDBLOCK;

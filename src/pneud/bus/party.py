@@ -75,7 +75,7 @@ class Party:
         self._peers: dict[int, socket.socket] = {}  # all connections, by descriptor
         self._doors: dict[int, socket.socket] = {}  # those who knock and have not handed over anything yet
         self._talkers: set[int] = set()  # those that answer or ever sent something
-        self._targets: tuple[int, ...] = ()  # descriptors, listeners first
+        self._targets: tuple[socket.socket, ...] = ()  # listeners first
         self._deaf: socket.socket | None = None  # the end on which the own frames come back
         self._changing = threading.Lock()
         self._receive, self._send = by
@@ -135,8 +135,11 @@ class Party:
                 found = self._receive(
                     self._epoll, self._sources, offset_ns, into, _MOST_AT_ONCE, wait_ns, self._counts, Frame
                 )
-            except OSError:
-                continue  # whoever has gone for good shows as closed next
+            except OSError:  # of one of them; who it was shows when each is looked at
+                for descriptor in list(self._sources):
+                    self._attend(descriptor, offset_ns, into)
+                wait_ns, orderly = 0, False
+                continue
             if found < 0:
                 break
             wait_ns, orderly = 0, False
@@ -147,9 +150,10 @@ class Party:
 
     def _attend(self, descriptor: int, offset_ns: int, into: list[Frame]) -> None:
         """Somebody knocks, speaks for the first time, or has left."""
+        # in any case: the same look may have shown that somebody knocks, and it is shown but once
+        self.admit()
         sock = self._peers.get(descriptor)
         if sock is None:
-            self.admit()
             return
         before = len(into)
         try:
@@ -268,8 +272,8 @@ class Party:
 
     def _retarget(self) -> None:
         with self._changing:
-            targets = [d for d, sock in self._peers.items() if sock is not self._deaf]
-            self._targets = tuple(sorted(targets, key=lambda d: d in self._talkers))
+            targets = [sock for sock in self._peers.values() if sock is not self._deaf]
+            self._targets = tuple(sorted(targets, key=lambda sock: sock.fileno() in self._talkers))
 
 
 def channels() -> list[str]:

@@ -54,7 +54,7 @@ class SocketCan:
         except OSError as e:
             raise SocketCanError(_reason(interface, e)) from None
         self._epoll = select.epoll()
-        self._targets = (self._socket.fileno(),)
+        self._targets = (self._socket,)
         self._sources = {self._socket.fileno(): self._socket}
         try:
             self._configure(interface)

@@ -6,14 +6,14 @@ SocketCAN and unixcan both carry `struct can_frame` in packets and stamp each on
 
 from __future__ import annotations
 
-import os
 import select
 import socket
 import struct
 import time
 from array import array
+from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, TypeAlias
 
 from pneud.signals import Frame
 
@@ -31,6 +31,7 @@ ERR_PASSIVE, ERR_NOT_PASSIVE = 0x30, 0x4C  # passive; warning or active, so pass
 FRAME_BITS = 47  # of a standard frame without data, interframe space included
 STUFFING = 1.1
 
+_SEND_FLAGS = socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL
 _SO_TIMESTAMPNS = 35
 _SO_RXQ_OVFL = 40
 _TIMESPEC = struct.Struct("@ll")
@@ -69,30 +70,13 @@ SOURCE = Path(__file__).with_name("frames.c")
 ORDERED, UNORDERED = -1, -2  # everything has been taken; in the order of its stamps, or perhaps not
 
 
-class Send(Protocol):
-    """`send`, or its twin in C."""
-
-    def __call__(  # noqa: D102
-        self, targets: tuple[int, ...], can_id: int, data: bytes, strict: bool, /
-    ) -> int: ...
-
-
-class Receive(Protocol):
-    """`receive`, or its twin in C."""
-
-    def __call__(  # noqa: D102
-        self,
-        epoll: select.epoll,
-        sources: dict[int, socket.socket],
-        offset_ns: int,
-        into: list[Frame],
-        most: int,
-        wait_ns: int,
-        counts: array[int],
-        class_: type[Frame],
-        /,
-    ) -> int: ...
-
+_Sources: TypeAlias = dict[int, socket.socket]
+Receive: TypeAlias = (
+    "Callable[[select.epoll, _Sources, int, list[Frame], int, int, array[int], type[Frame]], int]"
+)
+"""`receive`, or its twin in C."""
+Send: TypeAlias = Callable[[tuple[socket.socket, ...], int, bytes, bool], int]
+"""`send`, or its twin in C."""
 
 DROPPED, MALFORMED = 0, 1  # places in the counts
 
@@ -155,11 +139,11 @@ class Carriage(NamedTuple):
     send: Send
 
 
-def send(targets: tuple[int, ...], can_id: int, data: bytes, strict: bool, /) -> int:
+def send(targets: tuple[socket.socket, ...], can_id: int, data: bytes, strict: bool, /) -> int:
     """Give one frame to non-blocking sockets, now or never.
 
     Args:
-        targets: their descriptors.
+        targets: the sockets; one that is closed counts as gone.
         can_id: identifier, with its flag bits.
         data: at most 8 bytes.
         strict: raise what goes wrong; else only count who had no room.
@@ -174,9 +158,9 @@ def send(targets: tuple[int, ...], can_id: int, data: bytes, strict: bool, /) ->
     if len(data) > 8:
         raise ValueError("send: more than 8 bytes")
     packet, lost = PACKET.pack(can_id, len(data), data), 0
-    for descriptor in targets:
+    for sock in targets:
         try:
-            os.write(descriptor, packet)
+            sock.send(packet, _SEND_FLAGS)
         except OSError as e:
             if strict:
                 raise

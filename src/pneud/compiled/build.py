@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import shutil
@@ -99,7 +100,8 @@ def load_source(source: Path) -> Any:
 def _files() -> list[Path]:
     """All that a translation depends on."""
     paths = [_PACKAGE / part for part in _SOURCES]
-    return [file for path in paths for file in ([path] if path.is_file() else sorted(path.glob("*.py")))]
+    found = [path for path in paths if path.is_file()]
+    return found + sorted(file for path in paths for file in (*path.glob("*.py"), *path.glob("*.h")))
 
 
 def _module(name: str, files: Sequence[Path], source: Callable[[], str]) -> Any:
@@ -108,18 +110,23 @@ def _module(name: str, files: Sequence[Path], source: Callable[[], str]) -> Any:
     try:
         folder = cache_folder("compiled")
         library = folder / f"{_key(cc, files)}.so"
-        if not library.exists():
-            _build(source, cc, library)
-            for old in sorted(folder.glob("*.so"), key=lambda path: path.stat().st_mtime)[:-_KEPT]:
-                old.unlink(missing_ok=True)
-    except (OSError, RuntimeError) as e:  # RuntimeError: no home
-        raise BuildError(str(e)) from None
-    try:
-        spec = spec_from_loader(name, ExtensionFileLoader(name, str(library)))
-        assert spec is not None
-        return module_from_spec(spec)
+        if library.exists():
+            with contextlib.suppress(ImportError):  # as a power cut may leave it
+                return _loaded(name, library)
+        _build(source, cc, library)
+        for old in sorted(folder.glob("*.so"), key=lambda path: path.stat().st_mtime)[:-_KEPT]:
+            old.unlink(missing_ok=True)
+        return _loaded(name, library)
     except ImportError as e:
         raise BuildError(f"{library} cannot be loaded: {e}") from None
+    except (OSError, RuntimeError) as e:  # RuntimeError: no home
+        raise BuildError(str(e)) from None
+
+
+def _loaded(name: str, library: Path) -> Any:
+    spec = spec_from_loader(name, ExtensionFileLoader(name, str(library)))
+    assert spec is not None
+    return module_from_spec(spec)
 
 
 def _key(cc: Path, files: Sequence[Path]) -> str:
@@ -133,21 +140,21 @@ def _key(cc: Path, files: Sequence[Path]) -> str:
 
 
 def _build(make: Callable[[], str], cc: Path, library: Path) -> None:
-    from pneud.compiled.to_c import TranslationError  # noqa: PLC0415 - likewise
-
     include = sysconfig.get_path("include")
     if not (Path(include) / "Python.h").exists():
         raise BuildError(f"{include} has no Python.h: apt install python3-dev")
     source, made = (library.with_suffix(f".{os.getpid()}.{kind}") for kind in ("c", "tmp"))
     try:
-        source.write_text(make())
+        try:
+            text = make()
+        except Exception as e:  # the law in Python is better than none
+            raise BuildError(str(e)) from None
+        source.write_text(text)
         command: list[str | Path] = [cc, *EXACT, "-shared", "-fPIC", "-I", include, "-o", made, source, "-lm"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=_PATIENCE_S, check=False)
         if done.returncode:
             raise BuildError(f"{cc} fails: {(done.stderr.splitlines() or ['it gives no reason'])[0]}")
         made.replace(library)
-    except TranslationError as e:
-        raise BuildError(str(e)) from None
     except subprocess.TimeoutExpired:
         raise BuildError(f"{cc} takes longer than {_PATIENCE_S:g} s") from None
     finally:

@@ -11,7 +11,8 @@ from collections.abc import Callable, Sequence
 from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
 
-from pneud.compiled.to_c import MOST, Many, Maybe, Translator, Type, fields_of, plain
+from pneud.compiled.to_c import Translator
+from pneud.compiled.types import MOST, PLAIN, Many, Maybe, Type, fields_of, plain
 
 _HEAD = """\
 #define PY_SSIZE_T_CLEAN
@@ -44,6 +45,9 @@ static inline PyObject *give_bool(long x) { return PyBool_FromLong(x); }
 
 static PyObject *record(PyTypeObject *class, Py_ssize_t count, PyObject *const *members) {
   PyObject *made = class->tp_alloc(class, count);
+#if PY_VERSION_HEX >= 0x030E0000
+  if (made) ((PyTupleObject *)made)->ob_hash = -1;
+#endif
   for (Py_ssize_t i = 0; i < count; i++) {
     if (!members[i]) Py_CLEAR(made);
     if (made) PyTuple_SET_ITEM(made, i, members[i]);
@@ -76,7 +80,6 @@ PyMODINIT_FUNC PyInit_{name}(void) {{
 
 
 FEW = 8  # numbers that a record may have without being remembered
-_PLAIN = (float, int, object)
 
 
 class Extension:
@@ -101,6 +104,7 @@ class Extension:
         self._translator = Translator()
         self._parts: list[str] = []
         self._known: set[str] = set()
+        self._gives: dict[Any, str] = {}  # by annotation: bools are none of C's types
         wrappers = [self._wrapper(i, f) for i, f in enumerate(functions)]
         table = "".join(
             f'  {{"f{i}", (PyCFunction)(void (*)(void))call_{i}, METH_FASTCALL | METH_KEYWORDS, NULL}},\n'
@@ -115,7 +119,7 @@ class Extension:
         name = self._translator.function(f)
         types = [plain(hint) for hint in hints.values()]
         declared = "".join(f"  {self._translator.type(t)} a{i};\n" for i, t in enumerate(types))
-        taken = " && ".join(f"{self._take(t)}(args[{i}], &a{i})" for i, t in enumerate(types))
+        taken = " && ".join(f"{self._take(t)}(args[{i}], &a{i})" for i, t in enumerate(types)) or "1"
         given = ", ".join(f"a{i}" for i in range(len(types)))
         return (
             f"static PyObject *call_{index}(PyObject *self, PyObject *const *args, Py_ssize_t n,"
@@ -130,7 +134,7 @@ class Extension:
     def _take(self, t: Type) -> str:
         """The C function that reads a Python object of a type."""
         name = f"take_{self._suffix(t)}"
-        if t in _PLAIN or name in self._known:
+        if t in PLAIN or name in self._known:
             return name
         c = self._translator.type(t)
         self._known.add(name)
@@ -154,7 +158,9 @@ class Extension:
             f"{self._take(kind)}(PyTuple_GET_ITEM(o, {i}), &x->{field})"
             for i, (field, kind) in enumerate(fields)
         ]
-        fits = f"PyTuple_Check(o) && PyTuple_GET_SIZE(o) == {len(fields)}\n      && {' && '.join(inner)}"
+        fits = " && ".join(
+            (f"Py_TYPE(o) == {self._class(t)}", f"PyTuple_GET_SIZE(o) == {len(fields)}", *inner)
+        )
         if _is_remembered(t):
             self._parts.append(
                 f"static PyObject *last_{c};\nstatic {c} value_{c};\n\n"
@@ -172,8 +178,10 @@ class Extension:
         if hint is bool:
             return "give_bool"
         t = plain(hint)
-        name = f"give_{self._suffix(t)}"
-        if t in _PLAIN or name in self._known:
+        name = self._gives.setdefault(hint, f"give_{len(self._gives)}_{self._suffix(t)}")
+        if t in PLAIN:
+            return f"give_{self._suffix(t)}"
+        if name in self._known:
             return name
         c = self._translator.type(t)
         self._known.add(name)
@@ -194,12 +202,10 @@ class Extension:
             return name
         fields = fields_of(t)
         if get_origin(hint) is tuple:
-            inner, class_ = list(get_args(hint)), "&PyTuple_Type"
+            inner = list(get_args(hint))
         else:
             hints = get_type_hints(hint)
             inner = [hints[field] for field, _ in fields]
-            class_ = f"(PyTypeObject *)PyTuple_GET_ITEM(classes_, {len(self._classes)})"
-            self._classes.append(f"{hint.__module__}:{hint.__name__}")
         members = ", ".join(
             f"{self._give(kind)}(x.{field})" for (field, _), kind in zip(fields, inner, strict=True)
         )
@@ -208,11 +214,21 @@ class Extension:
             self._take(t)
             same = f"  if (last_{c} && !memcmp(&value_{c}, &x, sizeof x)) return Py_NewRef(last_{c});\n"
             keep = f"  if (made) {{\n    Py_XSETREF(last_{c}, Py_NewRef(made));\n    value_{c} = x;\n  }}\n"
+        made = f"record({self._class(t)}, {len(fields)}, members)"
         self._parts.append(
             f"static PyObject *{name}({c} x) {{\n{same}  PyObject *members[] = {{{members}}};\n"
-            f"  PyObject *made = record({class_}, {len(fields)}, members);\n{keep}  return made;\n}}\n"
+            f"  PyObject *made = {made};\n{keep}  return made;\n}}\n"
         )
         return name
+
+    def _class(self, t: Type) -> str:
+        """What a record's class is called in C."""
+        if not hasattr(t, "_fields"):
+            return "&PyTuple_Type"
+        name = f"{t.__module__}:{t.__name__}"
+        if name not in self._classes:
+            self._classes.append(name)
+        return f"(PyTypeObject *)PyTuple_GET_ITEM(classes_, {self._classes.index(name)})"
 
     def _suffix(self, t: Type) -> str:
         return "object" if t is object else self._translator.type(t)
@@ -226,4 +242,4 @@ def _is_remembered(t: Type) -> bool:
 def _count_of(t: Type) -> int:
     if isinstance(t, Many):
         return MOST * _count_of(t.of)
-    return 1 if t in _PLAIN else sum(_count_of(kind) for _, kind in fields_of(t))
+    return 1 if t in PLAIN else sum(_count_of(kind) for _, kind in fields_of(t))

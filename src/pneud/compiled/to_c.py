@@ -18,59 +18,23 @@ import math
 import textwrap
 import types
 from collections.abc import Callable, Sequence
-from types import NoneType, UnionType
-from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
+from pathlib import Path
+from types import NoneType
+from typing import Any, TypeGuard, get_type_hints
 
-HEAD = """\
-#include <math.h>
+from pneud.compiled.types import (
+    MOST,
+    PLAIN,
+    Many,
+    Maybe,
+    TranslationError,
+    Type,
+    Typed,
+    fields_of,
+    plain,
+)
 
-static int failed_;
-
-static inline double min_(double a, double b) { return b < a ? b : a; }
-static inline double max_(double a, double b) { return b > a ? b : a; }
-static inline long min_int_(long a, long b) { return b < a ? b : a; }
-static inline long max_int_(long a, long b) { return b > a ? b : a; }
-
-static inline double finite_(double x) {
-  if (!isfinite(x)) failed_ = 1;
-  return x;
-}
-
-static inline double over_(double a, double b) {
-  if (b == 0.0) failed_ = 1;
-  return a / b;
-}
-
-static inline long plus_(long a, long b) {
-  long c;
-  failed_ |= __builtin_add_overflow(a, b, &c);
-  return c;
-}
-
-static inline long minus_(long a, long b) {
-  long c;
-  failed_ |= __builtin_sub_overflow(a, b, &c);
-  return c;
-}
-
-static inline long times_(long a, long b) {
-  long c;
-  failed_ |= __builtin_mul_overflow(a, b, &c);
-  return c;
-}
-
-static inline long within_(long index, long count) {
-  if (0 <= index && index < count) return index;
-  failed_ = 1;
-  return 0;
-}
-
-static inline long whole_(double x) {
-  if (fabs(x) < 0x1p53) return (long)x;
-  failed_ = 1;
-  return 0;
-}
-"""
+_HELPERS = Path(__file__).with_name("helpers.h")
 _RESERVED = {
     "auto",
     "case",
@@ -84,7 +48,7 @@ _RESERVED = {
     "signed",
     "static",
 }
-_BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.LShift: "<<", ast.BitOr: "|", ast.BitAnd: "&"}
+_BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.BitOr: "|", ast.BitAnd: "&"}
 _WHOLE = {ast.Add: "plus_", ast.Sub: "minus_", ast.Mult: "times_"}  # of integers, which Python lets grow
 _COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 _MATH = {
@@ -94,7 +58,6 @@ _MATH = {
     "cos",
     "exp",
     "expm1",
-    "hypot",
     "log",
     "log1p",
     "pow",
@@ -102,38 +65,6 @@ _MATH = {
     "sqrt",
     "tanh",
 }
-
-
-_PLAIN = {float: "double", int: "long", object: "struct _object *"}
-
-Type = Any
-"""float, int (bool is one), a NamedTuple, a tuple of types, `Maybe`, `Many`, or object for anything else."""
-
-
-class Maybe(NamedTuple):
-    """The type of a value that may be None."""
-
-    of: Type
-
-
-class Many(NamedTuple):
-    """The type of a tuple of records, at most `MOST` of them."""
-
-    of: Type
-
-
-MOST = 8
-
-
-class TranslationError(Exception):
-    """Something has no counterpart here; the text is one line for a person."""
-
-
-class Typed(NamedTuple):
-    """An expression in C."""
-
-    code: str
-    type: Type
 
 
 class Translator:
@@ -146,7 +77,7 @@ class Translator:
 
     def text(self) -> str:
         """The C source."""
-        return "\n".join([HEAD, *self._parts])
+        return "\n".join([_HELPERS.read_text(), *self._parts])
 
     def function(self, f: Callable[..., Any], name: str = "") -> str:
         """Translate a function and all that it calls.
@@ -175,8 +106,8 @@ class Translator:
 
     def type(self, t: Type) -> str:
         """The C type for a type; defines structures at their first use."""
-        if t in _PLAIN:
-            return _PLAIN[t]
+        if t in PLAIN:
+            return PLAIN[t]
         if t not in self._structs:
             if isinstance(t, Many):
                 members = [("long", "count"), (self.type(t.of), f"at[{MOST}]")]
@@ -214,44 +145,13 @@ class Translator:
             )
         if t is float and isinstance(value, int):
             value = float(value)  # a float's place may hold an integer
-        if isinstance(value, int):
+        if isinstance(value, int) and -(1 << 63) < value < 1 << 63:
             return f"{int(value)}L"
         if not isinstance(value, float):
             raise TranslationError(f"{value!r} has no counterpart in C")
         if math.isnan(value):
             return "NAN"
         return value.hex() if math.isfinite(value) else ("INFINITY" if value > 0 else "-INFINITY")
-
-
-def fields_of(t: Type) -> list[tuple[str, Type]]:
-    """Names and types of what a NamedTuple class or a tuple of types holds."""
-    if isinstance(t, Maybe):
-        return [("some", int), ("value", t.of)]
-    if isinstance(t, tuple):
-        return [(f"f{i}", inner) for i, inner in enumerate(t)]
-    if isinstance(t, Many) or not hasattr(t, "_fields"):
-        raise TranslationError(f"{t!r} has no parts")
-    hints = get_type_hints(t)
-    return [(name, plain(hints[name])) for name in t._fields]
-
-
-def plain(hint: Any) -> Type:
-    """The type that an annotation stands for."""
-    if hint is float:
-        return float
-    if get_origin(hint) in (Union, UnionType):
-        some = [inner for inner in get_args(hint) if inner is not NoneType]
-        return Maybe(plain(some[0])) if len(some) == 1 else object
-    if get_origin(hint) is tuple:
-        inside = get_args(hint)
-        if Ellipsis in inside:
-            return Many(plain(inside[0])) if hasattr(inside[0], "_fields") else object
-        return tuple(plain(inner) for inner in inside)
-    if isinstance(hint, type) and issubclass(hint, int):
-        return int
-    if isinstance(hint, type) and hasattr(hint, "_fields"):
-        return hint
-    return object
 
 
 class _Function:
@@ -266,6 +166,8 @@ class _Function:
         self._parameters = {name: plain(hint) for name, hint in hints.items()}
         self._locals: dict[str, Type] = dict(self._parameters)
         self._count = 0
+        code = f.__code__
+        self._own = {*code.co_varnames, *code.co_cellvars, *code.co_freevars}
 
     def text(self, name: str) -> str:
         tree = ast.parse(textwrap.dedent(inspect.getsource(self._f))).body[0]
@@ -300,13 +202,20 @@ class _Function:
     def _statement(self, s: ast.stmt, depth: int) -> str:
         pad = "  " * depth
         match s:
-            case ast.Expr(value=ast.Constant()) | ast.Pass() | ast.Assert():
+            case ast.Expr(value=ast.Constant()) | ast.Pass():
                 return ""
+            case ast.Assert(test=test):
+                return f"{pad}if (!{self._truth(test)}) failed_ = 1;\n"
             case ast.Return(value=ast.expr() as value):
                 return f"{pad}return {self._as(value, self._result)};\n"
             case ast.Assign(targets=targets, value=value):
+                if len(targets) > 1 and self._constant(value) is None:
+                    raise self._fail(s)  # it would be evaluated for each
                 return "".join(self._assign(target, value, pad) for target in targets)
-            case ast.AnnAssign(target=target, value=ast.expr() as value):
+            case ast.AnnAssign(
+                target=ast.Name(id=name) as target, annotation=hint, value=ast.expr() as value
+            ):
+                self._locals.setdefault(name, self._hinted(hint))
                 return self._assign(target, value, pad)
             case ast.AugAssign(target=ast.Name(id=name) as target, op=op, value=value):
                 combined = ast.BinOp(ast.Name(name, ast.Load()), op, value)
@@ -315,7 +224,8 @@ class _Function:
                 text = f"{pad}if ({self._truth(test)}) {{\n{self._block(body, depth + 1)}{pad}}}"
                 return text + (f" else {{\n{self._block(orelse, depth + 1)}{pad}}}\n" if orelse else "\n")
             case ast.While(test=test, body=body, orelse=[]):
-                return f"{pad}while ({self._truth(test)}) {{\n{self._block(body, depth + 1)}{pad}}}\n"
+                head = f"{pad}while (!failed_ && {self._truth(test)}) {{\n"
+                return f"{head}{self._block(body, depth + 1)}{pad}}}\n"
             case ast.For(orelse=[]):
                 return self._for(s, depth)
             case ast.Break() | ast.Continue():
@@ -332,15 +242,18 @@ class _Function:
             return "".join(rounds)
         if not isinstance(s.target, ast.Name):
             raise self._fail(s.target)
+        changed = {n.id for inner in s.body for n in ast.walk(inner) if _is_stored(n)}
+        if any(isinstance(n, ast.Name) and n.id in changed for n in ast.walk(s.iter)):
+            raise self._fail(s.iter)  # Python looks at it once, before the first round
         match s.iter:
             case ast.Call(func=ast.Name(id="range"), args=[end]):
-                head = f"{pad}for (long {i} = 0; {i} < {self._as(end, int)}; {i}++) {{\n"
+                head = f"{pad}for (long {i} = 0; {i} < {self._as(end, int)} && !failed_; {i}++) {{\n"
                 first = self._set(s.target.id, Typed(i, int), pad + "  ")
             case ast.Subscript(value=value, slice=ast.Slice(lower=None, upper=upper, step=None)) if (
                 upper is None or ast.unparse(upper) == "-1"
             ):
                 whole, less = self._many(value), " - 1" if upper else ""
-                head = f"{pad}for (long {i} = 0; {i} < {whole.code}.count{less}; {i}++) {{\n"
+                head = f"{pad}for (long {i} = 0; {i} < {whole.code}.count{less} && !failed_; {i}++) {{\n"
                 first = self._set(s.target.id, Typed(f"{whole.code}.at[{i}]", whole.type.of), pad + "  ")
             case ast.Tuple(elts=elements):
                 values = self._new("values")
@@ -364,9 +277,12 @@ class _Function:
             return self._set(target.id, found, pad)
         if not isinstance(target, ast.Tuple):
             raise self._fail(target)
+        parts = fields_of(found.type)
+        if len(parts) != len(target.elts):
+            raise self._fail(target)
         whole = self._new("whole")  # everything is evaluated before anything is assigned
         text = f"{pad}const {self._t.type(found.type)} {whole} = {found.code};\n"
-        for element, (field, inner) in zip(target.elts, fields_of(found.type), strict=True):
+        for element, (field, inner) in zip(target.elts, parts, strict=True):
             if not isinstance(element, ast.Name):
                 raise self._fail(target)
             text += self._set(element.id, Typed(f"{whole}.{field}", inner), pad)
@@ -377,9 +293,7 @@ class _Function:
             return ""
         known = self._locals.setdefault(name, value.type)
         code = value.code
-        if known is int and value.type is float and name not in self._parameters:
-            self._locals[name] = float
-        elif known == value.type or {known, value.type} == {int, float}:
+        if known == value.type or (known is float and value.type is int):
             pass
         elif isinstance(known, Maybe):
             code = self._fitted(value, known)
@@ -389,15 +303,30 @@ class _Function:
 
     def _fitted(self, value: Typed, t: Type) -> str:
         """A value where a type is expected that may be None or not."""
-        if value.type == t or not (isinstance(t, Maybe) or isinstance(value.type, Maybe)):
+        if value.type == t or {value.type, t} <= {int, float}:
             return value.code
         if value.type == Maybe(t):
-            return f"{value.code}.value"
-        if value.type is NoneType:
+            return self._some(value).code
+        if isinstance(t, Maybe) and value.type is NoneType:
             return f"(({self._t.type(t)}){{0}})"
         if t == Maybe(value.type):
             return f"(({self._t.type(t)}){{1, {value.code}}})"
         raise TranslationError(f"{self._f.__name__}: {value.code} is not of the type that is expected")
+
+    def _some(self, value: Typed) -> Typed:
+        """What a value is that is not None."""
+        if not isinstance(value.type, Maybe):
+            return value
+        held = self._new("held")
+        code = f"({{ const {self._t.type(value.type)} {held} = {value.code};"
+        return Typed(f"{code} failed_ |= !{held}.some; {held}.value; }})", value.type.of)
+
+    def _hinted(self, hint: ast.expr) -> Type:
+        """The type of an annotation within a function."""
+        try:
+            return plain(eval(ast.unparse(hint), self._globals))
+        except Exception:
+            raise self._fail(hint) from None
 
     def _new(self, stem: str) -> str:
         self._count += 1
@@ -405,7 +334,7 @@ class _Function:
 
     def _as(self, node: ast.expr, t: Type) -> str:
         """An expression where a type is expected: tuples take theirs from it."""
-        if isinstance(node, ast.Tuple) and isinstance(t, tuple) and not isinstance(t, (Maybe, Many)):
+        if isinstance(node, ast.Tuple) and isinstance(t, tuple) and len(t) == len(node.elts):
             return self._struct(
                 t, [self._as(e, inner) for e, (_, inner) in zip(node.elts, fields_of(t), strict=True)]
             )
@@ -439,9 +368,7 @@ class _Function:
             case ast.Name(id=name) if name in self._locals:
                 return Typed(_safe(name), self._locals[name])
             case ast.Attribute(value=value, attr=attr):
-                whole = self._expr(value)
-                if isinstance(whole.type, Maybe):
-                    whole = Typed(f"{whole.code}.value", whole.type.of)
+                whole = self._some(self._expr(value))
                 named = dict(fields_of(whole.type))
                 if attr not in named:
                     raise self._fail(node)
@@ -466,15 +393,16 @@ class _Function:
                     raise self._fail(node)
                 return Typed(f"{whole.code}.at[within_({at.code}, {whole.code}.count)]", whole.type.of)
             case ast.UnaryOp(op=ast.USub() | ast.UAdd() as op, operand=operand):
-                inner = self._expr(operand)
+                inner = self._number(operand)
+                if isinstance(op, ast.USub) and inner.type is int:
+                    return Typed(f"minus_(0, {inner.code})", int)
                 return Typed(f"({'-' if isinstance(op, ast.USub) else '+'}{inner.code})", inner.type)
             case ast.UnaryOp(op=ast.Not(), operand=operand):
                 return Typed(f"(!{self._truth(operand)})", int)
             case ast.BinOp(left=left, op=op, right=right):
-                return self._binary(self._expr(left), op, self._expr(right), node)
+                return self._binary(self._number(left), op, self._number(right), node)
             case ast.BoolOp(op=op, values=values):
-                sign = " && " if isinstance(op, ast.And) else " || "
-                return Typed("(" + sign.join(self._truth(v) for v in values) + ")", int)
+                return self._choice(op, values, node)
             case ast.Compare(left=left, ops=ops, comparators=comparators):
                 return self._compare([left, *comparators], ops, node)
             case ast.IfExp(test=test, body=body, orelse=orelse):
@@ -493,10 +421,27 @@ class _Function:
 
     def _truth(self, node: ast.expr) -> str:
         """A number that is asked whether it is zero."""
+        if isinstance(node, ast.BoolOp):
+            sign = " && " if isinstance(node.op, ast.And) else " || "
+            return "(" + sign.join(self._truth(v) for v in node.values) + ")"
+        return self._number(node).code
+
+    def _choice(self, op: ast.boolop, values: Sequence[ast.expr], node: ast.expr) -> Typed:
+        """The first of some numbers that is zero, or that is not; else the last."""
+        *first, chosen = (self._number(v) for v in values)
+        for one in reversed(first):
+            if one.type is not chosen.type:
+                raise self._fail(node)
+            name, c = self._new("one"), self._t.type(one.type)
+            pick = f"{name} : {chosen.code}" if isinstance(op, ast.Or) else f"{chosen.code} : {name}"
+            chosen = Typed(f"({{ const {c} {name} = {one.code}; {name} ? {pick}; }})", one.type)
+        return chosen
+
+    def _number(self, node: ast.expr) -> Typed:
         found = self._expr(node)
         if found.type not in (int, float):
             raise self._fail(node)
-        return found.code
+        return found
 
     def _constant(self, node: ast.expr) -> int | float | None:
         """The number that an expression without local names stands for."""
@@ -505,17 +450,21 @@ class _Function:
             return None
         if not any(isinstance(n, (ast.Name, ast.Constant)) for n in inside) or isinstance(node, ast.Tuple):
             return None
+        if any(isinstance(n, ast.Name) and n.id in self._own for n in inside):
+            raise self._fail(node)  # a local one that has no value here
         try:
             value = eval(compile(ast.Expression(node), "<constant>", "eval"), self._globals)
-        except (NameError, AttributeError):
+        except Exception:
             raise self._fail(node) from None
         return value if isinstance(value, (int, float)) else None
 
     def _binary(self, a: Typed, op: ast.operator, b: Typed, node: ast.expr) -> Typed:
         if isinstance(op, ast.Div):
             return Typed(f"over_({a.code}, {b.code})", float)
-        if isinstance(op, ast.Pow):
+        if isinstance(op, ast.Pow) and float in (a.type, b.type):
             return Typed(f"finite_(pow({a.code}, {b.code}))", float)
+        if isinstance(op, ast.LShift) and a.type is int and b.type is int:
+            return Typed(f"shifted_({a.code}, {b.code})", int)
         sign = _BINARY.get(type(op))
         if sign is None or {a.type, b.type} - {int, float}:
             raise self._fail(node)
@@ -528,17 +477,17 @@ class _Function:
     def _compare(self, terms: Sequence[ast.expr], ops: Sequence[ast.cmpop], node: ast.expr) -> Typed:
         if isinstance(ops[0], (ast.Is, ast.IsNot)):
             whole = self._expr(terms[0])
-            if not isinstance(whole.type, Maybe) or self._expr(terms[1]).type is not NoneType:
+            if len(ops) > 1 or not isinstance(whole.type, Maybe) or self._expr(terms[1]).type is not NoneType:
                 raise self._fail(node)
             return Typed(f"({'!' if isinstance(ops[0], ast.Is) else ''}{whole.code}.some)", int)
         parts = []
         for left, op, right in zip(terms, ops, terms[1:], strict=False):
-            a = self._expr(left).code
+            a = self._number(left).code
             if isinstance(op, (ast.In, ast.NotIn)):
                 among = " || ".join(f"{a} == {code}" for code in self._members(right))
                 parts.append(f"{'' if isinstance(op, ast.In) else '!'}({among})")
             elif type(op) in _COMPARE:
-                parts.append(f"{a} {_COMPARE[type(op)]} {self._expr(right).code}")
+                parts.append(f"{a} {_COMPARE[type(op)]} {self._number(right).code}")
             else:
                 raise self._fail(node)
         return Typed("(" + " && ".join(parts) + ")", int)
@@ -553,7 +502,7 @@ class _Function:
     def _members(self, node: ast.expr) -> list[str]:
         """The elements of a tuple, written out or a constant of the module."""
         if isinstance(node, ast.Tuple):
-            return [self._expr(e).code for e in node.elts]
+            return [self._number(e).code for e in node.elts]
         if isinstance(node, ast.Name) and isinstance(self._globals.get(node.id), (tuple, dict)):
             return [self._t.literal(value) for value in self._globals[node.id]]
         raise self._fail(node)
@@ -563,14 +512,20 @@ class _Function:
     ) -> Typed:
         if isinstance(func, ast.Attribute) and func.attr == "_replace":
             return self._replaced(self._expr(func.value), keywords, node)
+        if any(isinstance(n, ast.Name) and n.id in self._own for n in ast.walk(func)):
+            raise self._fail(node)
+        if any(k.arg is None for k in keywords):
+            raise self._fail(node)
         try:
             called = eval(compile(ast.Expression(func), "<function>", "eval"), self._globals)
-        except (NameError, AttributeError):
+        except Exception:
             raise self._fail(node) from None
         if called is not len and (
             isinstance(called, types.BuiltinFunctionType) or called in (float, int, bool)
         ):
-            return self._builtin(called, [self._expr(a) for a in args], node)
+            if keywords or not args:
+                raise self._fail(node)
+            return self._builtin(called, [self._number(a) for a in args], node)
         if called is len and len(args) == 1:
             return Typed(f"{self._many(args[0]).code}.count", int)
         if not (isinstance(called, types.FunctionType) or hasattr(called, "_fields")):
@@ -627,6 +582,10 @@ class _Function:
         if name in _MATH and getattr(math, name) is called:
             return Typed(f"finite_({name}({', '.join(codes)}))", float)
         raise self._fail(node)
+
+
+def _is_stored(node: ast.AST) -> TypeGuard[ast.Name]:
+    return isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
 
 
 def _safe(name: str) -> str:

@@ -1,4 +1,5 @@
-/* What `pneud.log.ring.pack` does, in C: the same bytes, in a third of the time. */
+/* What `pneud.log.packing.pack` does, in C: the same values in the same places, only sooner. What lies between
+   the places stays as it is. */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
@@ -25,7 +26,9 @@ static int put(char *at, const Place *place, PyObject *value) {
       if (x == (unsigned long long)-1 && PyErr_Occurred()) return -1;
       if (place->size < 8 && x >> 8 * place->size)
         return PyErr_SetString(PyExc_OverflowError, "pack: an integer is too large"), -1;
-      memcpy(at, &x, place->size);  /* little-endian */
+      if (place->code == 'Q') *(volatile unsigned long long *)at = x;  /* in one piece */
+      else if (place->code == 'I') *(unsigned *)at = (unsigned)x;
+      else *(unsigned short *)at = (unsigned short)x;
       return 0;
     }
     case 's': case 'p': {

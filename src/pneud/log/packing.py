@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Callable
 from itertools import chain
 from mmap import mmap
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, TypeAlias
 
 SOURCE = Path(__file__).with_name("pack.c")
 _PLACE = struct.Struct("=BBH")
@@ -20,19 +21,8 @@ class Layout(NamedTuple):
     places: bytes  # code, size and offset of each value, for the C
 
 
-class Pack(Protocol):
-    """`pack`, or its twin in C."""
-
-    def __call__(  # noqa: D102
-        self,
-        memory: mmap,
-        offset: int,
-        whole: struct.Struct,
-        places: bytes,
-        parts: tuple[tuple[Any, ...], ...],
-        /,
-    ) -> None: ...
-
+Pack: TypeAlias = Callable[[mmap, int, struct.Struct, bytes, tuple[tuple[Any, ...], ...]], None]
+"""`pack`, or its twin in C."""
 
 REFUSALS = (struct.error, ValueError, TypeError, OverflowError)
 """What `pack` raises for values that have no room in their places, or are too few or too many."""

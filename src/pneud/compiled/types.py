@@ -1,0 +1,73 @@
+"""Types that values of translated functions may have."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import NoneType, UnionType
+from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints
+
+Type = Any
+"""float, int (bool is one), a NamedTuple, a tuple of types, `Maybe`, `Many`, or object for anything else."""
+
+
+@dataclass(frozen=True)
+class Maybe:
+    """The type of a value that may be None."""
+
+    of: Type
+
+
+@dataclass(frozen=True)
+class Many:
+    """The type of a tuple of records, at most `MOST` of them."""
+
+    of: Type
+
+
+MOST = 8
+PLAIN = {float: "double", int: "long", object: "struct _object *"}
+"""What is no structure in C."""
+
+
+class TranslationError(Exception):
+    """Something has no counterpart here; the text is one line for a person."""
+
+
+class Typed(NamedTuple):
+    """An expression in C."""
+
+    code: str
+    type: Type
+
+
+def fields_of(t: Type) -> list[tuple[str, Type]]:
+    """Names and types of what a NamedTuple class or a tuple of types holds."""
+    if isinstance(t, Maybe):
+        return [("some", int), ("value", t.of)]
+    if isinstance(t, Many):
+        raise TranslationError(f"{t!r} has no parts")
+    if isinstance(t, tuple):
+        return [(f"f{i}", inner) for i, inner in enumerate(t)]
+    if not hasattr(t, "_fields"):
+        raise TranslationError(f"{t!r} has no parts")
+    hints = get_type_hints(t)
+    return [(name, plain(hints[name])) for name in t._fields]
+
+
+def plain(hint: Any) -> Type:
+    """The type that an annotation stands for."""
+    if hint is float:
+        return float
+    if get_origin(hint) in (Union, UnionType):
+        some = [inner for inner in get_args(hint) if inner is not NoneType]
+        return Maybe(plain(some[0])) if len(some) == 1 else object
+    if get_origin(hint) is tuple:
+        inside = get_args(hint)
+        if Ellipsis in inside:
+            return Many(plain(inside[0])) if hasattr(inside[0], "_fields") else object
+        return tuple(plain(inner) for inner in inside)
+    if isinstance(hint, type) and issubclass(hint, int):
+        return int
+    if isinstance(hint, type) and hasattr(hint, "_fields"):
+        return hint
+    return object

@@ -1,0 +1,301 @@
+"""What the translator makes of Python: C that does the same, or nothing at all."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import subprocess
+import sysconfig
+from collections.abc import Callable
+from importlib.machinery import ExtensionFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from pneud.compiled.build import EXACT
+from pneud.compiled.extension import Extension
+from pneud.compiled.to_c import Translator
+from pneud.compiled.types import MOST, Many, Maybe, TranslationError
+
+TABLE: tuple[float, ...] = (1.5, 2.5)
+
+
+class Pair(NamedTuple):
+    a: float
+    b: float
+
+
+class Odd(NamedTuple):
+    a: int | str | None
+    b: float
+
+
+class Chain(NamedTuple):
+    T: float
+    links: tuple[Pair, ...]
+    last: Pair | None = None
+
+
+class Named(NamedTuple):
+    values: tuple[float, ...]
+    n: int
+
+
+START = Chain(0.0, (Pair(1.0, 2.0), Pair(3.0, 4.0)))
+
+
+# what has to come out the same
+
+
+def asserted(p: Pair | None) -> float:
+    assert p is not None
+    return p.b
+
+
+def of_none(p: Pair | None) -> float:
+    return p.b  # type: ignore[union-attr]
+
+
+def perhaps(x: float) -> Pair | None:
+    return Pair(x, -x) if x > 0.0 else None
+
+
+def alternatives(a: float, b: float) -> float:
+    return a or b
+
+
+def both(a: int, b: int) -> int:
+    return a and b
+
+
+def shifted(n: int) -> int:
+    return 1 << n
+
+
+def negated(n: int) -> int:
+    return -n
+
+
+def first_and_last(c: Chain) -> float:
+    return c.links[0].a + c.links[-1].b
+
+
+def summed(c: Chain) -> float:
+    total = 0.0
+    for link in c.links[:-1]:
+        total += link.a
+    for link in c.links[:]:
+        total += link.b
+    return total
+
+
+def changed(c: Chain, n: int) -> Chain:
+    return c._replace(T=2.0, last=c.links[n])
+
+
+def started() -> Chain:
+    return START
+
+
+def numbered(n: int) -> tuple[int, bool]:
+    return n, n > 0
+
+
+def numbered_first(n: int) -> tuple[bool, int]:
+    return n > 0, n
+
+
+def part(t: float) -> float:
+    if t > 0.5:
+        return sum([t])
+    return 0.1
+
+
+def steps(end: float) -> float:
+    t = 0.0
+    while t < end:
+        t += part(t)
+    return t
+
+
+def in_a_rare_branch(n: int) -> int:
+    if n > 5:
+        return len(str(n))
+    return n + 1
+
+
+def annotated(n: int) -> float:
+    x: float = 0
+    y = 0.0
+    for _ in range(n):
+        y = x * 2
+        x = x + 0.5
+    return y
+
+
+def retyped(n: int) -> float:
+    x = 0
+    y = 0.0
+    for _ in range(n):
+        y = x * 2.0
+        x = x + 0.5  # type: ignore[assignment]
+    return y
+
+
+def fields(p: Pair) -> float:
+    return p.a + p.b
+
+
+def swapped(a: float, b: float) -> Pair:
+    a, b = b, a
+    return Pair(a, b)
+
+
+NUMBERS = ((0,), (1,), (5,), (7,), (-1,), (62,), (63,), (64,), (-(1 << 63),))
+SAME: dict[Callable[..., Any], tuple[tuple[Any, ...], ...]] = {
+    asserted: ((Pair(1.0, 2.0),), (None,)),
+    of_none: ((Pair(1.0, 2.0),), (None,)),
+    perhaps: ((1.0,), (-1.0,)),
+    alternatives: ((0.0, 2.5), (3.0, 1.0), (math.nan, 1.0)),
+    both: ((0, 2), (3, 4)),
+    shifted: NUMBERS,
+    negated: NUMBERS,
+    first_and_last: ((START,), (Chain(0.0, ()),)),
+    summed: ((START,), (Chain(0.0, ()),), (Chain(0.0, (Pair(1.0, 1.0),) * (MOST + 1)),)),
+    changed: ((START, 0), (START, 1), (START, 2), (START, -1)),
+    started: ((),),
+    numbered: NUMBERS,
+    numbered_first: NUMBERS,
+    steps: ((0.3,), (1.0,)),
+    in_a_rare_branch: NUMBERS,
+    annotated: ((0,), (2,), (3,)),
+    retyped: ((0,), (2,), (3,)),
+    fields: ((Pair(1.0, 2.0),), ((1.0, 2.0),), (None,)),
+    swapped: ((1.0, 2.0),),
+}
+
+
+# what C would do in another way, so that it has to be refused
+
+
+def twice(n: int) -> int:
+    i = n
+    i = j = i + 1
+    return 10 * i + j
+
+
+def shrinking(n: int) -> int:
+    k = 0
+    for _ in range(n):
+        n = n - 1
+        k = k + 1
+    return k
+
+
+def keyed(a: float, b: float) -> float:
+    return max(a, b, key=abs)
+
+
+def rounded(a: float) -> float:
+    return round(a, ndigits=2)
+
+
+def identical(a: Named, b: Named) -> bool:
+    return a.values == b.values
+
+
+def large(n: int) -> bool:
+    return n < 1 << 70
+
+
+def squared(n: int) -> int:
+    return n**2
+
+
+def compared_with_none(n: int) -> bool:
+    return n == None  # noqa: E711
+
+
+def chained(a: Pair | None, n: int) -> bool:
+    return a is None == n
+
+
+def nothing_in_an_objects_place(x: float) -> Odd:
+    return Odd(None, x)
+
+
+def from_a_mapping(a: float, d: Pair) -> Pair:
+    return Pair(a, **{"b": d.b})
+
+
+def unpacked(c: Chain) -> float:
+    first, second = c.links
+    return first.a + second.a
+
+
+def beyond_the_table(n: float) -> float:
+    return n + TABLE[5]
+
+
+def shadowed(n: int) -> int:
+    for TABLE in [n]:
+        n += TABLE
+    return TABLE
+
+
+REFUSED = (
+    *(twice, shrinking, keyed, rounded, identical, large, squared, compared_with_none, chained),
+    *(nothing_in_an_objects_place, from_a_mapping, unpacked, beyond_the_table, shadowed),
+)
+
+
+def outcome(function: Callable[..., Any], arguments: tuple[Any, ...]) -> str:
+    try:
+        return repr(function(*arguments))
+    except Exception as e:
+        return repr(e)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> dict[Callable[..., Any], Callable[..., Any]]:
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("there is no C compiler")
+    folder, name = tmp_path_factory.mktemp("made"), "pneud_made"
+    source, library = folder / "made.c", folder / "made.so"
+    source.write_text(Extension(tuple(SAME), name).source)
+    include = sysconfig.get_path("include")
+    subprocess.run(
+        [compiler, *EXACT, "-shared", "-fPIC", "-I", include, "-o", library, source, "-lm"], check=True
+    )
+    spec = spec_from_loader(name, ExtensionFileLoader(name, str(library)))
+    assert spec is not None
+    module = module_from_spec(spec)
+    classes = {f"{__name__}:{c.__name__}": c for c in (Pair, Odd, Chain, Named)}
+    module.bind(list(SAME), tuple(classes[words] for words in module.CLASSES.split()))
+    return {function: getattr(module, f"f{i}") for i, function in enumerate(SAME)}
+
+
+@pytest.mark.parametrize("function", SAME, ids=lambda f: f.__name__)
+def test_c_does_what_python_does(
+    function: Callable[..., Any], made: dict[Callable[..., Any], Callable[..., Any]]
+) -> None:
+    for arguments in SAME[function]:
+        for _ in range(2):  # the second time with what is remembered
+            assert outcome(made[function], arguments) == outcome(function, arguments), arguments
+
+
+@pytest.mark.parametrize("function", REFUSED, ids=lambda f: f.__name__)
+def test_what_c_would_do_in_another_way_is_refused(function: Callable[..., Any]) -> None:
+    with pytest.raises(TranslationError):
+        Translator().function(function)
+
+
+def test_types_that_hold_the_same_are_not_the_same() -> None:
+    assert len({Maybe(Pair), Many(Pair), (Pair,)}) == 3
+
+
+def test_helpers_come_with_the_package() -> None:
+    assert (Path(sysconfig.__file__).exists(), "_Static_assert" in Translator().text()) == (True, True)
