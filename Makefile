@@ -60,9 +60,9 @@ campaign: $(DEV) ## fault scenarios in real time: build/campaign/matrix.html (se
 
 campaign-vm: $(DEV) ## the same over real SocketCAN, in a virtual machine
 	@mkdir -p build/campaign-vm
-	@exec hil/vm/run -t 1200 -w build/campaign-vm -- $(BIN)/python hil/campaign.py --bus vcan0 -o build/campaign-vm $(ARGS)
+	@exec hil/vm/run -t 2400 -w build/campaign-vm -- $(BIN)/python hil/campaign.py --bus vcan0 -o build/campaign-vm $(ARGS)
 
-soak: $(DEV) ## the tests that take minutes
+soak: $(DEV) ## the tests that take hours, with their figures (see docs/hil.md)
 	@exec $(BIN)/python -m pytest -m soak $(ARGS)
 
 clean: ## remove the environment and everything made

@@ -312,7 +312,8 @@ def main() -> int:
             held = ", ".join(f"{fault} {times}" for fault, times in sorted(found.latched.items()))
             injected = len(faults(duration_s, random.Random(o.seed)))
             print(
-                f"{name}: {duration_s:g} s took {took_s:.0f} s; {injected} random faults, {found.recoveries} recoveries, the longest {found.longest_s:.1f} s,"
+                f"{name}: {duration_s:g} s took {took_s:.0f} s; {injected} random faults,"
+                f" {found.recoveries} recoveries, the longest {found.longest_s:.1f} s,"
                 f" {len(found.problems)} problems; held by {held or 'nothing'}"
             )
             bad += len(found.problems)

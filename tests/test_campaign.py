@@ -31,6 +31,7 @@ def test_the_core_can_be_played(campaign: ModuleType) -> None:
     assert set(campaign.CORE) | set(campaign.CORE_VM) <= there
     assert not [name for name in campaign.CORE if campaign.playable(name, "unixcan")]
     assert not [name for name in campaign.CORE_VM if campaign.playable(name, "vcan0")]
+    assert there >= campaign.TAKES_FAST_TICKS
 
 
 def test_what_changes_the_machine_stays_in_the_virtual_one(campaign: ModuleType) -> None:
@@ -42,6 +43,9 @@ def test_what_changes_the_machine_stays_in_the_virtual_one(campaign: ModuleType)
 
 
 def test_slowed_scenarios_are_scenarios_of_the_slow_axis(campaign: ModuleType, tmp_path: Path) -> None:
+    names = [path.stem for path in resources.scenarios().glob("*.toml")]
+    for name in names:
+        load_axis(campaign.SLOW, None, load_scenario(campaign.slowed(name, tmp_path)))
     for name in campaign.CORE_VM:
         scenario = load_scenario(campaign.slowed(name, tmp_path))
         axis = load_axis(campaign.SLOW, None, scenario).config
