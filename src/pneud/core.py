@@ -18,7 +18,7 @@ from pneud.signals import ALL_SOURCES, Estimate, Measurement, Reference, Source
 
 NAN = float("nan")
 ENCODER, VALVE = int(Source.ENCODER), int(Source.VALVE)
-UNSETTLED, MOVING = 1 << F.UNSETTLED, 1 << F.MOVING
+UNSETTLED, MOVING, ENCODER_JUMP = 1 << F.UNSETTLED, 1 << F.MOVING, 1 << F.ENCODER_JUMP
 
 
 class Instants(NamedTuple):
@@ -122,8 +122,8 @@ def sense(
         if not engaged:
             present |= checks.unready(estimate, sampled_ns - started_ns, h)
             astray = abs(estimate.x3_hat_n - estimate.x3_n) > limits.disagreement_n
-            if astray and not present & MOVING:
-                # one absurd reading leaves the observer wrong for hours: it begins anew with the next tick
+            if present & ENCODER_JUMP or (astray and not present & MOVING):
+                # one absurd reading leaves the estimates wrong for long: they begin anew with the next tick
                 controller = None
                 present |= UNSETTLED
     elif not present & NO_SENSORS:
