@@ -129,9 +129,15 @@ def test_a_session_from_arming_to_disarming_and_its_replay(axis: Path, tmp_path:
                 except RefusedError:
                     return False
 
+            def armed() -> bool:
+                try:
+                    return bool(client.ask("arm")["state"] == "holding")
+                except RefusedError as e:
+                    assert e.kind == "blocked"  # the load still swings on the trapped air
+                    return False
+
             eventually(cleared)
-            eventually(lambda: not client.ask("status")["faults"])
-            assert client.ask("arm")["state"] == "holding"
+            eventually(armed)
 
         # what people type: track a file, tune, save, disarm
         def said(*words: str, status: int = 0) -> dict[str, object]:
