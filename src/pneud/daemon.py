@@ -339,9 +339,15 @@ class Loop:
             self._shut = True
             self._service.stopping()
             return Request(RequestKind.SHUTDOWN)
-        if not self._armed and last is not None and last.state == DISARMED and not last.present & BLOCKS_ARM:
+        if self._armed or last is None or last.state != DISARMED or last.present & BLOCKS_ARM:
+            return None
+        if self._is_recorded():
             return Request(RequestKind.ARM, (1.0,))
         return None
+
+    def _is_recorded(self) -> bool:
+        """Whether the recorder has begun, or never will: the run itself starts no motion without its log."""
+        return not self._recorder or self.recorder_lost or self.ring.status().heartbeat > 0
 
     def _check(self) -> None:
         """Look at what changes slowly: the recorder."""
