@@ -108,7 +108,7 @@ class RealtimeConfig(Section):
     cpu: Annotated[int, Field(ge=0)] | Literal["auto"] | None = None
     other_cpus: tuple[Annotated[int, Field(ge=0)], ...] = ()
     plant_priority: Annotated[int, Field(ge=0, le=98)] | None = None
-    recorder_nice: Annotated[int, Field(ge=0, le=19)] = 5
+    recorder_nice: Annotated[int, Field(ge=0, le=19)] = 0
     lock_memory: bool = True
     required: bool = False
 

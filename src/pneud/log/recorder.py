@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _POLL_S = 0.04  # with an open chunk of 100 ms, a kill costs less than 0.2 s
 _LOOK_POLLS = 25  # how often the watched files are looked at
-NICE = 5
+NICE = 0  # a recorder that is starved loses records
 _ERROR = 4  # a `Level`; their module is heavy to load
 
 

@@ -128,7 +128,7 @@ class Ring:
         self._number = 0
 
     @classmethod
-    def create(cls, slots: int = 4096, slot_bytes: int = 1024, pack: Pack = pack) -> Ring:
+    def create(cls, slots: int = 8192, slot_bytes: int = 1024, pack: Pack = pack) -> Ring:
         """A new ring with all its pages in memory.
 
         Args:
