@@ -5,16 +5,21 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from functools import cache
+from itertools import pairwise
+
+import pytest
 
 from pneud import parameters
 from pneud.axis import Axis
 from pneud.bus.inbox import Inbox
+from pneud.control.reference import Bounds
 from pneud.loading import Loaded, load
 from pneud.plant.node import PlantNode
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Frame, Measurement, Request, RequestKind, State, Tick
 
 PERIOD_NS = 1_000_000
+H = PERIOD_NS * 1e-9
 ENCODER, PRESSURE, VALVE = 0x181, 0x182, 0x183
 ARM, DISARM, CLEAR, SHUTDOWN = (
     RequestKind.ARM,
@@ -131,3 +136,17 @@ def twin(rig: Rig) -> Rig:
         codecs.valve_command,
     )
     return copy.deepcopy(rig, {id(part): part for part in shared})
+
+
+def assert_smooth(ticks: list[Tick], bounds: Bounds, room: float = 1.0) -> None:
+    """Position, velocity and acceleration of the reference never step, and the jerk keeps its bound."""
+    jerk = room * bounds.jerk_m_s3
+    for a, b in pairwise(tick.reference for tick in ticks):
+        dv, da = b.velocity_m_s - a.velocity_m_s, b.acceleration_m_s2 - a.acceleration_m_s2
+        dx = b.position_m - a.position_m
+        assert dx == pytest.approx(0.5 * H * (a.velocity_m_s + b.velocity_m_s), abs=1.01 * jerk * H**3)
+        assert dv == pytest.approx(
+            0.5 * H * (a.acceleration_m_s2 + b.acceleration_m_s2), abs=1.01 * jerk * H**2
+        )
+        assert abs(da) <= 1.001 * jerk * H
+        assert abs(b.jerk_m_s3) <= 1.001 * jerk

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import pytest
 
-from axis_rig import ARM, CLEAR, DISARM, PERIOD_NS, SHUTDOWN, Rig, ready, twin
+from axis_rig import ARM, CLEAR, DISARM, PERIOD_NS, SHUTDOWN, Rig, assert_smooth, ready, twin
 from pneud import profiles
 from pneud.asking import soft_limits
 from pneud.axis import Axis
@@ -47,20 +47,6 @@ def moving(ticks: int = 120) -> Rig:
 
 def target(rig: Rig, by_m: float = 0.1) -> float:
     return rig.node.truth().position_m + by_m
-
-
-def assert_smooth(ticks: list[Tick], bounds: Bounds, room: float = 1.0) -> None:
-    """Position, velocity and acceleration of the reference never step, and the jerk keeps its bound."""
-    jerk = room * bounds.jerk_m_s3
-    for a, b in pairwise(tick.reference for tick in ticks):
-        dv, da = b.velocity_m_s - a.velocity_m_s, b.acceleration_m_s2 - a.acceleration_m_s2
-        dx = b.position_m - a.position_m
-        assert dx == pytest.approx(0.5 * H * (a.velocity_m_s + b.velocity_m_s), abs=1.01 * jerk * H**3)
-        assert dv == pytest.approx(
-            0.5 * H * (a.acceleration_m_s2 + b.acceleration_m_s2), abs=1.01 * jerk * H**2
-        )
-        assert abs(da) <= 1.001 * jerk * H
-        assert abs(b.jerk_m_s3) <= 1.001 * jerk
 
 
 def test_an_armed_axis_holds_still_where_it_is() -> None:

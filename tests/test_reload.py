@@ -11,7 +11,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from axis_rig import ARM, PERIOD_NS, Rig, loaded, ready, twin
+from axis_rig import ARM, PERIOD_NS, Rig, assert_smooth, loaded, ready, twin
 from pneud import replaying
 from pneud.asking import NOTHING, Asked, ask
 from pneud.axis import Axis, AxisState
@@ -247,25 +247,13 @@ def test_while_tracking_neither_reference_nor_command_steps(begin: object) -> No
     ticks += rig.ticks(300)
     assert {t.state for t in ticks} == {State.TRACKING}
     assert not any(t.latched for t in ticks)
-    assert_smooth(ticks)
+    assert_smooth(ticks, P.transfer, room=ROOM)
     steps = [abs(b.command.voltage_v - a.command.voltage_v) for a, b in pairwise(ticks)]
     assert max(steps[:5]) <= 2.0 * usual
     assert max(abs(t.reference.position_m - t.estimate.position_m) for t in ticks) <= 3e-3
     state = rig.axis.state
     assert state.reference == OTHER
     assert ticks[-1].reference == sine((state.sampled_ns - state.phase_ns) * 1e-9, OTHER)
-
-
-def assert_smooth(ticks: list[Tick], jerk: float = ROOM * P.transfer.jerk_m_s3) -> None:
-    """Position, velocity and acceleration of the reference never step, and the jerk keeps its bound."""
-    for a, b in pairwise(tick.reference for tick in ticks):
-        dx, dv, da, _ = (q - p for p, q in zip(a, b, strict=True))
-        assert dx == pytest.approx(0.5 * H * (a.velocity_m_s + b.velocity_m_s), abs=1.01 * jerk * H**3)
-        assert dv == pytest.approx(
-            0.5 * H * (a.acceleration_m_s2 + b.acceleration_m_s2), abs=1.01 * jerk * H**2
-        )
-        assert abs(da) <= 1.001 * jerk * H
-        assert abs(b.jerk_m_s3) <= 1.001 * jerk
 
 
 def test_gains_and_reference_change_in_one_tick() -> None:
@@ -361,7 +349,7 @@ def test_a_fault_of_the_same_tick_goes_first(host: Host, state: State) -> None:
     assert (rig.axis.state.phase == JOINING) == (state == State.TRACKING)
     assert rig.axis.state.reference == OTHER
     if state == State.STOPPING:
-        assert_smooth([tick, *rig.ticks(100)], jerk=4.0 * P.motion.jerk_m_s3)
+        assert_smooth([tick, *rig.ticks(100)], P.motion, room=4.0)
         assert rig.until(State.FAULT).present & 1 << F.BUS_PASSIVE
 
 

@@ -24,9 +24,9 @@ from pneud.safety.faults import F, names
 from pneud.safety.output import CENTRED, emit
 from pneud.safety.supervisor import INITIAL, Supervisor, advance, is_engaged, trip
 from pneud.safety.watch import INITIAL as WATCHFUL
-from pneud.safety.watch import watch
 from pneud.signals import Answer, Host, RequestKind, Source, State, Tick, ValveState
 from pneud.sim.lockstep import simulate
+from watching import watch
 
 GOLDEN = sorted((Path(__file__).parent / "golden").glob("**/*.mcap"))
 # found by what is not run here: the law's request, the controller's state, the cycle's exceptions

@@ -10,9 +10,10 @@ import pytest
 
 from pneud.safety.checks import Limits
 from pneud.safety.faults import TABLE, F, names
-from pneud.safety.watch import CHAMBER_PA, HORIZON_S, INITIAL, LASTING, SUPPLY_S, VALVE_V, Watch, watch
+from pneud.safety.watch import CHAMBER_PA, HORIZON_S, INITIAL, LASTING, SUPPLY_S, VALVE_V, Watch
 from pneud.signals import ALL_SOURCES, Estimate, Host, Measurement, Source, State, ValveState
 from test_safety_checks import GOOD, LIMITS, STILL, above, below
+from watching import watch
 
 MS = 1_000_000
 Change = Callable[[int], dict[str, Any]]

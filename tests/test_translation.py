@@ -9,7 +9,6 @@ import sysconfig
 from collections.abc import Callable
 from importlib.machinery import ExtensionFileLoader
 from importlib.util import module_from_spec, spec_from_loader
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
@@ -298,4 +297,4 @@ def test_types_that_hold_the_same_are_not_the_same() -> None:
 
 
 def test_helpers_come_with_the_package() -> None:
-    assert (Path(sysconfig.__file__).exists(), "_Static_assert" in Translator().text()) == (True, True)
+    assert "_Static_assert" in Translator().text()

@@ -15,7 +15,7 @@ from pneud.control.plan import FOLLOWING, IDLE, NONE, Plan, follow, halting, res
 from pneud.control.profile import Profile
 from pneud.control.reference import Sine, Way, rest
 from pneud.control.step import Controller, ControllerState, change, join, start
-from pneud.core import Instants, drive, sense
+from pneud.core import NAN, NO_ESTIMATE, Instants, drive, sense
 from pneud.safety import checks
 from pneud.safety.faults import F
 from pneud.safety.output import emit
@@ -32,11 +32,10 @@ from pneud.safety.supervisor import (
 )
 from pneud.safety.watch import INITIAL as WATCHFUL
 from pneud.safety.watch import Watch, is_disagreeing, remember
-from pneud.signals import Command, Estimate, Measurement, Reference, Request, RequestKind, Tick
+from pneud.signals import Command, Measurement, Reference, Request, RequestKind, Tick
 
 __all__ = ["FOLLOWING", "Axis", "AxisParameters", "AxisState"]
 
-NAN = float("nan")
 # an encoder that was silent, wrong or jumped may have lost count
 LOSES_REFERENCE = sum(
     1 << fault
@@ -45,7 +44,6 @@ LOSES_REFERENCE = sum(
 # plain numbers: to get at a member of an enumeration takes longer than most of what is done with it
 TRAVEL, TRACKING_ERROR, OPERATOR_LOST = 1 << F.TRAVEL, 1 << F.TRACKING_ERROR, 1 << F.OPERATOR_LOST
 SATURATED, NOT_FINITE = 1 << F.SATURATED, 1 << F.NOT_FINITE
-NO_ESTIMATE = Estimate(NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN)
 NO_REFERENCE = Reference(NAN, NAN, NAN, NAN)
 CENTRED_COMMAND = Command(0.0, 0, 0, NAN, NAN, NAN)
 

@@ -17,6 +17,7 @@ from pneud.safety.watch import Seen, look
 from pneud.signals import ALL_SOURCES, Estimate, Measurement, Reference, Source
 
 NAN = float("nan")
+NO_ESTIMATE = Estimate(NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN)
 ENCODER, VALVE = int(Source.ENCODER), int(Source.VALVE)
 UNSETTLED, MOVING, ENCODER_JUMP = 1 << F.UNSETTLED, 1 << F.MOVING, 1 << F.ENCODER_JUMP
 
@@ -92,7 +93,7 @@ def sense(
     sampled_ns = t_ns + m.encoder_offset_ns if measured else instants.sampled_ns + t_ns - instants.tick_ns
     read_ns, started_ns = instants.read_ns, instants.started_ns
     elapsed_ns = sampled_ns - instants.sampled_ns
-    estimate = Estimate(NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN)
+    estimate = NO_ESTIMATE
     if present & NO_SENSORS or (not engaged and elapsed_ns > limits.sensor_timeout_ns):
         controller = None
     if controller is not None:

@@ -85,13 +85,15 @@ def compile_functions(
         scope["pack"] = aligned[0].pack
         scope["unpack"] = struct.Struct(aligned[0].format + ("x" if crc else "")).unpack
     chain = _crc_chain(can_id, body)
+    byte = _counter_byte(counter)
+    counted = f"b{byte}" if crc and byte is not None else "counter_of(data)"
     source = "\n".join(
         (
             *_encode_source(fields, counter, aligned, placed, body, chain if crc else None, scope),
             *_decode_source(fields, aligned, present, length),
             *_counter_source(counter, length),
-            *_valid_source(length, chain if crc else None),
-            *_check_source(counter, length, chain if crc else None),
+            *_judging_source("valid", length, chain if crc else None, "True", "False"),
+            *_judging_source("check", length, chain if crc else None, counted, "-1"),
         )
     )
     exec(compile(source, f"<codec of 0x{can_id:03X}>", "exec"), scope)
@@ -108,6 +110,12 @@ def _byte_span(f: Field) -> tuple[int, int] | None:
     if f.length not in _CODES or f.start % 8 != (7 if f.big_endian else 0):
         return None
     return f.start // 8, f.length // 8
+
+
+def _counter_byte(counter: Field | None) -> int | None:
+    """Which byte the counter is, where it is a whole one."""
+    span = None if counter is None or counter.length != 8 else _byte_span(counter)
+    return None if span is None else span[0]
 
 
 def _struct(placed: list[tuple[str, Field]], body: int) -> tuple[struct.Struct, list[str]] | None:
@@ -226,33 +234,21 @@ def _encode_source(
 def _counter_source(counter: Field | None, length: int) -> list[str]:
     if counter is None:
         return ["def counter_of(data):", "    return 0"]
-    if counter.length == 8 and _byte_span(counter) is not None:
-        return ["def counter_of(data):", f"    return data[{counter.start // 8}]"]
+    byte = _counter_byte(counter)
+    if byte is not None:
+        return ["def counter_of(data):", f"    return data[{byte}]"]
     return ["def counter_of(data):", *_words([counter]), f"    return {_extract(counter, length)}"]
 
 
-def _valid_source(length: int, chain: str | None) -> list[str]:
+def _judging_source(name: str, length: int, chain: str | None, good: str, bad: str) -> list[str]:
+    """A function that yields one expression for a frame with the right length and checksum, else another."""
+    lines = [f"def {name}(data):", f"    if len(data) != {length}:", f"        return {bad}"]
     if chain is None:
-        return ["def valid(data):", f"    return len(data) == {length}"]
+        return [*lines, f"    return {good}"]
     return [
-        "def valid(data):",
-        f"    if len(data) != {length}:",
-        "        return False",
+        *lines,
         f"    {''.join(f'b{i}, ' for i in range(length))} = data",
-        f"    return {chain} == b{length - 1} ^ {crc8.FINAL_XOR}",
-    ]
-
-
-def _check_source(counter: Field | None, length: int, chain: str | None) -> list[str]:
-    if counter is None or chain is None or counter.length != 8 or _byte_span(counter) is None:
-        return ["def check(data):", "    return counter_of(data) if valid(data) else -1"]
-    # both at once, since this is done with every frame
-    return [
-        "def check(data):",
-        f"    if len(data) != {length}:",
-        "        return -1",
-        f"    {''.join(f'b{i}, ' for i in range(length))} = data",
-        f"    return b{counter.start // 8} if {chain} == b{length - 1} ^ {crc8.FINAL_XOR} else -1",
+        f"    return {good} if {chain} == b{length - 1} ^ {crc8.FINAL_XOR} else {bad}",
     ]
 
 

@@ -74,13 +74,12 @@ class Party:
         self.refused = 0  # strangers turned away
         self._peers: dict[int, socket.socket] = {}  # all connections, by descriptor
         self._doors: dict[int, socket.socket] = {}  # those who knock and have not handed over anything yet
-        self._talkers: set[int] = set()  # those that answer or ever sent something
+        self._talkers: dict[int, socket.socket] = {}  # those that answer or ever sent something
         self._targets: tuple[socket.socket, ...] = ()  # listeners first
         self._deaf: socket.socket | None = None  # the end on which the own frames come back
         self._changing = threading.Lock()
         self._receive, self._send = by
         self._counts = wire.counts()
-        self._sources: dict[int, socket.socket] = {}  # those that have sent something
         self._owner = os.getpid()
         self._manner = _ANSWERS if answers else _LISTENS
         self._closed = False
@@ -133,10 +132,10 @@ class Party:
         while True:
             try:
                 found = self._receive(
-                    self._epoll, self._sources, offset_ns, into, _MOST_AT_ONCE, wait_ns, self._counts, Frame
+                    self._epoll, self._talkers, offset_ns, into, _MOST_AT_ONCE, wait_ns, self._counts, Frame
                 )
             except OSError:  # of one of them; who it was shows when each is looked at
-                for descriptor in list(self._sources):
+                for descriptor in list(self._talkers):
                     self._attend(descriptor, offset_ns, into)
                 wait_ns, orderly = 0, False
                 continue
@@ -160,11 +159,9 @@ class Party:
             alive = wire.take(sock, offset_ns, into, self._counts)
         except OSError:
             alive = False
-        if len(into) > before:
-            self._sources[descriptor] = sock
-            if descriptor not in self._talkers:
-                self._talkers.add(descriptor)
-                self._retarget()
+        if len(into) > before and descriptor not in self._talkers:
+            self._talkers[descriptor] = sock
+            self._retarget()
         if not alive:
             self._forget(descriptor)
 
@@ -255,15 +252,14 @@ class Party:
         with self._changing:
             self._peers[sock.fileno()] = sock
             if manner == _ANSWERS:
-                self._talkers.add(sock.fileno())
+                self._talkers[sock.fileno()] = sock
         self._epoll.register(sock, select.EPOLLIN)
         self._retarget()
 
     def _forget(self, descriptor: int) -> None:
         with self._changing:
             sock = self._peers.pop(descriptor, None)
-        self._sources.pop(descriptor, None)
-        self._talkers.discard(descriptor)
+        self._talkers.pop(descriptor, None)
         self._retarget()
         if sock is not None:
             # closing alone would leave it in the epoll set where a forked process holds a copy

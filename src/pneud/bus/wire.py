@@ -69,10 +69,9 @@ def realtime_offset_ns(attempts: int = 5) -> int:
 SOURCE = Path(__file__).with_name("frames.c")
 ORDERED, UNORDERED = -1, -2  # everything has been taken; in the order of its stamps, or perhaps not
 
-
-_Sources: TypeAlias = dict[int, socket.socket]
+Sources: TypeAlias = dict[int, socket.socket]
 Receive: TypeAlias = (
-    "Callable[[select.epoll, _Sources, int, list[Frame], int, int, array[int], type[Frame]], int]"
+    "Callable[[select.epoll, Sources, int, list[Frame], int, int, array[int], type[Frame]], int]"
 )
 """`receive`, or its twin in C."""
 Send: TypeAlias = Callable[[tuple[socket.socket, ...], int, bytes, bool], int]
@@ -88,7 +87,7 @@ def counts() -> array[int]:
 
 def receive(
     epoll: select.epoll,
-    sources: dict[int, socket.socket],
+    sources: Sources,
     offset_ns: int,
     into: list[Frame],
     most: int,

@@ -111,16 +111,11 @@ class Translator:
         if t not in self._structs:
             if isinstance(t, Many):
                 members = [("long", "count"), (self.type(t.of), f"at[{MOST}]")]
-                plain = f"Many_{self.type(t.of)}"
             else:
                 members = [(self.type(inner), field) for field, inner in fields_of(t)]
-            if isinstance(t, Many):
-                pass
-            elif isinstance(t, Maybe):
-                plain = f"Maybe_{members[1][0].strip(' *').replace(' ', '')}"
-            else:
-                plain = t.__name__ if isinstance(t, type) else f"Tuple_{len(self._structs)}"
-            name = plain if plain not in self._structs.values() else f"{plain}_{len(self._structs)}"
+            name = t.__name__ if isinstance(t, type) else type(t).__name__
+            if name in ("tuple", *self._structs.values()) or not isinstance(t, type):
+                name = f"{name}_{len(self._structs)}"
             self._structs[t] = name
             inside = " ".join(f"{member} {field};" for member, field in members)
             self._parts.append(f"typedef struct {{ {inside} }} {name};\n")

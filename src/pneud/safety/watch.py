@@ -74,29 +74,6 @@ class Watch(NamedTuple):
 INITIAL = Watch(_NEVER, Seen(0.0, 0.0, NAN, NAN, NAN, 0, 0, NAN, NAN, 0, NAN, NAN, NAN))
 
 
-def watch(
-    w: Watch, m: Measurement, e: Estimate, state: int, engaged: bool, last_v: float, limited: int, p: Limits
-) -> tuple[Watch, int]:
-    """What this tick shows beside the ones before.
-
-    Args:
-        w: memory.
-        m: the measurement.
-        e: the estimate, NaN where there is none.
-        state: of the last tick.
-        engaged: that state is an engaged one.
-        last_v: the last command that left [V].
-        limited: 1 where the output chain let through less than the law asked for.
-        p: what it is compared with.
-
-    Returns:
-        The new memory, and bits of the fault table.
-    """
-    seen, lasting, bits = look(w.seen, m, e, state, engaged, last_v, limited, is_disagreeing(w), p)
-    w, found = remember(w, seen, lasting, m.t_ns, p)
-    return w, bits | found
-
-
 def is_disagreeing(w: Watch) -> bool:
     """Whether the valve node did not follow when last heard of."""
     return w.since_ns[_VALVE_PLACE] >= 0
