@@ -190,6 +190,19 @@ def test_wire_time_is_that_of_the_bit_rate() -> None:
     assert tick(inbox, MS, *a_set(MS, 1)).encoder_offset_ns == 0
 
 
+@pytest.mark.parametrize(
+    ("commanded_ns", "delay_ns"),
+    [(MS - 122_100, 0), (MS - 122_099, 1), (MS - 1, 122_099), (MS, 122_100), (MS + 7, 122_100), (-1, 0)],
+)
+def test_sync_waits_for_the_end_of_the_own_command(commanded_ns: int, delay_ns: int) -> None:
+    inbox = Inbox(CODECS, BUS)
+    inbox.commanded_ns = commanded_ns
+    assert tick(inbox, MS, *a_set(MS, 1)).encoder_offset_ns == 60_500 + delay_ns
+    again = Inbox(CODECS, BUS)
+    again.thaw(inbox.freeze())
+    assert tick(again, MS, *a_set(MS, 2)).encoder_offset_ns == 60_500 + delay_ns
+
+
 def test_frames_of_others_are_told_apart() -> None:
     inbox = Inbox(CODECS, BUS)
     inbox.begin(0)

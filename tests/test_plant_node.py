@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from plant_reference import IDEAL, REALISTIC
 from pneud import resources
 from pneud.bus.codec import Codecs, load_codecs
+from pneud.bus.inbox import Inbox
 from pneud.bus.wire import wire_time_ns
 from pneud.config import BusConfig
 from pneud.plant.dynamics import advance, initial_state
@@ -20,7 +21,7 @@ from pneud.plant.node import PlantNode
 from pneud.plant.process import serve
 from pneud.plant.timing import Item, Wire
 from pneud.plant.truth import SLOTS, TruthReader, TruthWriter, truth_memory
-from pneud.signals import Frame, ValveState
+from pneud.signals import ALL_SOURCES, Frame, ValveState
 
 CODECS: Codecs = load_codecs(BusConfig(), resources.find("pneud.dbc"))
 MS = 1_000_000
@@ -98,6 +99,28 @@ def test_nothing_is_handed_out_before_its_transmission_has_ended() -> None:
     assert node.due() == first + DATA_NS
     assert [f.can_id for f in node.poll(MS)] == [0x182, 0x183]
     assert node.due() is None
+
+
+@given(apart_ns=st.integers(1, 400_000), late=st.booleans())
+def test_the_inbox_knows_when_a_sync_was_heard_that_waited_for_the_command(apart_ns: int, late: bool) -> None:
+    rig, inbox = Rig(PlantNode(QUIET, CODECS, 1)), Inbox(CODECS, BusConfig())
+    t_ns = 5 * MS
+    for _ in range(3):
+        for frame in rig.answers(t_ns):
+            inbox.feed(frame)
+        rig.sync(t_ns)
+        inbox.begin(t_ns)
+        frames = rig.answers(t_ns + 700_000)
+        for frame in frames:
+            inbox.feed(frame)
+        m = inbox.measurement(0, 0)
+        assert m.fresh == ALL_SOURCES
+        assert t_ns + m.encoder_offset_ns + 20_000 + DATA_NS == frames[0].stamp_ns
+        command_ns = t_ns + (900_000 if late else 700_000)
+        rig.command(command_ns, 0.0, 0)
+        inbox.commanded_ns = command_ns
+        inbox.thaw(inbox.freeze())
+        t_ns = command_ns + apart_ns
 
 
 def test_without_bus_timing_answers_come_after_the_node_delay_alone() -> None:

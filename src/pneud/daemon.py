@@ -261,6 +261,7 @@ class Loop:
             command = tick.command
             data = encode(command.voltage_v, command.enable, index + 1, counter=count & self._counter_mask)
             sent_ns = link.send(command_id, data)
+            inbox.commanded_ns = sent_ns
 
             newest_ns = frames[-1].stamp_ns if len(frames) > before else 0
             latency_ns = sent_ns - newest_ns if newest_ns and sent_ns > 0 else -1

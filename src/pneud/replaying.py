@@ -128,6 +128,9 @@ def replay(
             inbox.feed(frame)
         measurement = inbox.measurement(logged.skipped, logged.host)
         tick = axis.cycle(measurement, logged.request, logged.t_ns)
+        for frame in logged.sent:
+            if frame.can_id == command.can_id:
+                inbox.commanded_ns = frame.stamp_ns
         if logged.log_time_ns < from_ns:
             continue
         states_differ = _states(tick) != _states(logged)

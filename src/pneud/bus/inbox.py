@@ -69,6 +69,7 @@ class InboxState(NamedTuple):
     encoder: OriginState
     pressure: OriginState
     valve: OriginState
+    commanded_ns: int = -NEVER_NS
 
 
 class _Origin:
@@ -104,9 +105,9 @@ class _Origin:
 class Inbox:
     """Collects the frames of each tick.
 
-    In every tick: `feed` what was left over, `begin`, `feed` what answers, `measurement`. With SYNC
-    (`bus.sync`) a frame counts only if it was sampled after this tick's SYNC and arrives before
-    `measurement`; without, the newest one counts.
+    In every tick: `feed` what was left over, `begin`, `feed` what answers, `measurement`; then set
+    `commanded_ns`. With SYNC (`bus.sync`) a frame counts only if it was sampled after this tick's SYNC and
+    arrives before `measurement`; without, the newest one counts.
     """
 
     def __init__(self, codecs: Codecs, bus: BusConfig) -> None:
@@ -120,10 +121,14 @@ class Inbox:
         self._older_s = codecs.older_s
         self.sync = bus.sync  # whether frames answer SYNC
         self._sync_wire_ns = wire_time_ns(codecs.sync.length, bus.bitrate_bit_s)
+        self._command_wire_ns = wire_time_ns(codecs.valve_command.length, bus.bitrate_bit_s)
         self._encoder_wire_ns = wire_time_ns(codecs.encoder.length, bus.bitrate_bit_s)
         # what was sampled before this is late; between ticks everything is
         self._not_before_ns = NEVER_NS if bus.sync else -NEVER_NS
         self._t_ns = 0
+        self._sync_delay_ns = 0  # for which the own last command kept the wire
+        self.commanded_ns = -NEVER_NS
+        """When the command that answers this tick was sent, to be set after `measurement`."""
         self._syncs = 0
         self._fresh = 0
         self._rx = self._lost = self._crc = self._stale = self._late = self._foreign = self._errors = 0
@@ -153,6 +158,9 @@ class Inbox:
         self._t_ns = t_ns
         if self.sync:
             self._not_before_ns = t_ns
+            # after a late tick SYNC waits for the end of the command
+            left_ns = self.commanded_ns + self._command_wire_ns - t_ns
+            self._sync_delay_ns = min(left_ns, self._command_wire_ns) if left_ns > 0 else 0
             clash = 0
             self._syncs += 1
             forget = self._syncs % _FORGET_TICKS == 0
@@ -227,7 +235,7 @@ class Inbox:
         p1_pa, p2_pa, supply_pa = pressure.values
         applied_v, valve_state = valve.values
         if self.sync:
-            offset_ns = self._sync_wire_ns
+            offset_ns = self._sync_delay_ns + self._sync_wire_ns
             self._not_before_ns = NEVER_NS
         elif encoder.sample_ns == -NEVER_NS:
             offset_ns = 0
@@ -260,12 +268,15 @@ class Inbox:
 
     def freeze(self) -> InboxState:
         """The state after `measurement`, to be logged."""
-        return InboxState(self._encoder.freeze(), self._pressure.freeze(), self._valve.freeze())
+        return InboxState(
+            self._encoder.freeze(), self._pressure.freeze(), self._valve.freeze(), self.commanded_ns
+        )
 
     def thaw(self, state: InboxState) -> None:
         """Go on from a frozen state."""
-        for origin, known in zip((self._encoder, self._pressure, self._valve), state, strict=True):
+        for origin, known in zip(self._sources, state[:3], strict=True):
             origin.thaw(known)
+        self.commanded_ns = state.commanded_ns
 
     def counts(self) -> Counts:
         """What has come in since the start."""

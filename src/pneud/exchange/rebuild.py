@@ -165,6 +165,7 @@ def rebuild(
             silent += 1
         else:
             sent += (heard.command,)
+            inbox.commanded_ns = heard.command.stamp_ns
             voltage_v, enable, _ = command.decode(heard.command.data)
             if not _same(tick.command, voltage_v, enable, codecs.command_lsb_v):
                 differing += 1

@@ -134,6 +134,7 @@ class Simulation:
             command_frame = Frame(sent_ns, command.can_id, data)
             if link == HEALTHY:
                 self.node.on_frame(command_frame)
+                self.inbox.commanded_ns = sent_ns
                 self.tx += 2
             yield Record(
                 tick,
