@@ -23,6 +23,7 @@ from pneud.console.handoff import LoopEnd
 from pneud.log.header import SNAPSHOT_S
 from pneud.log.ring import Ring
 from pneud.plant.truth import TruthReader
+from pneud.rt.answers import Answers
 from pneud.rt.histogram import Histogram
 from pneud.rt.notify import Service
 from pneud.rt.pacer import Pacer
@@ -37,9 +38,6 @@ FAULT_S = 0.1  # how long a run that ends on a fault goes on telling the valve t
 CHECKS_S = 0.5  # how often the recorder is looked at
 SNAPSHOT_PIECES = 128  # of a profile; the state with a longer one would take too long to hand over
 FOREIGN_S = 1.0  # how long another controller counts as present after its last frame
-# frames that come before the last one of a set need no wake-up of their own
-DOZE_MARGIN_NS = 50_000
-DOZE_STEP_NS = 2_000
 NAN = float("nan")
 # plain numbers: an operation on a flag of the enum module costs ten times as much
 LINK_DOWN, SEND_FAILED, RECEIVE_OVERFLOW = (
@@ -184,7 +182,7 @@ class Loop:
         foreign_before = foreign_until = 0
         foreign_ticks = max(1, round(FOREIGN_S * o.rate_hz))
         record_ns = -1
-        set_arrives_ns = 0  # after SYNC, as far as is known
+        answers = Answers()
         tick: Tick | None = None
         service, behind = self._service, 0
 
@@ -212,28 +210,30 @@ class Loop:
             if request is None and console is not None:
                 request = console.take()
                 asked = request is not None
-            doze_ns = t_ns + set_arrives_ns - DOZE_MARGIN_NS - clock()
+            doze_ns = answers.doze_ns(clock() - t_ns)
+            look_until_ns = 0
             if doze_ns > 0:
                 time.sleep(doze_ns * 1e-9)
+                look_ns = answers.look_ns()
+                look_until_ns = clock() + look_ns if look_ns else 0
             truth_m = truth.get(t_ns, sync_sent_ns) if truth is not None else NAN
             while not inbox.complete:
-                left_ns = limit_ns - clock()
-                if left_ns <= 0:
+                now_ns = clock()
+                if now_ns >= limit_ns:
                     break
+                looks = now_ns < look_until_ns
                 seen = len(frames)
-                if link.drain(frames, left_ns):
+                if link.drain(frames, 0 if looks else limit_ns - now_ns):
                     for frame in frames[seen:]:
                         inbox.feed(frame)
-                elif link.down:
+                elif link.down and not looks:
                     # a dead interface is always readable: sleep, or this would spin at high priority
                     time.sleep(max(0.0, (limit_ns - clock()) * 1e-9))
             set_ns = clock()
             if inbox.complete and inbox.sync and len(frames) > before:
-                # early at once, later by and by: the loop is awake before the last frame of a set
-                arrived_ns = frames[-1].stamp_ns - t_ns
-                set_arrives_ns = min(arrived_ns, set_arrives_ns + DOZE_STEP_NS)
+                answers.came(frames[-1].stamp_ns - t_ns, 0 < look_until_ns < frames[-1].stamp_ns)
             else:
-                set_arrives_ns = 0
+                answers.missing()
 
             flags = host | inbox.conditions
             if link.down:
