@@ -66,18 +66,23 @@ def cyclictest(track: Track, rate_hz: float, seconds: float) -> Sample:
         ],
         seconds,
     )
-    return cyclictest_sample(found.read_text())
+    return cyclictest_sample(found.read_text(), interval_us)
 
 
-def cyclictest_sample(text: str) -> Sample:
-    """A sample from what cyclictest writes with --json."""
+def cyclictest_sample(text: str, interval_us: int) -> Sample:
+    """A sample from what cyclictest writes with --json.
+
+    It makes up for every period that it was late; a loop that keeps to the grid skips these ticks, so they
+    count as skipped.
+    """
     thread = json.loads(text)["thread"]["0"]
     counts = {int(us): n for us, n in thread["histogram"].items()}
     # the middle of its microsecond is the best guess
     lateness_ns = [us * 1000 + 500 for us, n in sorted(counts.items()) for _ in range(n)]
     beyond = thread["cycles"] - len(lateness_ns)
     lateness_ns += [thread["max"] * 1000] * max(0, beyond)
-    return Sample({"lateness": lateness_ns, "wakeup": lateness_ns}, thread["cycles"])
+    skipped = sum(one >= interval_us * 1000 for one in lateness_ns)
+    return Sample({"lateness": lateness_ns, "wakeup": lateness_ns}, thread["cycles"], skipped)
 
 
 def empty(track: Track, rate_hz: float, seconds: float) -> Sample:

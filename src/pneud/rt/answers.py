@@ -32,6 +32,8 @@ class Answers:
 
     def look_ns(self) -> int:
         """How long to look in this tick [ns], after the sleep; ask once."""
+        if not self.arrives_ns:
+            return 0
         if self._rest:
             self._rest -= 1
             return 0
@@ -45,7 +47,8 @@ class Answers:
             in_vain: it was looked for, and came later.
         """
         # early at once, later by and by: most sets find the loop awake
-        self.arrives_ns = min(arrived_ns, self.arrives_ns + STEP_NS)
+        known = self.arrives_ns
+        self.arrives_ns = min(arrived_ns, known + STEP_NS) if known else arrived_ns
         if not in_vain:
             self._vain = 0
             return
