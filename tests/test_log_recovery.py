@@ -135,6 +135,19 @@ def test_what_stands_in_one_place_only_is_known_from_elsewhere(
     assert log.metadata["seed"] == "7"
 
 
+@pytest.mark.parametrize("lost", ["config_text", "dbc_base64", "dbc"])
+def test_metadata_without_its_checksum_is_damaged(source: Source, tmp_path: Path, lost: str) -> None:
+    data = bytearray(source.data)
+    for key in ("crc32", lost):
+        data[source.data.index(key.encode(), source.chunks[-1][1])] ^= 1
+    _, numbers = saved(tmp_path, bytes(data), "mended")
+    assert numbers == source.numbers([True] * CHUNKS)
+    # and where the copy is the only one
+    data[len(MAGIC) + 40 : source.head] = bytes(source.head - len(MAGIC) - 40)
+    _, numbers = saved(tmp_path, bytes(data), "mended")
+    assert numbers == set()
+
+
 def test_many_damages_cost_their_own_chunks_only(source: Source, tmp_path: Path) -> None:
     data = bytearray(source.data)
     hit = {3, 4, 11, 20}

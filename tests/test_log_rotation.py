@@ -191,6 +191,20 @@ def test_only_logs_of_the_axis_go_and_none_that_is_being_written(tmp_path: Path)
     assert tidy(tmp_path / "current.mcap", rotation(tmp_path / "current.mcap", 1, 2, folder=False)) == []
 
 
+@pytest.mark.parametrize("key", ["run", "part", "from_ns", "crc32"])
+def test_a_damaged_log_is_left_alone_and_hinders_nobody(tmp_path: Path, key: str) -> None:
+    records = list(noisy(300))
+    for name in ("damaged", "current", "old"):
+        path = tmp_path / f"{name}.mcap"
+        written(path, [faulty(records[0]), *records[1:]], rotation(path, part=10**9))
+    data = bytearray((tmp_path / "damaged.mcap").read_bytes())
+    data[data.index(key.encode())] ^= 1
+    (tmp_path / "damaged.mcap").write_bytes(data)
+    assert part_info(tmp_path / "damaged.mcap") is None
+    words = tidy(tmp_path / "current.mcap", rotation(tmp_path / "current.mcap", 1, 2))
+    assert words == ["deleted old.mcap to keep the quota, though it holds a fault"]
+
+
 def test_a_part_that_cannot_be_made_leaves_the_log_where_it_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

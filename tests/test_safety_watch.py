@@ -154,6 +154,13 @@ def test_a_moving_load_does_not_stand_still_at_once(
     assert axis.tick(moving, position_m=0.5002) == []
 
 
+def test_a_load_that_stands_still_hides_no_jump_of_a_pressure(axis: Axis) -> None:
+    moving = {"velocity_m_s": 1.0}
+    for _ in range(2):
+        assert axis.tick(moving, position_m=0.5001) == []
+    assert set(axis.tick(moving, position_m=0.5001, p1_pa=6e5)) == {"encoder_stuck", "pressure_jump"}
+
+
 def test_a_reading_counts_from_when_it_was_taken(axis: Axis) -> None:
     axis.tick({"velocity_m_s": 1.0}, position_m=0.5001)
     for n in range(1, 20):  # the same sample, handed over again and again

@@ -14,9 +14,10 @@ from pneud.log.container import Container
 from pneud.log.fingerprint import numeric_fingerprint, versions
 from pneud.log.header import LogHeader
 from pneud.log.output import Output
-from pneud.log.schema import COPY, METADATA, SCHEMA, topics
+from pneud.log.schema import COPY, KEPT, METADATA, SCHEMA, SETUP, topics
 
 CRC = "crc32"  # key of the metadata's checksum, which MCAP has none for
+OWN = frozenset((METADATA, SETUP, KEPT, COPY))  # names of metadata that always has one
 CONFIG_TEXT, DBC = "config_text", "dbc_base64"  # keys in the copy of the head
 
 
@@ -29,6 +30,12 @@ def crc_of_metadata(data: dict[str, str]) -> str:
 def checked(data: dict[str, str]) -> dict[str, str]:
     """Metadata with its checksum."""
     return {**data, CRC: crc_of_metadata(data)}
+
+
+def is_intact(name: str, data: dict[str, str]) -> bool:
+    """Whether metadata is as it was written; that of other programs has no checksum and counts as such."""
+    found = data.get(CRC)
+    return name not in OWN if found is None else found == crc_of_metadata(data)
 
 
 def head_of(h: LogHeader, more: dict[str, str]) -> dict[str, str]:

@@ -20,7 +20,7 @@ from mcap.writer import CompressionType, Writer
 from pneud.log import framing
 from pneud.log.files import LogError, create_log
 from pneud.log.framing import DamageError, Message, Piece, attachment, chunk_items, metadata, open_mcap
-from pneud.log.part import CONFIG_TEXT, CRC, DBC, checked, crc_of_metadata
+from pneud.log.part import CONFIG_TEXT, CRC, DBC, checked, is_intact
 from pneud.log.schema import COPY, METADATA, SCHEMA, topics
 from pneud.log.writer import CHUNK_BYTES
 
@@ -125,7 +125,7 @@ class _Rescue:
                     self._attachments[a.name] = a
                 elif piece.opcode == Opcode.METADATA:
                     m = metadata(piece)
-                    if m.metadata.get(CRC, crc_of_metadata(m.metadata)) != crc_of_metadata(m.metadata):
+                    if not is_intact(m.name, m.metadata):
                         raise DamageError(f"damaged at byte {piece.offset}: checksum of metadata")
                     if m.name == COPY:
                         copy = m.metadata
@@ -134,7 +134,10 @@ class _Rescue:
             except DamageError as e:
                 self._damage = self._damage or str(e)
         if copy:
-            self._complete(copy)
+            try:
+                self._complete(copy)
+            except (KeyError, ValueError):
+                self._damage = self._damage or "the copy of the head is incomplete"
 
     def _complete(self, copy: dict[str, str]) -> None:
         head = {k: v for k, v in copy.items() if k not in (CONFIG_TEXT, DBC, CRC)}

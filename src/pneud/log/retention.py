@@ -16,6 +16,7 @@ from mcap.records import Footer, MetadataIndex, Statistics, SummaryOffset
 from pneud.log import framing
 from pneud.log.files import LogError
 from pneud.log.header import Rotation
+from pneud.log.part import is_intact
 from pneud.log.schema import KEPT, METADATA
 
 _FOOTER_BYTES = 9 + 20 + len(framing.MAGIC)
@@ -46,17 +47,21 @@ def part_info(path: Path) -> PartInfo | None:
                 return None
             found = _from_index(file, size)
             start_ns, end_ns, kept = _from_chunks(file) if found is None else found
+        spans = tuple((int(k["from_ns"]), int(k["until_ns"])) for k in kept)
+        return PartInfo(path, size, head["name"], head["run"], int(head["part"]), start_ns, end_ns, spans)
     except (LogError, framing.DamageError, OSError, KeyError, ValueError):
         return None
-    spans = tuple((int(k["from_ns"]), int(k["until_ns"])) for k in kept)
-    return PartInfo(path, size, head["name"], head["run"], int(head["part"]), start_ns, end_ns, spans)
 
 
 def _metadata(piece: framing.Piece, name: str) -> dict[str, str] | None:
     if piece.opcode != Opcode.METADATA:
         return None
     found = framing.metadata(piece)
-    return found.metadata if found.name == name else None
+    if found.name != name:
+        return None
+    if not is_intact(name, found.metadata):
+        raise LogError("damaged: what it says of itself cannot be relied upon")
+    return found.metadata
 
 
 def _from_index(file: IO[bytes], size: int) -> tuple[int, int, list[dict[str, str]]] | None:
