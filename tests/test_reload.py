@@ -15,6 +15,7 @@ from axis_rig import ARM, PERIOD_NS, Rig, assert_smooth, loaded, ready, twin
 from pneud import replaying
 from pneud.asking import NOTHING, Asked, ask
 from pneud.axis import Axis, AxisState
+from pneud.config import with_settings
 from pneud.control.plan import FOLLOWING, GOING, IDLE, JOINING, RESTING, Plan, follow
 from pneud.control.reference import ROOM, Sine, Way, along, at, septic, sine, stays, transfer
 from pneud.control.tuning import TUNABLE, tunables
@@ -437,6 +438,19 @@ def test_a_log_with_changes_replays_identically_from_its_start_and_from_anywhere
         assert outcome.ticks == whole.ticks - round(from_s * 1000)
     for path in sorted(parts.iterdir()):
         assert replaying.replay(read_log(path)).identical
+
+
+def test_what_if_from_the_middle_takes_the_other_gains_unless_they_were_changed_in_the_run(
+    parts: Path,
+) -> None:
+    log = read_log(parts)
+    other = with_settings(log.config_text, "other", [f"control.k3={1.01 * NOW[3]}"])
+    outcome = replaying.replay(log, other, 0.8)
+    assert outcome.first is not None
+    assert outcome.first.variable.startswith("command.")
+    assert outcome.mismatches > 400
+    changed = replaying.replay(log, other, 1.45)
+    assert changed.identical, changed.first
 
 
 def test_a_state_without_the_field_is_that_of_an_axis_with_the_configured_reference(parts: Path) -> None:

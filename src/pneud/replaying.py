@@ -7,9 +7,11 @@ from typing import NamedTuple
 
 from pneud import parameters
 from pneud.axis import AxisState
+from pneud.bus.codec import Codecs
 from pneud.bus.inbox import Inbox, InboxState
 from pneud.compiled.law import law
-from pneud.config import Config, parse
+from pneud.config import Config, ConfigError, parse
+from pneud.control.step import Controller
 from pneud.loading import at_rate, codecs_of
 from pneud.log.files import LogError
 from pneud.log.fingerprint import numeric_fingerprint
@@ -81,7 +83,7 @@ def replay(
 
     Args:
         log: the log.
-        config: another configuration than the log's own.
+        config: another configuration than the log's own; it replaces the log's own gains in snapshots, too.
         from_s: compare from so long after the log's start.
         look: called with every tick compared, as it is in the log and as it comes out.
 
@@ -105,6 +107,7 @@ def replay(
     same_states = True
     gap = ""
     exact = log.metadata.get("detail") == "full"
+    own = p.controller if config is None else _configured(log, codecs)
     expected = 1
     from_ns = log.start_ns() + round(from_s * 1e9) if from_s > 0.0 else 0
     for logged in log.items(from_ns):
@@ -113,7 +116,8 @@ def replay(
                 state = _thawed(log, logged)
                 if expected > 1 or not (from_ns or log.records_before):
                     gap = gap or f"records {expected} to {logged.number} are missing"
-                axis.thaw(state.axis)
+                # gains that were changed in the run stay as they were then
+                axis.thaw(state.axis._replace(law=p.controller) if state.axis.law == own else state.axis)
                 inbox.thaw(state.inbox)
                 expected = logged.number + 1
             continue
@@ -173,6 +177,15 @@ def replay(
         log.truncated or bool(gap),
         log.damage or gap,
     )
+
+
+def _configured(log: LogReader, codecs: Codecs) -> Controller | None:
+    """The law with the gains of the log's own configuration; None where this version cannot use that."""
+    try:
+        config = at_rate(parse(log.config_text, log.config_name), log.rate_hz)
+        return parameters.axis_of(config, codecs.command_lsb_v).controller
+    except ConfigError:
+        return None
 
 
 def _thawed(log: LogReader, state: LoggedState) -> Snapshot:
