@@ -6,12 +6,11 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from pneud import parameters
-from pneud.axis import AxisState
+from pneud.axis import AxisParameters, AxisState
 from pneud.bus.codec import Codecs
 from pneud.bus.inbox import Inbox, InboxState
 from pneud.compiled.law import law
 from pneud.config import Config, ConfigError, parse
-from pneud.control.step import Controller
 from pneud.loading import at_rate, codecs_of
 from pneud.log.files import LogError
 from pneud.log.fingerprint import numeric_fingerprint
@@ -107,7 +106,7 @@ def replay(
     same_states = True
     gap = ""
     exact = log.metadata.get("detail") == "full"
-    own = p.controller if config is None else _configured(log, codecs)
+    own = p if config is None else _configured(log, codecs)
     expected = 1
     from_ns = log.start_ns() + round(from_s * 1e9) if from_s > 0.0 else 0
     for logged in log.items(from_ns):
@@ -116,8 +115,8 @@ def replay(
                 state = _thawed(log, logged)
                 if expected > 1 or not (from_ns or log.records_before):
                     gap = gap or f"records {expected} to {logged.number} are missing"
-                # gains that were changed in the run stay as they were then
-                axis.thaw(state.axis._replace(law=p.controller) if state.axis.law == own else state.axis)
+                unchanged = own is not None and state.axis.law == own.controller  # in the run
+                axis.thaw(state.axis._replace(law=p.controller) if unchanged else state.axis)
                 inbox.thaw(state.inbox)
                 expected = logged.number + 1
             continue
@@ -179,11 +178,11 @@ def replay(
     )
 
 
-def _configured(log: LogReader, codecs: Codecs) -> Controller | None:
-    """The law with the gains of the log's own configuration; None where this version cannot use that."""
+def _configured(log: LogReader, codecs: Codecs) -> AxisParameters | None:
+    """The axis of the log's own configuration; None where this version cannot use that."""
     try:
         config = at_rate(parse(log.config_text, log.config_name), log.rate_hz)
-        return parameters.axis_of(config, codecs.command_lsb_v).controller
+        return parameters.axis_of(config, codecs.command_lsb_v)
     except ConfigError:
         return None
 
