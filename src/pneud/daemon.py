@@ -182,7 +182,7 @@ class Loop:
         foreign_before = foreign_until = 0
         foreign_ticks = max(1, round(FOREIGN_S * o.rate_hz))
         record_ns = -1
-        answers = Answers()
+        answers = Answers(wait_ns)
         tick: Tick | None = None
         service, behind = self._service, 0
 
@@ -230,7 +230,7 @@ class Loop:
                     time.sleep(max(0.0, (limit_ns - clock()) * 1e-9))
             set_ns = clock()
             if inbox.complete and inbox.sync and len(frames) > before:
-                answers.came(frames[-1].stamp_ns - t_ns, 0 < look_until_ns < frames[-1].stamp_ns)
+                answers.came(frames[-1].stamp_ns - t_ns, in_vain=look_until_ns < frames[-1].stamp_ns)
             else:
                 answers.missing()
 
