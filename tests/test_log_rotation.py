@@ -191,7 +191,25 @@ def test_only_logs_of_the_axis_go_and_none_that_is_being_written(tmp_path: Path)
     assert tidy(tmp_path / "current.mcap", rotation(tmp_path / "current.mcap", 1, 2, folder=False)) == []
 
 
-@pytest.mark.parametrize("key", ["run", "part", "from_ns", "crc32"])
+def test_where_a_mark_may_be_lost_the_whole_part_is_spared(tmp_path: Path) -> None:
+    records = list(noisy(300))
+    path = tmp_path / "x.mcap"
+    written(path, [faulty(records[0]), *records[1:]], rotation(path, part=10**9))
+    whole = path.read_bytes()
+    unfinished = whole[: whole.rindex(b"copy")]  # as of a run that was killed
+    mark = whole.index(b"from_ns")
+    assert whole.count(b"kept") > 1, "the record and its index"
+    for data in (whole, unfinished):
+        for place in (mark, mark + 12, whole.index(b"kept") - 3, whole.index(b"kept") + 8):
+            damaged = bytearray(data)
+            damaged[place] ^= 0x20
+            path.write_bytes(damaged)
+            info = part_info(path)
+            assert info is not None
+            assert protected([info]) == {path}
+
+
+@pytest.mark.parametrize("key", ["run", "part", "crc32"])
 def test_a_damaged_log_is_left_alone_and_hinders_nobody(tmp_path: Path, key: str) -> None:
     records = list(noisy(300))
     for name in ("damaged", "current", "old"):

@@ -26,7 +26,8 @@ MEANINGS = {
     "measurement.encoder_defects": "why newer frames were not used: 1 corrupt, 2 counter frozen, 4 late",
     "measurement.pressure_defects": "likewise",
     "measurement.valve_defects": "likewise",
-    "measurement.encoder_offset_ns": "sampling instant of the position, after SYNC",
+    "measurement.encoder_offset_ns": "sampling instant of the position, after SYNC;"
+    " what SYNC waits for the own last command is in it",
     "measurement.skipped": "ticks skipped just before this one",
     "measurement.host": "bits of what the machine has to say (`Host` in `signals.py`)",
     "estimate.position_m": "position at the instant at which it was sampled",

@@ -60,7 +60,7 @@ def _metadata(piece: framing.Piece, name: str) -> dict[str, str] | None:
     if found.name != name:
         return None
     if not is_intact(name, found.metadata):
-        raise LogError("damaged: what it says of itself cannot be relied upon")
+        raise framing.DamageError(f"damaged at byte {piece.offset}: checksum of metadata")
     return found.metadata
 
 
@@ -92,7 +92,7 @@ def _from_index(file: IO[bytes], size: int) -> tuple[int, int, list[dict[str, st
                     if index.name == KEPT:
                         file.seek(index.offset)
                         kept += [m for m in (_metadata(next(framing.pieces(file)), KEPT),) if m]
-    except framing.NONSENSE:
+    except (*framing.NONSENSE, framing.DamageError):
         return None
     return start_ns, end_ns, kept
 
@@ -112,13 +112,17 @@ def _from_chunks(file: IO[bytes]) -> tuple[int, int, list[dict[str, str]]]:
     start_ns = end_ns = 0
     kept = []
     file.seek(len(framing.MAGIC))
-    with contextlib.suppress(framing.DamageError):
+    try:
         for piece in framing.pieces(file, skip_chunks=True):
             if piece.opcode == Opcode.CHUNK:
                 first, end_ns = framing.SPAN.unpack(piece.body)
                 start_ns = start_ns or first
             elif (mark := _metadata(piece, KEPT)) is not None:
                 kept.append(mark)
+    except framing.CutShortError:
+        pass
+    except framing.DamageError:  # a fault may be marked in what cannot be read
+        kept.append({"from_ns": str(start_ns), "until_ns": str(end_ns)})
     return start_ns, end_ns, kept
 
 
