@@ -445,12 +445,16 @@ def test_what_if_from_the_middle_takes_the_other_gains_unless_they_were_changed_
 ) -> None:
     log = read_log(parts)
     other = with_settings(log.config_text, "other", [f"control.k3={1.01 * NOW[3]}"])
-    outcome = replaying.replay(log, other, 0.8)
-    assert outcome.first is not None
-    assert outcome.first.variable.startswith("command.")
-    assert outcome.mismatches > 400
+    for from_s in (0.0, 0.3, 0.8):  # a request for another reference, which has the gains in it, is between
+        outcome = replaying.replay(log, other, from_s)
+        assert outcome.first is not None
+        assert outcome.first.variable.startswith("command.")
+        assert outcome.mismatches > 400
+        assert outcome.first.tick <= max(from_s * 1000, 70) + 20
     changed = replaying.replay(log, other, 1.45)
     assert changed.identical, changed.first
+    heavier = with_settings(log.config_text, "other", ["cylinder.moving_mass_kg=20.0"])
+    assert not replaying.replay(log, heavier, 1.45).identical
 
 
 def test_a_state_without_the_field_is_that_of_an_axis_with_the_configured_reference(parts: Path) -> None:

@@ -6,11 +6,13 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from pneud import parameters
-from pneud.axis import AxisParameters, AxisState
+from pneud.axis import AxisState
 from pneud.bus.codec import Codecs
 from pneud.bus.inbox import Inbox, InboxState
 from pneud.compiled.law import law
 from pneud.config import Config, ConfigError, parse
+from pneud.control.step import Controller
+from pneud.control.tuning import TUNABLE, tunables, tuned
 from pneud.loading import at_rate, codecs_of
 from pneud.log.files import LogError
 from pneud.log.fingerprint import numeric_fingerprint
@@ -18,7 +20,7 @@ from pneud.log.reader import LoggedState, LogReader
 from pneud.log.records import COARSE, COARSE_ERROR, FLOAT_ERROR, LoggedTick, crc_of
 from pneud.log.snapshot import SnapshotError, from_json
 from pneud.safety.supervisor import is_engaged
-from pneud.signals import State, Tick
+from pneud.signals import Request, RequestKind, State, Tick
 
 
 class Difference(NamedTuple):
@@ -82,7 +84,7 @@ def replay(
 
     Args:
         log: the log.
-        config: another configuration than the log's own; it replaces the log's own gains in snapshots, too.
+        config: another configuration than the log's own; gains changed in the run stay as they were.
         from_s: compare from so long after the log's start.
         look: called with every tick compared, as it is in the log and as it comes out.
 
@@ -106,7 +108,7 @@ def replay(
     same_states = True
     gap = ""
     exact = log.metadata.get("detail") == "full"
-    own = p if config is None else _configured(log, codecs)
+    gains = _Gains(p.controller, None if config is None else _configured(log, codecs))
     expected = 1
     from_ns = log.start_ns() + round(from_s * 1e9) if from_s > 0.0 else 0
     for logged in log.items(from_ns):
@@ -115,8 +117,7 @@ def replay(
                 state = _thawed(log, logged)
                 if expected > 1 or not (from_ns or log.records_before):
                     gap = gap or f"records {expected} to {logged.number} are missing"
-                unchanged = own is not None and state.axis.law == own.controller  # in the run
-                axis.thaw(state.axis._replace(law=p.controller) if unchanged else state.axis)
+                axis.thaw(state.axis._replace(law=gains.of(state.axis.law)))
                 inbox.thaw(state.inbox)
                 expected = logged.number + 1
             continue
@@ -130,10 +131,8 @@ def replay(
         for frame in logged.frames[logged.before :]:
             inbox.feed(frame)
         measurement = inbox.measurement(logged.skipped, logged.host)
-        tick = axis.cycle(measurement, logged.request, logged.t_ns)
-        for frame in logged.sent:
-            if frame.can_id == command.can_id:
-                inbox.commanded_ns = frame.stamp_ns
+        tick = axis.cycle(measurement, gains.asked(logged.request), logged.t_ns)
+        inbox.commanded_ns = next((f.stamp_ns for f in logged.sent if f.can_id == command.can_id), -1)
         if logged.log_time_ns < from_ns:
             continue
         states_differ = _states(tick) != _states(logged)
@@ -178,13 +177,38 @@ def replay(
     )
 
 
-def _configured(log: LogReader, codecs: Codecs) -> AxisParameters | None:
-    """The axis of the log's own configuration; None where this version cannot use that."""
+def _configured(log: LogReader, codecs: Codecs) -> tuple[float, ...] | None:
+    """The gains of the log's own configuration; None where this version cannot use that."""
     try:
         config = at_rate(parse(log.config_text, log.config_name), log.rate_hz)
-        return parameters.axis_of(config, codecs.command_lsb_v)
+        return tunables(parameters.axis_of(config, codecs.command_lsb_v).controller)
     except ConfigError:
         return None
+
+
+class _Gains:
+    """Gains that nobody changed in the run are those of the replay; others stay as they were."""
+
+    def __init__(self, law: Controller, own: tuple[float, ...] | None) -> None:
+        """The replay's law, and the gains of the log's own configuration where that is another one."""
+        self._law = law
+        self._own = own
+
+    def of(self, logged: Controller) -> Controller:
+        """The law in the place of one in the log."""
+        if self._own is None:
+            return logged
+        had = tunables(logged)
+        return self._law if had == self._own else tuned(had, self._law)
+
+    def asked(self, request: Request | None) -> Request | None:
+        """The request in the place of one in the log; one for another reference brings the gains along."""
+        count = len(TUNABLE)
+        if request is None or self._own is None or request.kind != RequestKind.GAINS:
+            return request
+        if tuple(request.values[:count]) != self._own:
+            return request
+        return Request(request.kind, (*tunables(self._law), *request.values[count:]))
 
 
 def _thawed(log: LogReader, state: LoggedState) -> Snapshot:

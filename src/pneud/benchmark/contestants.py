@@ -72,8 +72,8 @@ def cyclictest(track: Track, rate_hz: float, seconds: float) -> Sample:
 def cyclictest_sample(text: str, interval_us: int) -> Sample:
     """A sample from what cyclictest writes with --json.
 
-    It makes up for every period that it was late; a loop that keeps to the grid skips these ticks, so they
-    count as skipped.
+    Like ours, it goes on with the next grid point to come: whole periods that a wake-up was late are ticks
+    skipped.
     """
     thread = json.loads(text)["thread"]["0"]
     counts = {int(us): n for us, n in thread["histogram"].items()}
@@ -81,7 +81,7 @@ def cyclictest_sample(text: str, interval_us: int) -> Sample:
     lateness_ns = [us * 1000 + 500 for us, n in sorted(counts.items()) for _ in range(n)]
     beyond = thread["cycles"] - len(lateness_ns)
     lateness_ns += [thread["max"] * 1000] * max(0, beyond)
-    skipped = sum(one >= interval_us * 1000 for one in lateness_ns)
+    skipped = sum(one // (interval_us * 1000) for one in lateness_ns)
     return Sample({"lateness": lateness_ns, "wakeup": lateness_ns}, thread["cycles"], skipped)
 
 

@@ -83,7 +83,7 @@ def in_words(report: Mapping[str, Any]) -> str:
     lines += ["", *(f"{name}: {one['what']}" for name, one in report["contestants"].items())]
     lines += ["", *_ours(report)]
     shown = ", ".join(f"{name} {one['skipped']}" for name, one in report["contestants"].items())
-    lines.append(f"ticks skipped, or later than a whole period: {shown}")
+    lines.append(f"ticks skipped: {shown}")
     lines += [f"without {name}: {why}" for name, why in report["missing"].items()]
     for name, one in report["contestants"].items():
         lines += [f"{name}: {note}" for note in one["notes"]]

@@ -1,7 +1,8 @@
 """The inbox: frames in, one `Measurement` a tick out.
 
 It judges every frame by its length, checksum, counter and age. It reads no clock and does no I/O, so that a
-replay that feeds it the logged frames in the logged order gets the same measurements to the bit.
+replay that feeds it the logged frames in the logged order, and says when the commands were sent, gets the
+same measurements to the bit.
 """
 
 from __future__ import annotations
@@ -128,7 +129,7 @@ class Inbox:
         self._t_ns = 0
         self._sync_delay_ns = 0  # for which the own last command kept the wire
         self.commanded_ns = -NEVER_NS
-        """When the command that answers this tick was sent, to be set after `measurement`."""
+        """When the last command was sent, to be set after `measurement`; −1 where it could not be."""
         self._syncs = 0
         self._fresh = 0
         self._rx = self._lost = self._crc = self._stale = self._late = self._foreign = self._errors = 0
@@ -158,9 +159,9 @@ class Inbox:
         self._t_ns = t_ns
         if self.sync:
             self._not_before_ns = t_ns
-            # after a late tick SYNC waits for the end of the command
-            left_ns = self.commanded_ns + self._command_wire_ns - t_ns
-            self._sync_delay_ns = min(left_ns, self._command_wire_ns) if left_ns > 0 else 0
+            # behind a late command SYNC waits for its end; one that has yet to be sent, it goes before
+            begun_ns = self.commanded_ns - t_ns
+            self._sync_delay_ns = begun_ns if begun_ns >= 0 else max(0, begun_ns + self._command_wire_ns)
             clash = 0
             self._syncs += 1
             forget = self._syncs % _FORGET_TICKS == 0

@@ -161,11 +161,13 @@ def rebuild(
             request = known.requests.get(count)
         tick = axis.cycle(inbox.measurement(skipped, host), request, t_ns)
         sent: tuple[Frame, ...] = (heard.sync,)
+        # where the recording stamps the ends of frames, a SYNC close behind a command is taken to be heard
+        # later, by less than it takes itself; a replay of the new log does the same
+        inbox.commanded_ns = -1 if heard.command is None else heard.command.stamp_ns
         if heard.command is None:
             silent += 1
         else:
             sent += (heard.command,)
-            inbox.commanded_ns = heard.command.stamp_ns
             voltage_v, enable, _ = command.decode(heard.command.data)
             if not _same(tick.command, voltage_v, enable, codecs.command_lsb_v):
                 differing += 1

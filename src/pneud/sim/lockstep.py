@@ -134,8 +134,8 @@ class Simulation:
             command_frame = Frame(sent_ns, command.can_id, data)
             if link == HEALTHY:
                 self.node.on_frame(command_frame)
-                self.inbox.commanded_ns = sent_ns
                 self.tx += 2
+            self.inbox.commanded_ns = sent_ns if link == HEALTHY else -1
             yield Record(
                 tick,
                 Timing(0, done_ns - t_ns, 0, COMPUTING_NS, COMPUTING_NS, -1),
