@@ -93,11 +93,12 @@ def slowed(name: str, folder: Path) -> str:
     text = re.sub(r"delay_periods = .*", "delay_periods = 0.8", text)  # the answers come early in a tick
     # with more frames the virtual machine comes to nothing else
     text = re.sub(r"load = (0\.\d+)", lambda m: f"load = {float(m[1]) / 3.0:g}", text)
-    expect = load_scenario(name).expect
+    scenario = load_scenario(name)
+    expect = scenario.expect
     if expect.reaction == "centre":
         within_ms, travel_mm = expect.within_ms and 5.0 * expect.within_ms, 3.0 * expect.travel_mm
         reason = expect.reason or "here ticks are long, and some come late"
-        if load_scenario(name).orders:
+        if scenario.orders:
             # here a second may pass from the order to the deed, on which the load goes on
             within_ms, travel_mm = 3000.0, 100.0
         if name in VALVE_DEAF:

@@ -159,6 +159,7 @@ def test_the_words_name_whoever_is_missing_and_what_was_odd() -> None:
     assert "pneud: faults: deadline" in words
     assert "cyclictest: what cyclictest is" in words
     assert "pneud over cyclictest, wake-up" in words
+    assert "ticks skipped: pneud 0, cyclictest 0" in words
     assert max(len(line) for line in words.splitlines()) < 120
 
 

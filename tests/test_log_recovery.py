@@ -12,12 +12,15 @@ from typing import NamedTuple
 
 import pytest
 from mcap.opcode import Opcode
+from mcap.writer import Writer
 
 from log_samples import bits, header, noisy
 from pneud.log.files import LogError, create_log
 from pneud.log.framing import MAGIC, open_mcap, pieces
+from pneud.log.part import checked
 from pneud.log.reader import read_log
 from pneud.log.recover import recover
+from pneud.log.schema import COPY
 from pneud.log.writer import LogWriter
 
 PER_CHUNK, CHUNKS = 15, 24
@@ -146,6 +149,16 @@ def test_metadata_without_its_checksum_is_damaged(source: Source, tmp_path: Path
     data[len(MAGIC) + 40 : source.head] = bytes(source.head - len(MAGIC) - 40)
     _, numbers = saved(tmp_path, bytes(data), "mended")
     assert numbers == set()
+
+
+def test_a_copy_of_the_head_that_lacks_something_is_damage_in_words(tmp_path: Path) -> None:
+    path = tmp_path / "crafted.mcap"
+    with path.open("wb") as f:
+        writer = Writer(f)
+        writer.start()
+        writer.add_metadata(COPY, checked({"config": "x.toml", "dbc": "x.dbc"}))
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert recover(path, tmp_path / "mended.mcap").damage == "the copy of the head is incomplete"
 
 
 def test_many_damages_cost_their_own_chunks_only(source: Source, tmp_path: Path) -> None:

@@ -213,8 +213,7 @@ class Loop:
             doze_ns = answers.doze_ns(clock() - t_ns)
             if doze_ns > 0:
                 time.sleep(doze_ns * 1e-9)
-            look_ns = answers.look_ns()
-            look_until_ns = clock() + look_ns if look_ns else 0
+            look_until_ns = clock() + answers.look_ns()
             truth_m = truth.get(t_ns, sync_sent_ns) if truth is not None else NAN
             while not inbox.complete:
                 now_ns = clock()

@@ -10,14 +10,17 @@ import os
 import time
 import zlib
 
+from mcap.records import Metadata
+
 from pneud.log.container import Container
 from pneud.log.fingerprint import numeric_fingerprint, versions
+from pneud.log.framing import DamageError
 from pneud.log.header import LogHeader
 from pneud.log.output import Output
 from pneud.log.schema import COPY, KEPT, METADATA, SCHEMA, SETUP, topics
 
 CRC = "crc32"  # key of the metadata's checksum, which MCAP has none for
-OWN = frozenset((METADATA, SETUP, KEPT, COPY))  # names of metadata that always has one
+_OWN = frozenset((METADATA, SETUP, KEPT, COPY))  # names of metadata that always has one
 CONFIG_TEXT, DBC = "config_text", "dbc_base64"  # keys in the copy of the head
 
 
@@ -32,10 +35,19 @@ def checked(data: dict[str, str]) -> dict[str, str]:
     return {**data, CRC: crc_of_metadata(data)}
 
 
-def is_intact(name: str, data: dict[str, str]) -> bool:
-    """Whether metadata is as it was written; that of other programs has no checksum and counts as such."""
-    found = data.get(CRC)
-    return name not in OWN if found is None else found == crc_of_metadata(data)
+def check_intact(found: Metadata, offset: int) -> None:
+    """Make sure that metadata is as it was written; that of other programs has no checksum and passes.
+
+    Args:
+        found: the metadata.
+        offset: where it lies in its file.
+
+    Raises:
+        DamageError: its checksum is another one, or missing.
+    """
+    crc = found.metadata.get(CRC)
+    if found.name in _OWN if crc is None else crc != crc_of_metadata(found.metadata):
+        raise DamageError(f"damaged at byte {offset}: checksum of metadata")
 
 
 def head_of(h: LogHeader, more: dict[str, str]) -> dict[str, str]:

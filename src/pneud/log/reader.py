@@ -28,7 +28,7 @@ from pneud.log.framing import (
     open_mcap,
     pieces,
 )
-from pneud.log.part import CRC, is_intact
+from pneud.log.part import CRC, check_intact
 from pneud.log.records import LoggedEvent, LoggedTick, TickMessage, unpack, unpack_event
 from pneud.log.schema import EVENTS, FRAMES, METADATA, SCHEMA, SETUP, STATE, TICK
 
@@ -110,8 +110,7 @@ class _File:
             found = metadata(piece)
             if found.name not in (METADATA, SETUP):
                 return
-            if not is_intact(found.name, found.metadata):
-                raise DamageError(f"damaged at byte {piece.offset}: checksum of metadata")
+            check_intact(found, piece.offset)
             if found.name == METADATA:
                 self.metadata = found.metadata
             else:

@@ -20,7 +20,7 @@ from mcap.writer import CompressionType, Writer
 from pneud.log import framing
 from pneud.log.files import LogError, create_log
 from pneud.log.framing import DamageError, Message, Piece, attachment, chunk_items, metadata, open_mcap
-from pneud.log.part import CONFIG_TEXT, CRC, DBC, checked, is_intact
+from pneud.log.part import CONFIG_TEXT, CRC, DBC, check_intact, checked
 from pneud.log.schema import COPY, METADATA, SCHEMA, topics
 from pneud.log.writer import CHUNK_BYTES
 
@@ -125,8 +125,7 @@ class _Rescue:
                     self._attachments[a.name] = a
                 elif piece.opcode == Opcode.METADATA:
                     m = metadata(piece)
-                    if not is_intact(m.name, m.metadata):
-                        raise DamageError(f"damaged at byte {piece.offset}: checksum of metadata")
+                    check_intact(m, piece.offset)
                     if m.name == COPY:
                         copy = m.metadata
                     else:

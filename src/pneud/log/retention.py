@@ -16,7 +16,7 @@ from mcap.records import Footer, MetadataIndex, Statistics, SummaryOffset
 from pneud.log import framing
 from pneud.log.files import LogError
 from pneud.log.header import Rotation
-from pneud.log.part import is_intact
+from pneud.log.part import check_intact
 from pneud.log.schema import KEPT, METADATA
 
 _FOOTER_BYTES = 9 + 20 + len(framing.MAGIC)
@@ -59,8 +59,7 @@ def _metadata(piece: framing.Piece, name: str) -> dict[str, str] | None:
     found = framing.metadata(piece)
     if found.name != name:
         return None
-    if not is_intact(name, found.metadata):
-        raise framing.DamageError(f"damaged at byte {piece.offset}: checksum of metadata")
+    check_intact(found, piece.offset)
     return found.metadata
 
 
