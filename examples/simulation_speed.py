@@ -14,12 +14,12 @@ from scipy.integrate import solve_ivp
 from pneud.loading import load
 from pneud.physics.friction import friction_force, relaxation_rate
 from pneud.physics.gas import signed_flow
+from pneud.physics.plant import PlantParameters
 from pneud.physics.valve import opening
-from pneud.plant.dynamics import PlantState, advance, initial_state
-from pneud.plant.parameters import PlantParameters
-from pneud.sim.cases import bench_of, case, sine_of, trace_of
-from pneud.sim.lockstep import Simulation
-from pneud.sim.tuned import EXTENDED, setting
+from pneud.replay.lockstep import Simulation
+from pneud.rig.dynamics import PlantState, advance, initial_state
+from pneud.study.cases import bench_of, case, sine_of, trace_of
+from pneud.study.tuned import EXTENDED, setting
 
 SIM_S, SCIPY_S = 10.0, 0.5
 

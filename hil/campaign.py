@@ -26,9 +26,9 @@ from typing import Any
 from pneud import resources
 from pneud.bus.link import open_link
 from pneud.console.client import Client
-from pneud.console.place import PlaceError
+from pneud.console.endpoint import PlaceError
 from pneud.loading import load_scenario
-from pneud.log.reader import LogReader
+from pneud.log.files.reader import LogReader
 
 PNEUD = [sys.executable, "-m", "pneud.cli"]
 PATIENCE_S = 90.0

@@ -25,7 +25,7 @@ from collections import deque
 from pathlib import Path
 from typing import NamedTuple
 
-from pneud.log.reader import LogReader
+from pneud.log.files.reader import LogReader
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import State
 

@@ -25,13 +25,13 @@ from pathlib import Path
 from typing import Any
 
 from pneud.console.client import Client, RefusedError
-from pneud.console.place import PlaceError
+from pneud.console.endpoint import PlaceError
 from pneud.loading import load, toml_text
-from pneud.log.reader import LogReader
-from pneud.plant.scenario_file import Scenario
+from pneud.log.files.reader import LogReader
+from pneud.replay.lockstep import Simulation, law_of
 from pneud.safety.faults import BLOCKS_ARM, names
+from pneud.scenario.format import Scenario
 from pneud.signals import Request, RequestKind, State
-from pneud.sim.lockstep import Simulation, law_of
 
 PNEUD = [sys.executable, "-m", "pneud.cli"]
 EVERY_S, LASTS_S = 10.0, 0.3  # a fault, and how long it is there

@@ -9,12 +9,12 @@ from itertools import pairwise
 
 import pytest
 
-from pneud import parameters
-from pneud.axis import Axis
+from pneud.axis.cycle import Axis
 from pneud.bus.inbox import Inbox
+from pneud.config import conversions
 from pneud.control.reference import Bounds
 from pneud.loading import Loaded, load
-from pneud.plant.node import PlantNode
+from pneud.rig.node import PlantNode
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Frame, Measurement, Request, RequestKind, State, Tick
 
@@ -43,9 +43,9 @@ class Rig:
 
     def __init__(self) -> None:
         config, codecs = loaded().config, loaded().codecs
-        self.axis = Axis(parameters.axis_of(config, codecs.command_lsb_v))
+        self.axis = Axis(conversions.axis_of(config, codecs.command_lsb_v))
         self.inbox = Inbox(codecs, config.bus)
-        self.node = PlantNode(parameters.plant_of(config)._replace(pressure_noise_pa=0.0), codecs, 0)
+        self.node = PlantNode(conversions.plant_of(config)._replace(pressure_noise_pa=0.0), codecs, 0)
         self.frame: Callable[[Frame], Frame | None] = same
         self.measurement: Callable[[Measurement], Measurement] = lambda m: m
         self.host = 0

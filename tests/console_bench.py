@@ -11,13 +11,13 @@ from typing import Any
 
 from log_samples import tick_at
 from pneud import resources
-from pneud.config import load_config
+from pneud.config.models import load_config
 from pneud.console import handoff
-from pneud.console.desk import AxisDesk
-from pneud.console.run import Run
+from pneud.console.commands import AxisDesk
+from pneud.console.facts import Run
 from pneud.console.server import BOUNDS, Bounds, Server
-from pneud.console.watch import Watch
-from pneud.log.ring import Ring
+from pneud.console.status import Watch
+from pneud.log.live.ring import Ring
 from pneud.signals import Answer, Request, State
 
 CONFIG = resources.configs() / "virtual.toml"

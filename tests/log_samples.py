@@ -12,9 +12,9 @@ from typing import Any, get_type_hints
 
 from hypothesis import strategies as st
 
-from pneud.log.files import create_log
-from pneud.log.header import Detail, LogHeader
-from pneud.log.writer import LogWriter
+from pneud.log.files.naming import create_log
+from pneud.log.files.writer import LogWriter
+from pneud.log.format.header import Detail, LogHeader
 from pneud.signals import (
     REQUEST_VALUES,
     Answer,

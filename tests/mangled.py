@@ -8,14 +8,14 @@ from pathlib import Path
 
 from pneud.bus.inbox import Counts
 from pneud.loading import load
-from pneud.log.files import create_log
-from pneud.log.header import LogHeader
-from pneud.log.messages import Message
-from pneud.log.schema import Level
-from pneud.log.writer import LogWriter
+from pneud.log.files.naming import create_log
+from pneud.log.files.writer import LogWriter
+from pneud.log.format.header import LogHeader
+from pneud.log.format.schema import Level
+from pneud.log.live.notes import Message
+from pneud.replay.lockstep import Simulation
 from pneud.safety.faults import FAULT_NAMES
 from pneud.signals import Frame, Request, RequestKind
-from pneud.sim.lockstep import Simulation
 
 EMERGENCY = Frame(0, 0x081, b"\x10\x23\x01\0\0\0\0\0")
 OFFSET_NS = 1_700_000_000_123_456_789

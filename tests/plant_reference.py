@@ -6,10 +6,10 @@ import math
 
 from scipy.integrate import solve_ivp
 
-from pneud.config import load_config, plant_of
+from pneud.config.models import load_config, plant_of
 from pneud.physics.gas import signed_flow
-from pneud.plant.dynamics import PlantState, disturbances
-from pneud.plant.parameters import PlantParameters
+from pneud.physics.plant import PlantParameters
+from pneud.rig.dynamics import PlantState, disturbances
 
 REALISTIC = plant_of(load_config("virtual.toml"))
 IDEAL = REALISTIC._replace(

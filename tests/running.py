@@ -20,9 +20,9 @@ from pneud import resources
 from pneud.bus.link import Link, open_link
 from pneud.bus.wire import CAN_ERR_FLAG
 from pneud.console.client import Client
-from pneud.console.place import PlaceError
-from pneud.log.reader import read_log
-from pneud.log.records import LoggedTick
+from pneud.console.endpoint import PlaceError
+from pneud.log.files.reader import read_log
+from pneud.log.format.records import LoggedTick
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Answer, Frame, RequestKind
 

@@ -9,9 +9,9 @@ from itertools import pairwise
 import pytest
 
 from axis_rig import ARM, CLEAR, DISARM, PERIOD_NS, SHUTDOWN, Rig, assert_smooth, ready, twin
-from pneud import profiles
-from pneud.asking import soft_limits
-from pneud.axis import Axis
+from pneud.axis.cycle import Axis
+from pneud.axis.requests import soft_limits
+from pneud.console import profiles
 from pneud.control.plan import FOLLOWING, RESTING
 from pneud.control.profile import MOST_PIECES
 from pneud.control.reference import Bounds, Septic, at, rest, septic

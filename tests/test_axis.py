@@ -9,12 +9,12 @@ from types import ModuleType
 
 import pytest
 
-import pneud.axis
-import pneud.core
+import pneud.axis.cycle
+import pneud.axis.sensing
 from axis_rig import ARM, CLEAR, DISARM, ENCODER, PERIOD_NS, PRESSURE, SHUTDOWN, Rig, loaded, ready, tracking
-from pneud import parameters
-from pneud.axis import FOLLOWING, Axis
+from pneud.axis.cycle import FOLLOWING, Axis
 from pneud.bus.inbox import Inbox
+from pneud.config import conversions
 from pneud.control.plan import COMING_TO_REST, JOINING, SETTLE_NS
 from pneud.control.reference import along, sine, stays, to_rest
 from pneud.control.sliding import SlidingOutput
@@ -182,7 +182,7 @@ def test_a_fault_while_stopping_centres_at_once() -> None:
 def test_shutdown_asked_in_the_tick_of_an_exception_holds(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = tracking()
     with monkeypatch.context() as patch:
-        patch.setattr(pneud.core, "act", lambda *_: 1 / 0)
+        patch.setattr(pneud.axis.sensing, "act", lambda *_: 1 / 0)
         assert rig.tick(SHUTDOWN).state == State.FAULT
     assert isinstance(rig.axis.failure, ZeroDivisionError)
     rig.ticks(2)
@@ -197,11 +197,11 @@ def test_shutdown_asked_in_the_tick_of_an_exception_holds(monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("module", "function"),
     [
-        (pneud.core, "observe"),
-        (pneud.core, "act"),
-        (pneud.core, "emit"),
-        (pneud.axis, "advance"),
-        (pneud.axis, "follow"),
+        (pneud.axis.sensing, "observe"),
+        (pneud.axis.sensing, "act"),
+        (pneud.axis.sensing, "emit"),
+        (pneud.axis.cycle, "advance"),
+        (pneud.axis.cycle, "follow"),
     ],
 )
 def test_an_exception_anywhere_centres_and_the_first_one_is_kept(
@@ -323,7 +323,7 @@ def test_free_running_sensors_do_not_count_time_twice() -> None:
     )
     rig = tracking()
     rig.inbox = Inbox(loaded().codecs, config.bus)
-    rig.axis = Axis(parameters.axis_of(config, loaded().codecs.command_lsb_v))
+    rig.axis = Axis(conversions.axis_of(config, loaded().codecs.command_lsb_v))
     rig.count = 0
     rig.until(State.DISARMED)
     rig.ticks(60)
@@ -380,7 +380,7 @@ def test_the_slew_limit_counts_the_time_since_the_last_command(
     rig = tracking()
     p = rig.axis.parameters
     rig.axis.parameters = p._replace(output=p.output._replace(slew_v_s=10.0))
-    monkeypatch.setattr(pneud.core, "act", lambda state, *_: (state, SlidingOutput(5.0, 0.0, 0.0)))
+    monkeypatch.setattr(pneud.axis.sensing, "act", lambda state, *_: (state, SlidingOutput(5.0, 0.0, 0.0)))
     last_v = rig.axis.state.last_v
     command = rig.tick(skipped=skipped).command
     assert command.voltage_v == pytest.approx(last_v + 0.01 * (1 + skipped), abs=3e-4)

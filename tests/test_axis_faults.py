@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-import pneud.core
+import pneud.axis.sensing
 from axis_rig import ARM, CLEAR, ENCODER, PERIOD_NS, PRESSURE, VALVE, Rig, ready, tracking
 from commands import pneud_here
 from pneud.control import step
@@ -141,7 +141,7 @@ def overdriven(rig: Rig, patch: pytest.MonkeyPatch) -> None:
         state, answer = step.act(*args)
         return state, answer._replace(u_v=1e3)
 
-    patch.setattr(pneud.core, "act", act)
+    patch.setattr(pneud.axis.sensing, "act", act)
 
 
 def broken(*_: object) -> None:
@@ -149,18 +149,18 @@ def broken(*_: object) -> None:
 
 
 def raises(rig: Rig, patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(pneud.core, "observe", broken)
-    patch.setattr(pneud.core, "start", broken)
+    patch.setattr(pneud.axis.sensing, "observe", broken)
+    patch.setattr(pneud.axis.sensing, "start", broken)
 
 
 def too_much(rig: Rig, patch: pytest.MonkeyPatch) -> None:
     p = rig.axis.parameters
     patch.setattr(rig.axis, "parameters", p._replace(output=p.output._replace(u_max_v=6.0)))
-    patch.setattr(pneud.core, "act", lambda state, *_: (state, SlidingOutput(6.0, 0.0, 0.0)))
+    patch.setattr(pneud.axis.sensing, "act", lambda state, *_: (state, SlidingOutput(6.0, 0.0, 0.0)))
 
 
 def law_without_number(rig: Rig, patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(pneud.core, "act", lambda state, *_: (state, SlidingOutput(math.nan, 0.0, 0.0)))
+    patch.setattr(pneud.axis.sensing, "act", lambda state, *_: (state, SlidingOutput(math.nan, 0.0, 0.0)))
 
 
 SENSORS = [

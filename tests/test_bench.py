@@ -20,17 +20,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from commands import object_of, pneud
-from pneud.benchmark import contestants, picture, rates
-from pneud.benchmark.contestants import AbsentError, Track
-from pneud.benchmark.disturbances import DISTURBANCES, Disturb, cpus_busy
-from pneud.benchmark.law import Law, LawState, begin, header, law_of, reference, tick
-from pneud.benchmark.report import as_object, in_words
-from pneud.benchmark.sample import Sample, Series, from_object, process_state, ratio_of_turns
+from pneud.bench import chart, contestants, rates
+from pneud.bench.contestants import AbsentError, Track
+from pneud.bench.disturbances import DISTURBANCES, Disturb, cpus_busy
+from pneud.bench.law_cost import Law, LawState, begin, header, law_of, reference, tick
+from pneud.bench.sample import Sample, Series, from_object, process_state, ratio_of_turns
+from pneud.bench.tables import as_object, in_words
 from pneud.compiled.to_c import Translator
 from pneud.compiled.types import TranslationError
-from pneud.config import ConfigError
+from pneud.config.models import ConfigError
 from pneud.loading import Loaded, load
-from pneud.log.reader import read_log
+from pneud.log.files.reader import read_log
 from pneud.verbs.bench import BenchOptions, Contestant, bench
 
 MACHINE = {"kernel": "Linux", "cpu_model": "A CPU", "cpus": [0, 1], "hypervisor": "", "load": 0.5}
@@ -165,7 +165,7 @@ def test_the_words_name_whoever_is_missing_and_what_was_odd() -> None:
 
 def test_the_page_stands_alone_and_shows_every_histogram() -> None:
     found = report()
-    page = picture.page(found, "a < b")
+    page = chart.page(found, "a < b")
     assert "a &lt; b" in page
     assert "http" not in page
     drawing = ET.fromstring(page[page.index("<svg") : page.index("</svg>") + 6])
@@ -181,13 +181,13 @@ def test_the_page_stands_alone_and_shows_every_histogram() -> None:
 
 
 def test_an_empty_page_is_drawn_too() -> None:
-    assert "nothing was measured" in picture.svg({})
-    assert "<svg" in picture.svg({"one": [[1000, 1000, 5]]})
+    assert "nothing was measured" in chart.svg({})
+    assert "<svg" in chart.svg({"one": [[1000, 1000, 5]]})
 
 
 @given(st.lists(st.tuples(st.integers(0, 10**9), st.integers(1, 10**6)), min_size=1, max_size=20))
 def test_columns_hold_all_values(values: list[tuple[int, int]]) -> None:
-    shares = picture.columns([(ns, ns, count) for ns, count in values])
+    shares = chart.columns([(ns, ns, count) for ns, count in values])
     assert math.isclose(sum(shares.values()), 1.0)
 
 

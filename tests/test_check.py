@@ -9,7 +9,7 @@ import pytest
 from commands import pneud_here as pneud
 from pneud import resources
 from pneud.bus.codec import DatabaseError
-from pneud.config import ConfigError, load_config, parse
+from pneud.config.models import ConfigError, load_config, parse
 from pneud.loading import load
 
 GOOD = (resources.configs() / "virtual.toml").read_text()

@@ -10,9 +10,9 @@ import pytest
 from commands import pneud
 from pneud.control.homogeneous import feedback
 from pneud.loading import load
-from pneud.plant.dynamics import advance, initial_state
-from pneud.sim import compare as compare_
-from pneud.sim.cases import (
+from pneud.rig.dynamics import advance, initial_state
+from pneud.study import comparison as compare_
+from pneud.study.cases import (
     Figures,
     bench_of,
     case,
@@ -29,10 +29,9 @@ from pneud.sim.cases import (
     trace_of,
     tracking,
 )
-from pneud.sim.closed_loop import supply_flow_kg_s
-from pneud.sim.compare import LAWS, Comparison, Row, as_json, behind, compare, in_words, missed
-from pneud.sim.tune import _moved, course, parts, tune
-from pneud.sim.tuned import (
+from pneud.study.closed_loop import supply_flow_kg_s
+from pneud.study.comparison import LAWS, Comparison, Row, as_json, behind, compare, in_words, missed
+from pneud.study.tuned import (
     ADRC3,
     ADRC4,
     AS_CONFIGURED,
@@ -44,6 +43,7 @@ from pneud.sim.tuned import (
     Setting,
     setting,
 )
+from pneud.study.tuner import _moved, course, parts, tune
 
 LOADED = load("virtual.toml")
 BENCH = bench_of(LOADED, compiled=False)

@@ -19,26 +19,26 @@ from typing import Any, get_args, get_origin, get_type_hints
 import pytest
 
 from axis_rig import ARM, CLEAR, DISARM, ENCODER, VALVE, Rig, loaded, ready
-from pneud import parameters
-from pneud.axis import Axis, cycle
-from pneud.bus.folder import cache_folder
+from pneud.axis.cycle import Axis, cycle
+from pneud.compiled import backend as law_module
 from pneud.compiled import build
-from pneud.compiled import law as law_module
+from pneud.compiled.backend import FUNCTIONS, INTERPRETED, Law, compiled, law, sample
 from pneud.compiled.build import BuildError, load
-from pneud.compiled.law import FUNCTIONS, INTERPRETED, Law, compiled, law, sample
 from pneud.compiled.rebinding import rebound
 from pneud.compiled.types import MOST, plain
+from pneud.config import conversions
 from pneud.control.plan import COMING_TO_REST, FOLLOWING, GOING, JOINING, NONE, RESTING
 from pneud.control.reference import Septic, at, sine
-from pneud.control.tuning import tunables
+from pneud.control.tunables import tunables
 from pneud.loading import load as load_axis
-from pneud.plant import dynamics
+from pneud.replay.lockstep import Simulation
+from pneud.rig import dynamics
+from pneud.rt.folders import cache_folder
 from pneud.safety.supervisor import INITIAL, advance
 from pneud.signals import Frame, RequestKind, State
-from pneud.sim.lockstep import Simulation
 
 WHERE_PYTHON_RAISES = (0.0, -0.0, math.inf, -math.inf, math.nan, 1e300, -1e300, 5e-324)
-PARAMETERS = parameters.axis_of(loaded().config, loaded().codecs.command_lsb_v)
+PARAMETERS = conversions.axis_of(loaded().config, loaded().codecs.command_lsb_v)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -275,7 +275,7 @@ def test_a_compiled_cycle_takes_less_than_half_the_time() -> None:
 def test_what_was_built_is_used_again(elsewhere: Path) -> None:
     compiled()
     before = {path: path.stat().st_mtime_ns for path in elsewhere.iterdir()}
-    again = [sys.executable, "-c", "from pneud.compiled.law import compiled; print(compiled().name)"]
+    again = [sys.executable, "-c", "from pneud.compiled.backend import compiled; print(compiled().name)"]
     assert subprocess.run(again, capture_output=True, text=True, check=True).stdout == "compiled\n"
     assert {path: path.stat().st_mtime_ns for path in elsewhere.iterdir()} == before
 

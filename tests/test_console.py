@@ -22,10 +22,10 @@ from log_samples import tick_at
 from pneud import resources
 from pneud.console import handoff, server
 from pneud.console.lease import Lease
+from pneud.console.lines import MAX_LINE
 from pneud.console.peer import Peer, may_command
 from pneud.console.protocol import VERBS, Error, parse
 from pneud.console.server import BOUNDS
-from pneud.console.wire import MAX_LINE
 from pneud.safety.faults import F
 from pneud.signals import Answer, Record, Request, RequestKind, State, Timing
 

@@ -18,9 +18,9 @@ import fuzzing
 from commands import Figures, eventually
 from console_bench import COMMANDS, LOOKS, message
 from pneud.console.client import Client, RefusedError
-from pneud.console.place import PlaceError
+from pneud.console.endpoint import PlaceError
 from pneud.console.protocol import VERBS, Error
-from pneud.log.records import LoggedTick
+from pneud.log.format.records import LoggedTick
 from pneud.rt.histogram import Histogram
 from pneud.safety.faults import F
 from pneud.signals import RequestKind, State

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pneud.config.conversions import plant_of
 from pneud.control.baselines import (
     PID,
     SLIDING,
@@ -25,11 +26,10 @@ from pneud.control.motion import correct, predict
 from pneud.control.reference import rest
 from pneud.control.step import Controller, ControllerState, act, join, observe, start
 from pneud.loading import load
-from pneud.parameters import plant_of
 from pneud.physics.valve import opening
 from pneud.signals import Estimate
-from pneud.sim.cases import Bench, bench_of, case, figures, move_of, trace_of
-from pneud.sim.tuned import (
+from pneud.study.cases import Bench, bench_of, case, figures, move_of, trace_of
+from pneud.study.tuned import (
     ADRC3,
     ADRC4,
     AS_CONFIGURED,

@@ -6,18 +6,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneud.axis import AxisParameters
-from pneud.config import Config, ConfigError, load_config, parse
+from pneud.axis.cycle import AxisParameters
+from pneud.config.conversions import axis_of, lead_s, plant_of
+from pneud.config.models import Config, ConfigError, load_config, parse
 from pneud.control.prediction import Spool
 from pneud.control.step import Controller, ControllerState, act, at_effect, join, observe, start
-from pneud.parameters import axis_of, lead_s, plant_of
+from pneud.physics.plant import PlantParameters
 from pneud.physics.valve import SpoolTransition, Valve
-from pneud.plant.dynamics import initial_state
-from pneud.plant.parameters import PlantParameters
 from pneud.resources import configs
+from pneud.rig.dynamics import initial_state
 from pneud.signals import Estimate, Reference
-from pneud.sim.closed_loop import Outcome, run_sine
-from pneud.sim.jit import jitted
+from pneud.study.closed_loop import Outcome, run_sine
+from pneud.study.jit import jitted
 
 COMMAND_LSB_V = 5e-4
 

@@ -11,14 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from commands import object_of, pneud
-from pneud import design, resources
-from pneud.chatter import mean_step_v, passed
-from pneud.config import Config, load_config
+from pneud import resources
+from pneud.config.conversions import axis_of, plant_of
+from pneud.config.models import Config, load_config
 from pneud.control.homogeneous import explicit_ustar, feedback, implicit_ustar, sig
-from pneud.control.tuning import bandwidth, delay_margin, linearised
+from pneud.control.tunables import bandwidth, delay_margin, linearised
 from pneud.loading import at_rate
-from pneud.parameters import axis_of, plant_of
-from pneud.sim.recovery import Service, service
+from pneud.study import gains
+from pneud.study.noise import mean_step_v, passed
+from pneud.study.push import Service, service
 
 VIRTUAL = load_config("virtual.toml")
 LSB_V = 5e-4
@@ -30,7 +31,7 @@ def settings(c: Config, **control: object) -> Config:
 
 
 def by_rule(omega: float, rate_hz: float = 1000.0, alpha: float = 0.923, **control: object) -> Config:
-    return settings(design.designed(at_rate(VIRTUAL, rate_hz), omega, 1e-3, alpha), **control)
+    return settings(gains.designed(at_rate(VIRTUAL, rate_hz), omega, 1e-3, alpha), **control)
 
 
 def tried(c: Config, start_error_m: float = 0.0) -> Service:
@@ -39,7 +40,7 @@ def tried(c: Config, start_error_m: float = 0.0) -> Service:
 
 @given(omegas, errors, alphas)
 def test_each_term_equals_that_of_the_triple_pole_at_the_error(w: float, a: float, alpha: float) -> None:
-    g = design.scaled_gains(w, a, alpha)
+    g = gains.scaled_gains(w, a, alpha)
     assert g.k1 * sig(a, g.a1) == pytest.approx(w**3 * a, rel=1e-9)
     assert g.k2 * sig(w * a, g.a2) == pytest.approx(3 * w**3 * a, rel=1e-9)
     assert g.k3 * sig(w * w * a, g.a3) == pytest.approx(3 * w**3 * a, rel=1e-9)
@@ -49,7 +50,7 @@ def test_each_term_equals_that_of_the_triple_pole_at_the_error(w: float, a: floa
 
 @given(omegas, errors, alphas, st.floats(0.1, 10.0))
 def test_gains_scale_with_length_and_time(w: float, a: float, alpha: float, scale: float) -> None:
-    one, other = design.scaled_gains(w, a, alpha), design.scaled_gains(w, scale * a, alpha)
+    one, other = gains.scaled_gains(w, a, alpha), gains.scaled_gains(w, scale * a, alpha)
     errors_of = (0.3 * a, -0.2 * w * a, 0.7 * w * w * a)
     expected = scale * explicit_ustar(*errors_of, one)
     w1, w2, w3 = (scale * e for e in errors_of)
@@ -58,14 +59,14 @@ def test_gains_scale_with_length_and_time(w: float, a: float, alpha: float, scal
 
 @given(omegas, errors, alphas)
 def test_delay_margin_of_a_triple_pole_goes_with_one_over_bandwidth(w: float, a: float, alpha: float) -> None:
-    g = design.scaled_gains(w, a, alpha)
+    g = gains.scaled_gains(w, a, alpha)
     assert w * delay_margin(g, a) == pytest.approx(0.40705, abs=1e-4)
     if alpha < 0.99:
         assert delay_margin(g, 0.1 * a) < delay_margin(g, a)
 
 
 def test_delay_margin_is_where_a_linear_loop_with_dead_time_begins_to_grow() -> None:
-    g, h = design.scaled_gains(50.0, 1e-3, 1.0), 1e-5
+    g, h = gains.scaled_gains(50.0, 1e-3, 1.0), 1e-5
     margin = delay_margin(g, 1e-3)
 
     def late_error(delay_s: float) -> float:
@@ -92,7 +93,7 @@ def test_a_loop_that_is_unstable_without_delay_has_no_margin() -> None:
 @pytest.mark.parametrize("h", [0.01, 0.001])
 def test_explicit_limit_cycle_is_found_on_the_chain_and_the_implicit_form_has_none(h: float) -> None:
     g = feedback(220.0, 450.0, 350.0, 0.8)
-    predicted = design.limit_cycle(g, h)
+    predicted = gains.limit_cycle(g, h)
     assert predicted == pytest.approx({0.01: 16.413, 0.001: 1.6413e-4}[h], rel=1e-4)
     w3 = y3 = 0.5 * predicted
     for _ in range(400):
@@ -103,14 +104,14 @@ def test_explicit_limit_cycle_is_found_on_the_chain_and_the_implicit_form_has_no
 
 
 def test_linear_feedback_has_no_limit_cycle_until_it_is_unstable() -> None:
-    assert design.limit_cycle(feedback(1.0, 2.0, 199.0, 1.0), 0.01) == 0.0
-    assert design.limit_cycle(feedback(1.0, 2.0, 201.0, 1.0), 0.01) == math.inf
-    assert design.limit_cycle(feedback(1.0, 2.0, 1e6, 0.9999), 0.01) == math.inf
+    assert gains.limit_cycle(feedback(1.0, 2.0, 199.0, 1.0), 0.01) == 0.0
+    assert gains.limit_cycle(feedback(1.0, 2.0, 201.0, 1.0), 0.01) == math.inf
+    assert gains.limit_cycle(feedback(1.0, 2.0, 1e6, 0.9999), 0.01) == math.inf
 
 
 @pytest.mark.parametrize(("h", "error_m"), [(0.0, 0.0513), (0.001, 0.0525), (0.01, 0.0587)])
 def test_static_error_of_the_papers_gains_under_one_newton(h: float, error_m: float) -> None:
-    assert design.static_error(feedback(220.0, 450.0, 350.0, 0.8), 1.0, 15.0, h) == pytest.approx(
+    assert gains.static_error(feedback(220.0, 450.0, 350.0, 0.8), 1.0, 15.0, h) == pytest.approx(
         error_m, rel=0.02
     )
 
@@ -118,7 +119,7 @@ def test_static_error_of_the_papers_gains_under_one_newton(h: float, error_m: fl
 def test_static_error_is_where_the_feedback_rests() -> None:
     g, a = feedback(220.0, 450.0, 350.0, 0.8), 0.1 / 15.0
     for T in (0.001, 0.01):
-        w1 = design.static_error(g, 0.1, 15.0, T) + T * T * a
+        w1 = gains.static_error(g, 0.1, 15.0, T) + T * T * a
         assert implicit_ustar(w1, 0.0, -a, T, g) == pytest.approx(0.0, abs=1e-6)
 
 
@@ -135,8 +136,8 @@ def test_a_slower_reference_and_less_friction_ask_less_of_the_observer() -> None
     still = VIRTUAL.model_copy(
         update={"reference": VIRTUAL.reference.model_copy(update={"amplitude_m": 0.0})}
     )
-    assert 0.0 == design.disturbance_rate(still) < design.disturbance_rate(slow)
-    assert design.disturbance_rate(slow) < 0.5 * design.disturbance_rate(VIRTUAL)
+    assert 0.0 == gains.disturbance_rate(still) < gains.disturbance_rate(slow)
+    assert gains.disturbance_rate(slow) < 0.5 * gains.disturbance_rate(VIRTUAL)
 
 
 def test_the_printed_tables_are_a_configuration_that_pneud_takes(tmp_path: Path) -> None:
@@ -198,8 +199,8 @@ def test_gains_that_pneud_would_refuse_are_printed_with_the_reason_and_status_1(
     ],
 )
 def test_each_warning_comes_where_it_applies_and_not_with_what_is_shipped(says: str, c: Config) -> None:
-    assert any(says in line for line in design.warnings(c, design.predict(c)))
-    assert design.warnings(VIRTUAL, design.predict(VIRTUAL)) == []
+    assert any(says in line for line in gains.warnings(c, gains.predict(c)))
+    assert gains.warnings(VIRTUAL, gains.predict(VIRTUAL)) == []
 
 
 def test_check_names_what_applies() -> None:
@@ -230,7 +231,7 @@ def test_chatter_of_the_gains_shipped_is_as_predicted() -> None:
 @pytest.mark.parametrize("omega", [60.0, 90.0, 140.0])
 def test_gains_by_rule_without_warning_of_recovery_come_back(omega: float) -> None:
     c = by_rule(omega)
-    assert design.predict(c).recovery_ratio < design.MOST_RECOVERY_RATIO
+    assert gains.predict(c).recovery_ratio < gains.MOST_RECOVERY_RATIO
     assert tried(c, 0.4).recovered(tried(c))
 
 
@@ -248,7 +249,7 @@ def test_accurate_gains_that_do_not_come_back_are_found_out() -> None:
 @pytest.mark.slow
 def test_slow_sampling_costs_the_explicit_form_its_calm_and_the_implicit_one_only_accuracy() -> None:
     rough = by_rule(110.0, 200.0, discretisation="explicit")
-    assert design.predict(rough).explicit_limit_cycle_m_s2 > 10 * design.acceleration_noise(rough)
+    assert gains.predict(rough).explicit_limit_cycle_m_s2 > 10 * gains.acceleration_noise(rough)
     assert tried(rough).chatter_v > 1.0
     assert tried(by_rule(110.0, 200.0)).chatter_v < 0.1
     slow, slower = tried(by_rule(110.0, 100.0), 0.4), tried(by_rule(110.0, 50.0), 0.4)

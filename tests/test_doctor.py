@@ -14,10 +14,11 @@ import pytest
 
 from commands import object_of, pneud
 from pneud.loading import load
-from pneud.rt import machine, setup
-from pneud.rt.machine import Facts, Interface
-from pneud.rt.probe import Finding, Level, Wanted, examine
+from pneud.rt import setup
 from pneud.rt.setup import Report
+from pneud.service import machine
+from pneud.service.machine import Facts, Interface
+from pneud.service.probe import Finding, Level, Wanted, examine
 from pneud.verbs.doctor import doctor, wanted_by
 
 FACTS = Facts(

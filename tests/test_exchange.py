@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from commands import pneud_here
 from mangled import mangle, simulated
 from pneud import resources
-from pneud.exchange import traffic
-from pneud.log.files import LogError
-from pneud.log.reader import read_log
-from pneud.replaying import replay
+from pneud.log.files.naming import LogError
+from pneud.log.files.reader import read_log
+from pneud.replay import traffic
+from pneud.replay.replaying import replay
 from pneud.signals import Frame
 
 DBC = resources.configs() / "pneud.dbc"

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import pytest
 
 from pneud.loading import load
+from pneud.replay.lockstep import Simulation
 from pneud.signals import Frame, State
-from pneud.sim.lockstep import Simulation
 
 LOADED = load("virtual.toml")
 ENCODER, PRESSURE, STATUS = 0x181, 0x182, 0x183

@@ -10,10 +10,11 @@ from typing import Any
 
 import pytest
 
-from pneud import core, replaying
-from pneud.config import with_settings
-from pneud.log.fingerprint import numeric_fingerprint
-from pneud.log.reader import read_log
+from pneud.axis import sensing
+from pneud.config.models import with_settings
+from pneud.log.files.reader import read_log
+from pneud.log.format.fingerprint import numeric_fingerprint
+from pneud.replay import replaying
 from pneud.safety.faults import FAULT_NAMES
 from pneud.signals import State
 
@@ -75,7 +76,7 @@ def test_one_ulp_in_the_law_is_told_with_tick_variable_and_both_values(
     if log.metadata["fingerprint"] != numeric_fingerprint():
         pytest.skip("another machine's mathematics wrote it")
     calls = 0
-    act = vars(core)["act"]
+    act = vars(sensing)["act"]
 
     def nudged(*arguments: Any) -> Any:
         nonlocal calls
@@ -85,7 +86,7 @@ def test_one_ulp_in_the_law_is_told_with_tick_variable_and_both_values(
             answer = answer._replace(u_v=math.nextafter(answer.u_v, math.inf))
         return controller, answer
 
-    monkeypatch.setattr(core, "act", nudged)
+    monkeypatch.setattr(sensing, "act", nudged)
     outcome = replaying.replay(log, interpreted)
     assert not outcome.good
     assert outcome.first is not None

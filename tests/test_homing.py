@@ -9,12 +9,13 @@ from typing import Any
 import pytest
 
 from axis_rig import ARM, CLEAR, DISARM, ENCODER, SHUTDOWN, Rig, loaded, twin
-from pneud import parameters, resources
-from pneud.axis import Axis
-from pneud.config import Config, ConfigError, parse
+from pneud import resources
+from pneud.axis.cycle import Axis
+from pneud.config import conversions
+from pneud.config.models import Config, ConfigError, parse
 from pneud.control import homing
 from pneud.control.homing import AWAY, BACK, HALT, TOWARDS, Homing
-from pneud.plant.node import PlantNode
+from pneud.rig.node import PlantNode
 from pneud.safety.faults import F, names
 from pneud.signals import Answer, Estimate, Measurement, RequestKind, State, Tick
 
@@ -33,9 +34,9 @@ def unhomed(start_m: float = 0.05, plant: dict[str, Any] | None = None, **homing
     """Switched on, its encoder showing 0 wherever the load is."""
     c = config(**homing_)
     rig = Rig()
-    rig.axis = Axis(parameters.axis_of(c, loaded().codecs.command_lsb_v))
+    rig.axis = Axis(conversions.axis_of(c, loaded().codecs.command_lsb_v))
     x1 = start_m + c.cylinder.dead_length_1_m
-    p = parameters.plant_of(c)._replace(initial_x1=x1, encoder_zero_m=start_m, **(plant or {}))
+    p = conversions.plant_of(c)._replace(initial_x1=x1, encoder_zero_m=start_m, **(plant or {}))
     rig.node = PlantNode(p, loaded().codecs, 3)
     rig.until(State.DISARMED)
     while "unsettled" in names(rig.tick().present):
@@ -213,7 +214,7 @@ def test_frozen_while_homing_it_thaws_to_the_same_ticks() -> None:
     assert [repr(t) for t in again] == [repr(t) for t in ticks]
 
 
-P = parameters.axis_of(config(), 5e-4)
+P = conversions.axis_of(config(), 5e-4)
 
 
 def at(position_m: float, velocity_m_s: float = 0.0, x3_n: float = 0.0) -> Estimate:

@@ -10,10 +10,11 @@ from pathlib import Path
 import pytest
 
 from commands import pneud_here
-from pneud import installation, resources
-from pneud.config import ConfigError, load_config
-from pneud.installation import Axis, InstallError, activate, axis_of, examine, files, put, units_of
-from pneud.rt.probe import Finding, Level
+from pneud import resources
+from pneud.config.models import ConfigError, load_config
+from pneud.service import installation
+from pneud.service.installation import Axis, InstallError, activate, axis_of, examine, files, put, units_of
+from pneud.service.probe import Finding, Level
 
 COMMAND = Path("/opt/pneud/bin/pneud")
 RIG, VCAN = Axis("rig", "can0"), Axis("vcan", "vcan0")

@@ -12,12 +12,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from log_samples import any_record, noisy, write_log
-from pneud.log import columns
-from pneud.log.columns import AFTER, BEFORE, SENT, blocks
-from pneud.log.header import Detail
-from pneud.log.reader import LogReader, RawBatch, read_log
-from pneud.log.records import LoggedTick
-from pneud.log.schema import message_class
+from pneud.log.files import columns
+from pneud.log.files.columns import AFTER, BEFORE, SENT, blocks
+from pneud.log.files.reader import LogReader, RawBatch, read_log
+from pneud.log.format.header import Detail
+from pneud.log.format.records import LoggedTick
+from pneud.log.format.schema import message_class
 from pneud.signals import Record, Request, RequestKind
 
 

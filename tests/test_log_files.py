@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from pneud.log.files import LogError, create_log, log_path
-from pneud.log.fingerprint import numeric_fingerprint, versions
+from pneud.log.files.naming import LogError, create_log, log_path
+from pneud.log.format.fingerprint import numeric_fingerprint, versions
 
 NOW = 1_795_314_285.0
 

@@ -11,12 +11,12 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from log_samples import OFFSET_NS, bits, header, noisy, tick_at, write_log
-from pneud.log import part
-from pneud.log.files import LogError
-from pneud.log.header import Detail
-from pneud.log.reader import LogReader, read_log
-from pneud.log.records import COARSE_ERROR, FLOAT_ERROR, crc_of
-from pneud.log.recover import recover
+from pneud.log.files import part
+from pneud.log.files.naming import LogError
+from pneud.log.files.reader import LogReader, read_log
+from pneud.log.files.recovery import recover
+from pneud.log.format.header import Detail
+from pneud.log.format.records import COARSE_ERROR, FLOAT_ERROR, crc_of
 from pneud.signals import Answer, Host, Record, Request, RequestKind, State, Timing
 
 COUNT = 120

@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 from log_samples import FAULTS, bits, header, noisy, tick_at, write_log
-from pneud.log.files import LogError, create_log
-from pneud.log.reader import read_log
-from pneud.log.recorder import start_recorder
-from pneud.log.ring import Ring
-from pneud.log.schema import Level
-from pneud.log.writer import LogWriter, realtime_offset_ns
+from pneud.log.files.naming import LogError, create_log
+from pneud.log.files.reader import read_log
+from pneud.log.files.writer import LogWriter, realtime_offset_ns
+from pneud.log.format.schema import Level
+from pneud.log.live.recorder import start_recorder
+from pneud.log.live.ring import Ring
 from pneud.signals import Frame, Record, Request, RequestKind, State, Tick, Timing
 
 NO_TIME = Timing(0, 0, 0, 0, 0, 0)

@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from log_samples import any_record, bits, noisy, tick_at, write_log
-from pneud.log.frames import FrameBlock, FramesPacker
-from pneud.log.header import Detail
-from pneud.log.records import (
+from pneud.log.format.frames import FrameBlock, FramesPacker
+from pneud.log.format.header import Detail
+from pneud.log.format.records import (
     COARSE,
     LoggedEvent,
     LoggedTick,
@@ -28,7 +28,7 @@ from pneud.log.records import (
     unpack_event,
     varint,
 )
-from pneud.log.schema import SCHEMA, Level, message_class, topics
+from pneud.log.format.schema import SCHEMA, Level, message_class, topics
 from pneud.signals import Command, Estimate, Frame, Measurement, Record, Reference, Timing
 
 NAMES: dict[Detail, str] = {"compact": "pneud.Tick", "full": "pneud.FullTick"}

@@ -15,13 +15,13 @@ from mcap.opcode import Opcode
 from mcap.writer import Writer
 
 from log_samples import bits, header, noisy
-from pneud.log.files import LogError, create_log
-from pneud.log.framing import MAGIC, open_mcap, pieces
-from pneud.log.part import checked
-from pneud.log.reader import read_log
-from pneud.log.recover import recover
-from pneud.log.schema import COPY
-from pneud.log.writer import LogWriter
+from pneud.log.files.naming import LogError, create_log
+from pneud.log.files.part import checked
+from pneud.log.files.reader import read_log
+from pneud.log.files.recovery import recover
+from pneud.log.files.writer import LogWriter
+from pneud.log.format.framing import MAGIC, open_mcap, pieces
+from pneud.log.format.schema import COPY
 
 PER_CHUNK, CHUNKS = 15, 24
 RECORDS = list(noisy(PER_CHUNK * CHUNKS))

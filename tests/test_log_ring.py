@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 
 from log_samples import any_record, bits, noisy, tick_at
-from pneud.log.ring import RecorderStatus, Ring
+from pneud.log.live.ring import RecorderStatus, Ring
 from pneud.signals import Frame, Record, Timing
 
 NO_TIME = Timing(0, 0, 0, 0, 0, 0)

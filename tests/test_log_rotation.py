@@ -12,12 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from log_samples import FAULTS, OFFSET_NS, header, noisy, write_log
-from pneud.log.files import LogError, create_log, next_part
-from pneud.log.header import Rotation
-from pneud.log.reader import LoggedState, LogReader, read_log
-from pneud.log.retention import PartInfo, part_info, protected, tidy, victims
-from pneud.log.snapshot import SnapshotError, from_json, to_json
-from pneud.log.writer import LogWriter
+from pneud.log.files.naming import LogError, create_log, next_part
+from pneud.log.files.reader import LoggedState, LogReader, read_log
+from pneud.log.files.retention import PartInfo, part_info, protected, tidy, victims
+from pneud.log.files.writer import LogWriter
+from pneud.log.format.header import Rotation
+from pneud.log.format.snapshot import SnapshotError, from_json, to_json
 from pneud.signals import Record, State
 
 S = 1_000_000_000
@@ -230,7 +230,7 @@ def test_a_part_that_cannot_be_made_leaves_the_log_where_it_is(
         raise LogError(f"{path}: cannot be created")
 
     writer = LogWriter(create_log(tmp_path / "x.mcap"), header(), rotation(tmp_path / "x.mcap", part=1))
-    monkeypatch.setattr("pneud.log.writer.create_log", refuse)
+    monkeypatch.setattr("pneud.log.files.writer.create_log", refuse)
     for n, record in enumerate(noisy(300), start=1):
         writer.write(record)
         if n % 100 == 0:

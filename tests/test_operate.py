@@ -17,13 +17,13 @@ import pytest
 from commands import object_of, pneud_here
 from console_bench import Bench, bench
 from pneud import resources
-from pneud.config import load_config
-from pneud.console import place
+from pneud.config.conversions import axis_of
+from pneud.config.models import load_config
+from pneud.console import endpoint
 from pneud.console.client import Client
-from pneud.console.place import PlaceError
+from pneud.console.endpoint import PlaceError
 from pneud.console.tuning import NAMES, REFERENCE, values_of
-from pneud.control.tuning import LAWS, TUNABLE, tunables
-from pneud.parameters import axis_of
+from pneud.control.tunables import LAWS, TUNABLE, tunables
 from pneud.signals import Answer, RequestKind
 
 
@@ -32,7 +32,7 @@ def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A runtime folder in which nothing runs."""
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     monkeypatch.delenv("PNEUD_SOCKET", raising=False)
-    monkeypatch.setattr(place, "SYSTEM_FOLDER", tmp_path / "none")
+    monkeypatch.setattr(endpoint, "SYSTEM_FOLDER", tmp_path / "none")
     return tmp_path
 
 
@@ -105,36 +105,36 @@ def test_what_is_no_command_is_a_usage_error(words: str, runtime: Path) -> None:
 
 
 def test_several_daemons_are_listed_and_dead_ones_are_not(runtime: Path) -> None:
-    one = place.bind("one", None, virtual=False)
+    one = endpoint.bind("one", None, virtual=False)
     dead = socket.socket(socket.AF_UNIX)
     dead.bind(str(runtime / "dead.sock"))
     dead.close()
-    place.find(None).close()
-    two = place.bind("two", None, virtual=False)
+    endpoint.find(None).close()
+    two = endpoint.bind("two", None, virtual=False)
     with pytest.raises(PlaceError, match=r"one\.sock, .*two\.sock") as several:
-        place.find(None)
+        endpoint.find(None)
     assert several.value.exit_code == 2
-    place.find(str(two.path)).close()
+    endpoint.find(str(two.path)).close()
     for it in (one, two):
         it.listener.close()
         os.close(it.lock)
 
 
 def test_a_living_daemon_keeps_its_socket_and_a_dead_ones_is_replaced(runtime: Path) -> None:
-    first = place.bind("axis", None, virtual=False)
+    first = endpoint.bind("axis", None, virtual=False)
     assert stat.S_IMODE(first.path.stat().st_mode) in (0o660, 0o600)
     with pytest.raises(PlaceError, match="another pneud") as taken:
-        place.bind("axis", None, virtual=False)
+        endpoint.bind("axis", None, virtual=False)
     assert taken.value.exit_code == 3
-    beside = place.bind("axis", None, virtual=True)
+    beside = endpoint.bind("axis", None, virtual=True)
     assert beside.path.name == f"axis-{os.getpid()}.sock"
     first.listener.close()
     os.close(first.lock)  # as the kernel does when a process dies; the socket's name stays
-    again = place.bind("axis", None, virtual=False)
-    place.find(str(again.path)).close()
+    again = endpoint.bind("axis", None, virtual=False)
+    endpoint.find(str(again.path)).close()
     (runtime / "file").write_text("precious")
     with pytest.raises(PlaceError, match="is no socket"):
-        place.bind("axis", str(runtime / "file"), virtual=False)
+        endpoint.bind("axis", str(runtime / "file"), virtual=False)
     assert (runtime / "file").read_text() == "precious"
     for it in (beside, again):
         it.listener.close()

@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pneud.compiled.build import load_source
-from pneud.log import packing
-from pneud.log.packing import REFUSALS, Pack, layout
+from pneud.log.live import packing
+from pneud.log.live.packing import REFUSALS, Pack, layout
 
 if shutil.which("cc") is None:  # the loop goes without, too
     WAYS: dict[str, Pack] = {"python": packing.pack}

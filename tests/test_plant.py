@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from plant_reference import IDEAL, REALISTIC, feedback, solve
-from pneud.plant.dynamics import PlantState, advance, initial_state, step, stroke_position
-from pneud.plant.parameters import PlantParameters
-from pneud.plant.sensors import Noise, PressureSensor, dac_output, quantised
-from pneud.sim.jit import JitError, jitted
+from pneud.physics.plant import PlantParameters
+from pneud.rig.dynamics import PlantState, advance, initial_state, step, stroke_position
+from pneud.rig.sensors import Noise, PressureSensor, dac_output, quantised
+from pneud.study.jit import JitError, jitted
 
 BOTH = pytest.mark.parametrize("p", [REALISTIC, IDEAL], ids=["realistic", "ideal"])
 

@@ -15,12 +15,12 @@ from pneud import resources
 from pneud.bus.codec import Codecs, load_codecs
 from pneud.bus.inbox import Inbox
 from pneud.bus.wire import wire_time_ns
-from pneud.config import BusConfig
-from pneud.plant.dynamics import advance, initial_state
-from pneud.plant.node import PlantNode
-from pneud.plant.process import serve
-from pneud.plant.timing import Item, Wire
-from pneud.plant.truth import SLOTS, TruthReader, TruthWriter, truth_memory
+from pneud.config.models import BusConfig
+from pneud.rig.answering import serve
+from pneud.rig.dynamics import advance, initial_state
+from pneud.rig.node import PlantNode
+from pneud.rig.transmission import Item, Wire
+from pneud.rig.truth import SLOTS, TruthReader, TruthWriter, truth_memory
 from pneud.signals import ALL_SOURCES, Frame, ValveState
 
 CODECS: Codecs = load_codecs(BusConfig(), resources.find("pneud.dbc"))

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pneud import profiles
+from pneud.console import profiles
+from pneud.console.profiles import ProfileError, check, chirp, from_csv, from_samples, requests, steps
 from pneud.control.profile import MOST_PIECES, ends_at_rest, extent, is_inside, is_within, meet
 from pneud.control.reference import Bounds, Septic, at, move, rest, septic
-from pneud.profiles import ProfileError, check, chirp, from_csv, from_samples, requests, steps
 from pneud.signals import Reference, Request, RequestKind
 
 BOUNDS = Bounds(0.5, 5.0, 100.0)

@@ -12,19 +12,20 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from axis_rig import ARM, PERIOD_NS, Rig, assert_smooth, loaded, ready, twin
-from pneud import replaying
-from pneud.asking import NOTHING, Asked, ask
-from pneud.axis import Axis, AxisState
-from pneud.config import with_settings
+from pneud.axis.cycle import Axis, AxisState
+from pneud.axis.requests import NOTHING, Asked, ask
+from pneud.config.conversions import axis_of
+from pneud.config.models import with_settings
 from pneud.control.plan import FOLLOWING, GOING, IDLE, JOINING, RESTING, Plan, follow
 from pneud.control.reference import ROOM, Sine, Way, along, at, septic, sine, stays, transfer
-from pneud.control.tuning import TUNABLE, tunables
-from pneud.log.files import create_log
-from pneud.log.header import LogHeader, Rotation
-from pneud.log.reader import LoggedState, read_log
-from pneud.log.snapshot import from_json, to_json
-from pneud.log.writer import LogWriter
-from pneud.parameters import axis_of
+from pneud.control.tunables import TUNABLE, tunables
+from pneud.log.files.naming import create_log
+from pneud.log.files.reader import LoggedState, read_log
+from pneud.log.files.writer import LogWriter
+from pneud.log.format.header import LogHeader, Rotation
+from pneud.log.format.snapshot import from_json, to_json
+from pneud.replay import replaying
+from pneud.replay.lockstep import Simulation
 from pneud.safety.faults import FAULT_NAMES, F
 from pneud.safety.supervisor import Supervisor
 from pneud.signals import (
@@ -38,7 +39,6 @@ from pneud.signals import (
     State,
     Tick,
 )
-from pneud.sim.lockstep import Simulation
 
 GAINS, GOTO, TRACK, PIECE = RequestKind.GAINS, RequestKind.GOTO, RequestKind.TRACK, RequestKind.PIECE
 DISARM, STOP = RequestKind.DISARM, RequestKind.STOP

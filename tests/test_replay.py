@@ -8,19 +8,20 @@ import pytest
 
 from commands import object_of
 from commands import pneud_here as pneud
-from pneud import profiles, resources
-from pneud.config import parse
+from pneud import resources
+from pneud.config.models import parse
+from pneud.console import profiles
 from pneud.control.reference import Bounds
 from pneud.loading import load
-from pneud.log.files import LogError, create_log
-from pneud.log.header import LogHeader
-from pneud.log.reader import read_log
-from pneud.log.schema import message_class
-from pneud.log.writer import LogWriter
-from pneud.replaying import replay
+from pneud.log.files.naming import LogError, create_log
+from pneud.log.files.reader import read_log
+from pneud.log.files.writer import LogWriter
+from pneud.log.format.header import LogHeader
+from pneud.log.format.schema import message_class
+from pneud.replay.lockstep import Simulation
+from pneud.replay.replaying import replay
 from pneud.safety.faults import FAULT_NAMES
 from pneud.signals import Answer, Request, RequestKind, State
-from pneud.sim.lockstep import Simulation
 
 ENCODER, COMMAND = 0x181, 0x203
 

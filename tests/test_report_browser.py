@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 
 from mangled import simulated
-from pneud.log.reader import read_log
-from pneud.reporting.figures import FIGURES
-from pneud.reporting.gather import gather
-from pneud.reporting.page import page
+from pneud.log.files.reader import read_log
+from pneud.report.figures import FIGURES
+from pneud.report.gather import gather
+from pneud.report.page import page
 
 pytestmark = pytest.mark.slow
 

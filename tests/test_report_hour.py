@@ -13,9 +13,9 @@ import pytest
 
 from commands import pneud
 from mangled import header_of
-from pneud.log.files import create_log
-from pneud.log.writer import LogWriter
-from pneud.sim.lockstep import simulate
+from pneud.log.files.naming import create_log
+from pneud.log.files.writer import LogWriter
+from pneud.replay.lockstep import simulate
 
 pytestmark = pytest.mark.soak
 

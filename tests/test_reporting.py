@@ -17,18 +17,18 @@ from hypothesis import strategies as st
 
 from commands import pneud_here
 from mangled import mangle, simulated
-from pneud.config import load_config
+from pneud.config.models import load_config
 from pneud.loading import load
-from pneud.log.columns import blocks
-from pneud.log.reader import read_log
-from pneud.reporting.decimate import Envelope
-from pneud.reporting.decimate import Path as Curve
-from pneud.reporting.figures import FIGURES
-from pneud.reporting.gather import COLUMNS, Run, Window, gather
-from pneud.reporting.health import Health
-from pneud.reporting.page import page
-from pneud.reporting.spans import Span, Spans
-from pneud.reporting.spread import Spread
+from pneud.log.files.columns import blocks
+from pneud.log.files.reader import read_log
+from pneud.report.decimate import Envelope
+from pneud.report.decimate import Path as Curve
+from pneud.report.figures import FIGURES
+from pneud.report.gather import COLUMNS, Run, Window, gather
+from pneud.report.health import Health
+from pneud.report.page import page
+from pneud.report.spans import Span, Spans
+from pneud.report.spread import Spread
 from pneud.signals import State
 
 

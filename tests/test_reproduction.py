@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from commands import no_json, pneud
 from pneud.control.homogeneous import feedback
 from pneud.physics.cylinder import F1_FLOOR, F1_exhaust, F1_fill
-from pneud.plant.dynamics import initial_state
-from pneud.sim.claims import (
+from pneud.rig.dynamics import initial_state
+from pneud.study.claims import (
     DOES_NOT,
     HOLDS,
     ONLY_WHEN,
@@ -31,9 +31,8 @@ from pneud.sim.claims import (
     in_words,
     judged,
 )
-from pneud.sim.convergence import Convergence, LimitCycle, Settling, Start, Unmatched
-from pneud.sim.figures import Picture
-from pneud.sim.ideal import (
+from pneud.study.convergence import Convergence, LimitCycle, Settling, Start, Unmatched
+from pneud.study.ideal import (
     COLUMNS,
     E3,
     ED,
@@ -49,9 +48,10 @@ from pneud.sim.ideal import (
     run_chain,
     run_ideal,
 )
-from pneud.sim.paper import Reproduction, as_json
-from pneud.sim.paper_page import page, words
-from pneud.sim.reproduction import (
+from pneud.study.paper import Reproduction, as_json
+from pneud.study.paper_figures import Picture
+from pneud.study.paper_page import page, words
+from pneud.study.reproduction import (
     COMPOSITE,
     ISMC,
     ISMC_GAINS,

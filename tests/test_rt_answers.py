@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pneud.rt.answers import LOOK_NS, MARGIN_NS, REST_TICKS, STEP_NS, VAIN, Answers
+from pneud.loop.answers import LOOK_NS, MARGIN_NS, REST_TICKS, STEP_NS, VAIN, Answers
 
 DEADLINE_NS = 800_000
 

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pneud.rt.pacer import Pacer
+from pneud.loop.pacer import Pacer
 
 MS = 1_000_000
 

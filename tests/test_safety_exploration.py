@@ -12,8 +12,8 @@ from itertools import combinations
 import pytest
 
 from axis_rig import ARM, Rig, ready, tracking, twin
-from pneud.axis import Axis, AxisState
-from pneud.control.tuning import tunables
+from pneud.axis.cycle import Axis, AxisState
+from pneud.control.tunables import tunables
 from pneud.safety import checks
 from pneud.safety.faults import BLOCKS_ARM, CENTRES, STOPS, F
 from pneud.safety.supervisor import Supervisor, is_engaged

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from pneud.config import Config
+from pneud.config.models import Config
 from pneud.safety.checks import Limits
 from pneud.safety.document import text
 from pneud.safety.faults import (

@@ -15,17 +15,17 @@ from typing import NamedTuple
 import pytest
 
 from axis_rig import ARM, CLEAR, DISARM, Rig, loaded, ready
-from pneud import parameters
-from pneud.asking import AxisParameters
-from pneud.config import parse
-from pneud.log.reader import read_log
+from pneud.axis.requests import AxisParameters
+from pneud.config import conversions
+from pneud.config.models import parse
+from pneud.log.files.reader import read_log
+from pneud.replay.lockstep import simulate
 from pneud.safety import checks
 from pneud.safety.faults import F, names
 from pneud.safety.output import CENTRED, emit
 from pneud.safety.supervisor import INITIAL, Supervisor, advance, is_engaged, trip
 from pneud.safety.watch import INITIAL as WATCHFUL
 from pneud.signals import Answer, Host, RequestKind, Source, State, Tick, ValveState
-from pneud.sim.lockstep import simulate
 from watching import watch
 
 GOLDEN = sorted((Path(__file__).parent / "golden").glob("**/*.mcap"))
@@ -128,14 +128,14 @@ def agrees(ticks: Iterable[Tick], p: AxisParameters, *, lsb: float = 0.0) -> set
 def test_over_a_golden_log(log: Path) -> None:
     reader = read_log(log)
     config = parse(reader.config_text, str(log))
-    p = parameters.axis_of(config, loaded().codecs.command_lsb_v)
+    p = conversions.axis_of(config, loaded().codecs.command_lsb_v)
     # a compact log holds what the law wanted only as a single
     states = agrees((t.record.tick for t in reader), p, lsb=1.01 * p.output.lsb_v)
     assert any(is_engaged(state) for state in states)
 
 
 def test_over_a_run_to_its_end() -> None:
-    p = parameters.axis_of(loaded().config, loaded().codecs.command_lsb_v)
+    p = conversions.axis_of(loaded().config, loaded().codecs.command_lsb_v)
     states = agrees((record.tick for record in simulate("virtual.toml", 0.6)), p)
     assert {State.WAITING, State.DISARMED, State.TRACKING, State.STOPPING} <= states
 

@@ -12,18 +12,19 @@ from pydantic import ValidationError
 
 from commands import pneud_here as pneud
 from plant_reference import REALISTIC
-from pneud import resources, trial
+from pneud import resources
 from pneud.bus.codec import Codecs, load_codecs
 from pneud.bus.wire import CAN_ERR_FLAG
-from pneud.config import BusConfig, ConfigError, parse
+from pneud.config.models import BusConfig, ConfigError, parse
 from pneud.loading import load, load_scenario, toml_text
-from pneud.plant.damage import UNDAMAGED, advance_damaged
-from pneud.plant.dynamics import PlantState, advance, initial_state
-from pneud.plant.scenario import Engine
-from pneud.plant.scenario_file import KINDS, Scenario
+from pneud.replay.lockstep import Simulation, law_of
+from pneud.rig.damage import UNDAMAGED, advance_damaged
+from pneud.rig.dynamics import PlantState, advance, initial_state
 from pneud.safety.faults import FAULT_NAMES, TABLE, Reaction
+from pneud.scenario import verdict
+from pneud.scenario.engine import Engine
+from pneud.scenario.format import KINDS, Scenario
 from pneud.signals import Frame, State, ValveState
-from pneud.sim.lockstep import Simulation, law_of
 
 FILES = sorted(path.stem for path in resources.scenarios().glob("*.toml"))
 CODECS: Codecs = load_codecs(BusConfig(), resources.find("pneud.dbc"))
@@ -50,7 +51,7 @@ def test_every_scenario_loads_and_names_faults_of_the_table() -> None:
     for name, scenario in zip(FILES, scenarios(), strict=True):
         assert scenario.name == name
         assert scenario.description.endswith(".")
-        trial.check_names(scenario)
+        verdict.check_names(scenario)
         load(scenario.config, None, scenario.change)
 
 
@@ -129,7 +130,7 @@ def test_a_scenario_that_is_nowhere_is_said_in_one_line() -> None:
 
 def test_a_fault_that_is_not_in_the_table_is_a_mistake() -> None:
     with pytest.raises(ConfigError, match="bad_luck"):
-        trial.check_names(scenario({"kind": "seized"}, also=("bad_luck",)))
+        verdict.check_names(scenario({"kind": "seized"}, also=("bad_luck",)))
 
 
 def test_a_scenario_that_takes_a_machine_is_not_simulated() -> None:
@@ -152,7 +153,7 @@ def test_the_example_of_the_documentation_is_a_scenario(tmp_path: Path) -> None:
     file = tmp_path / "example.toml"
     file.write_text(page.read_text().partition("```toml\n")[2].partition("```")[0])
     example = load_scenario(file)
-    trial.check_names(example)
+    verdict.check_names(example)
     load(example.config, None, example.change)
     done = pneud("check", file)
     assert (done.returncode, done.stdout) == (
@@ -400,13 +401,13 @@ def simulated(name: str, config: str | None = None) -> dict[str, Any]:
     played = load_scenario(name)
     loaded = load(config or played.config, None, played.change)
     run = Simulation(loaded, played.duration_s, 0, law_of(loaded), scenario=played)
-    seen = trial.Seen()
+    seen = verdict.Seen()
     for record in run.records():
         if not run.shut:
             seen = seen.then(record.tick)
     assert run.engine is not None
     run.engine.settle()
-    return trial.judge(played, loaded.config, seen, run.engine.effects.as_dict())
+    return verdict.judge(played, loaded.config, seen, run.engine.effects.as_dict())
 
 
 def test_the_verdict_of_a_simulated_run_is_printed() -> None:
@@ -421,7 +422,7 @@ EFFECTS = {
     "onset": True, "speed_m_s": 0.1, "evidence_ms": 0.0, "centred_ms": 1.0, "ticks": 2, "onset_ticks": 2,
     "travel_mm": 5.0, "peak_bar": 4.0, "impact_m_s": 0.0, "engaged": True,
 }  # fmt: skip
-CENTRED = trial.Seen(1, 1, int(State.FAULT), True)
+CENTRED = verdict.Seen(1, 1, int(State.FAULT), True)
 
 
 @pytest.mark.parametrize(
@@ -445,17 +446,17 @@ CENTRED = trial.Seen(1, 1, int(State.FAULT), True)
         ({"reaction": "stop"}, CENTRED, {}, "no controlled stop"),
         ({"reaction": "no_arm"}, CENTRED._replace(latched=0), {}, "it armed"),
         ({"reaction": "warn"}, CENTRED._replace(latched=0), {}, "not engaged"),
-        ({"reaction": "warn"}, trial.Seen(1, 0, int(State.TRACKING), True), {}, None),
+        ({"reaction": "warn"}, verdict.Seen(1, 0, int(State.TRACKING), True), {}, None),
     ],
 )
 def test_the_verdict_says_what_was_not_as_expected(
-    expect: dict[str, Any], seen: trial.Seen, effects: dict[str, Any], problem: str | None
+    expect: dict[str, Any], seen: verdict.Seen, effects: dict[str, Any], problem: str | None
 ) -> None:
     played = scenario({"kind": "seized"}, **({"reaction": "centre", "faults": ["encoder_missing"]} | expect))
-    result = trial.judge(played, load("virtual.toml").config, seen, EFFECTS | effects)
+    result = verdict.judge(played, load("virtual.toml").config, seen, EFFECTS | effects)
     assert result["met"] is (problem is None), result["problems"]
     assert problem is None or any(problem in words for words in result["problems"])
-    assert ("not as expected" in trial.in_words(result)) is (problem is not None)
+    assert ("not as expected" in verdict.in_words(result)) is (problem is not None)
 
 
 # --- the campaign in simulated time -----------------------------------------------------------------------
@@ -465,7 +466,7 @@ def test_the_verdict_says_what_was_not_as_expected(
 @pytest.mark.parametrize("name", [s.name for s in scenarios() if not s.needs_machine])
 def test_the_axis_does_what_the_scenario_expects(name: str) -> None:
     result = simulated(name)
-    assert result["met"], trial.in_words(result)
+    assert result["met"], verdict.in_words(result)
 
 
 @pytest.mark.slow
@@ -479,7 +480,7 @@ def test_the_axis_does_what_the_scenario_expects(name: str) -> None:
 )
 def test_with_the_rigs_time_outs_the_travel_is_that_of_any_fault(name: str) -> None:
     result = simulated(name, "rig.toml")
-    assert result["travel_mm"] <= 20.0, trial.in_words(result)
+    assert result["travel_mm"] <= 20.0, verdict.in_words(result)
     assert math.isfinite(result["peak_bar"])
 
 

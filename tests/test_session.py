@@ -16,8 +16,8 @@ import pytest
 
 from commands import PNEUD, children, eventually, kill, object_of, pneud, pneud_here
 from pneud.console.client import Client, RefusedError
-from pneud.log.reader import read_log
-from pneud.log.records import LoggedTick
+from pneud.log.files.reader import read_log
+from pneud.log.format.records import LoggedTick
 from pneud.signals import Answer, RequestKind
 from running import patient_axis, serves
 

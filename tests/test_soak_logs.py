@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from commands import PNEUD, Figures, object_of, pneud
-from pneud.log.reader import read_log
+from pneud.log.files.reader import read_log
 from running import patient_axis
 
 BETWEEN_MB = 0.5  # what a part may have beyond its size: as much as comes between two snapshots

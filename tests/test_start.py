@@ -14,17 +14,17 @@ from pneud.loading import load
 HEAVY = {"can", "cantools", "google", "mcap", "numpy", "rich", "zstandard"}
 LATER = {  # loaded by the processes and the runs that need them
     "pneud.console.protocol",
-    "pneud.installation",
-    "pneud.log.writer",
-    "pneud.plant.scenario_file",
-    "pneud.sabotage",
-    "pneud.view.page",
+    "pneud.service.installation",
+    "pneud.log.files.writer",
+    "pneud.scenario.format",
+    "pneud.scenario.sabotage",
+    "pneud.view.screen",
 }
 # leaves with what is loaded, and with the collections of garbage, when the loop lays its grid
 FIRST_TICK = """
 import gc, sys
 from pneud.cli import main
-from pneud.rt.pacer import Pacer
+from pneud.loop.pacer import Pacer
 go_on = Pacer.next
 def first(self):
     Pacer.next = go_on
@@ -71,7 +71,7 @@ def test_the_loop_ticks_without_what_others_need(tmp_path: Path, monkeypatch: py
     words = ("--virtual", "--duration", 0.05, "--headless", "--json", "--log", tmp_path)
     names, collector, *_ = loaded(FIRST_TICK, *words, cache=tmp_path)
     modules = names.split()
-    assert "pneud.daemon" in modules
+    assert "pneud.loop.loop" in modules
     assert not {name.partition(".")[0] for name in modules} & (HEAVY | {"asyncio"})
     assert not LATER & set(modules)
     assert collector == "False True", "no garbage is looked for in the loop"

@@ -10,9 +10,9 @@ import pytest
 from commands import pneud
 from pneud.bus.inbox import NEVER_NS
 from pneud.loading import codecs_of, load
-from pneud.log.columns import AFTER, BEFORE, SENT, Block, blocks
-from pneud.log.reader import read_log
-from pneud.reporting.gather import gather
+from pneud.log.files.columns import AFTER, BEFORE, SENT, Block, blocks
+from pneud.log.files.reader import read_log
+from pneud.report.gather import gather
 from pneud.signals import ALL_SOURCES, Timing
 
 pytestmark = pytest.mark.slow

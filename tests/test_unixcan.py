@@ -17,9 +17,10 @@ from pathlib import Path
 import can
 import pytest
 
-from pneud.bus import folder, party, wire
-from pneud.bus.party import Party, UnixCanError, channels
+from pneud.bus import transport, wire
+from pneud.bus.transport import Party, UnixCanError, channels
 from pneud.bus.unixcan import UnixCanBus
+from pneud.rt import folders
 from pneud.signals import Frame
 from unixcan_tools import python, said, short_folder, until
 
@@ -215,12 +216,12 @@ def test_the_runtime_folder_follows_the_environment(monkeypatch: pytest.MonkeyPa
     monkeypatch.setenv("RUNTIME_DIRECTORY", f"{tmp_path}/a:{tmp_path}/b")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    assert folder.runtime_folder() == tmp_path / "a"
+    assert folders.runtime_folder() == tmp_path / "a"
     monkeypatch.delenv("RUNTIME_DIRECTORY")
-    assert folder.runtime_folder() == tmp_path / "pneud"
+    assert folders.runtime_folder() == tmp_path / "pneud"
     assert (tmp_path / "pneud").stat().st_mode & 0o777 == 0o700
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "missing"))
-    assert folder.runtime_folder() == tmp_path / f"pneud-{os.geteuid()}"
+    assert folders.runtime_folder() == tmp_path / f"pneud-{os.geteuid()}"
 
 
 def test_a_folder_that_others_may_enter_is_refused(home: Path) -> None:
@@ -246,7 +247,7 @@ def test_a_stranger_who_reaches_the_socket_is_turned_away(
     home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     member = Party("x")
-    monkeypatch.setattr(party, "_peer_uid", lambda sock: os.geteuid() + 1)
+    monkeypatch.setattr(transport, "_peer_uid", lambda sock: os.geteuid() + 1)
     stranger = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     (path,) = (entry for entry in (home / "x").iterdir() if entry.name != "lock")
     stranger.connect(str(path))
@@ -298,7 +299,7 @@ def test_another_user_neither_reaches_the_socket_nor_gets_past_it(home: Path) ->
 
 MEMBER = """
 import sys, time
-from pneud.bus.party import Party
+from pneud.bus.transport import Party
 party = Party("x")
 print("here")
 while True:
@@ -487,7 +488,7 @@ def test_one_thread_may_send_while_another_receives() -> None:
 
 NODE = """
 import sys
-from pneud.bus.party import Party
+from pneud.bus.transport import Party
 from pneud.bus import wire
 import select
 party = Party("x", answers=True)

@@ -23,11 +23,11 @@ import pytest
 
 from commands import background, pneud_here
 from mangled import simulated
-from pneud.live import Listener, flat
 from pneud.log import document
-from pneud.log.reader import read_log
-from pneud.log.schema import tick_fields, topics
+from pneud.log.files.reader import read_log
+from pneud.log.format.schema import tick_fields, topics
 from pneud.resources import configs
+from pneud.view.viewers import Listener, flat
 
 CLIENTS = Path(__file__).parent / "clients"
 VIEWERS = configs() / "viewers"

@@ -20,8 +20,8 @@ import pytest
 from commands import background, children, eventually, kill, object_of, pneud
 from pneud import resources
 from pneud.bus.link import open_link
-from pneud.log.files import open_log
-from pneud.log.reader import read_log
+from pneud.log.files.naming import open_log
+from pneud.log.files.reader import read_log
 from pneud.signals import Frame, State, ValveState
 
 pytestmark = pytest.mark.slow

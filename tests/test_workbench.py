@@ -14,19 +14,19 @@ import pytest
 from commands import object_of
 from commands import pneud_here as pneud
 from log_samples import noisy, write_log
-from pneud import replaying
 from pneud.bus.link import open_link
-from pneud.config import ConfigError, parse, with_settings
+from pneud.config.models import ConfigError, parse, with_settings
 from pneud.loading import load
-from pneud.log.files import LogError, create_log
-from pneud.log.header import LogHeader, Rotation
-from pneud.log.reader import LoggedState, read_log
-from pneud.log.writer import LogWriter
+from pneud.log.files.naming import LogError, create_log
+from pneud.log.files.reader import LoggedState, read_log
+from pneud.log.files.writer import LogWriter
+from pneud.log.format.header import LogHeader, Rotation
+from pneud.replay import replaying
+from pneud.replay.differences import POINTS, Differences, compare
+from pneud.replay.lockstep import Simulation
+from pneud.replay.playing import play
 from pneud.safety.faults import FAULT_NAMES
 from pneud.signals import Frame
-from pneud.sim.lockstep import Simulation
-from pneud.workbench.differences import POINTS, Differences, compare
-from pneud.workbench.playing import play
 
 SNAPSHOT = 250
 

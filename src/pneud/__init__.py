@@ -16,16 +16,16 @@ __version__ = "0.1.0"
 __all__ = ["Axis", "__version__", "load_config", "read_log", "simulate"]
 
 if TYPE_CHECKING:
-    from pneud.axis import Axis
-    from pneud.config import load_config
-    from pneud.log.reader import read_log
-    from pneud.sim.lockstep import simulate
+    from pneud.axis.cycle import Axis
+    from pneud.config.models import load_config
+    from pneud.log.files.reader import read_log
+    from pneud.replay.lockstep import simulate
 
 _WHERE = {
-    "Axis": "pneud.axis",
-    "load_config": "pneud.config",
-    "read_log": "pneud.log.reader",
-    "simulate": "pneud.sim.lockstep",
+    "Axis": "pneud.axis.cycle",
+    "load_config": "pneud.config.models",
+    "read_log": "pneud.log.files.reader",
+    "simulate": "pneud.replay.lockstep",
 }
 
 

@@ -396,7 +396,7 @@ def install_service(
     """Put the systemd units of this installation in place (see docs/rig-pc.md)."""
     if networkd and config is None:
         _fail("--networkd is about the interface of an axis; name its --config")
-    from pneud.installation import InstallError
+    from pneud.service.installation import InstallError
     from pneud.verbs.install_service import install_service as verb
 
     try:
@@ -618,7 +618,7 @@ def top(
 
 
 def _ask(socket: str | None, json: bool, verb: str, **fields: object) -> NoReturn:
-    from pneud.console.place import PlaceError
+    from pneud.console.endpoint import PlaceError
     from pneud.verbs.operate import ask
 
     try:  # not `_exit`, which loads more than a stop has time for
@@ -640,9 +640,9 @@ def _exit(verb: object, *args: object) -> NoReturn:
     from pneud.bus.codec import DatabaseError
     from pneud.bus.link import LinkError
     from pneud.compiled.build import BuildError
-    from pneud.config import ConfigError
-    from pneud.console.place import PlaceError
-    from pneud.log.files import LogError
+    from pneud.config.models import ConfigError
+    from pneud.console.endpoint import PlaceError
+    from pneud.log.files.naming import LogError
 
     assert callable(verb)
     gc.freeze()  # what has been imported stays

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from pneud import resources
 from pneud.bus.codec import Codecs, DatabaseError, load_codecs
-from pneud.config import (
+from pneud.config.models import (
     BusConfig,
     Config,
     ConfigError,
@@ -23,7 +23,7 @@ from pneud.config import (
 )
 
 if TYPE_CHECKING:
-    from pneud.plant.scenario_file import Scenario
+    from pneud.scenario.format import Scenario
 
 SYNC_COUNTERS = 240  # SYNC counts 1 … 240
 
@@ -105,7 +105,7 @@ def load_scenario(file: str | Path) -> Scenario:
     Raises:
         ConfigError: the scenario cannot be used.
     """
-    from pneud.plant.scenario_file import parse_scenario  # noqa: PLC0415 - slow to import, for a few runs only
+    from pneud.scenario.format import parse_scenario  # noqa: PLC0415 - slow to import, for a few runs only
 
     name = str(file)
     try:

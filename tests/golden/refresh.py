@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pneud.loading import load, load_scenario
-from pneud.log.files import create_log
-from pneud.log.header import LogHeader
-from pneud.log.reader import read_log
-from pneud.log.writer import LogWriter
-from pneud.replaying import replay
+from pneud.log.files.naming import create_log
+from pneud.log.files.reader import read_log
+from pneud.log.files.writer import LogWriter
+from pneud.log.format.header import LogHeader
+from pneud.replay.lockstep import Simulation
+from pneud.replay.replaying import replay
 from pneud.safety.faults import FAULT_NAMES, names
 from pneud.signals import Request, RequestKind
-from pneud.sim.lockstep import Simulation
 
 FOLDER = Path(__file__).parent
 SNAPSHOT_TICKS = 200

@@ -19,8 +19,8 @@ import pytest
 from pneud import resources
 from pneud.bus import wire
 from pneud.bus.link import Link, open_link
-from pneud.log.reader import read_log
-from pneud.log.records import LoggedTick
+from pneud.log.files.reader import read_log
+from pneud.log.format.records import LoggedTick
 from pneud.safety.faults import F
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Frame, State

@@ -15,7 +15,7 @@ from typing import Any
 from pneud.bus import database
 from pneud.bus.database import Message, Signal
 from pneud.bus.layout import Field, bit_range, compile_functions
-from pneud.config import BusConfig, FrameConfig
+from pneud.config.models import BusConfig, FrameConfig
 
 _KILO, _MILLI, _MICRO = Fraction(1000), Fraction(1, 1000), Fraction(1, 1_000_000)
 _UNITS: dict[str, dict[str, Fraction]] = {

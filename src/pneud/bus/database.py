@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-from pneud.bus.folder import cache_folder
+from pneud.rt.folders import cache_folder
 
 _KEPT = 32  # databases that stay
 

@@ -15,8 +15,8 @@ from collections.abc import Iterable
 from typing import Protocol
 
 from pneud.bus import interfaces, wire
-from pneud.bus.party import Party, UnixCanError, channels
 from pneud.bus.socketcan import NotVirtualError, SocketCan, SocketCanError
+from pneud.bus.transport import Party, UnixCanError, channels
 from pneud.signals import Frame
 
 USAGE, MACHINE = 2, 3  # exit codes

@@ -15,7 +15,7 @@ import can
 from can.typechecking import AutoDetectedConfig, CanFilters
 
 from pneud.bus import wire
-from pneud.bus.party import Party, UnixCanError, channels
+from pneud.bus.transport import Party, UnixCanError, channels
 from pneud.signals import Frame
 
 _STANDARD_MASK = 0x7FF

@@ -15,7 +15,7 @@ from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pneud.bus.folder import cache_folder
+from pneud.rt.folders import cache_folder
 
 EXACT = (
     "-O2",
@@ -26,17 +26,7 @@ EXACT = (
 
 MODULE = "pneud_compiled"
 _PACKAGE = Path(__file__).resolve().parent.parent
-_SOURCES = (
-    "signals.py",
-    "axis.py",
-    "asking.py",
-    "core.py",
-    "physics",
-    "control",
-    "safety",
-    "plant",
-    "compiled",
-)
+_SOURCES = ("signals.py", "physics", "control", "safety", "axis", "rig", "compiled")
 _KEPT = 16  # builds of other interpreters, compilers and versions that stay
 _PATIENCE_S = 60.0
 

@@ -10,8 +10,8 @@ import select
 import socket
 from typing import Any
 
-from pneud.console.place import PlaceError, find
-from pneud.console.wire import VERSION, line
+from pneud.console.endpoint import PlaceError, find
+from pneud.console.lines import VERSION, line
 
 _PATIENCE_S = 5.0
 

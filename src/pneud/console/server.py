@@ -17,9 +17,9 @@ from typing import Any, NamedTuple, Protocol
 
 from pneud.console import handoff, protocol
 from pneud.console.lease import LEASE_S, Lease
+from pneud.console.lines import MAX_LINE
 from pneud.console.peer import GROUP, Peer, commanding_group, may_command, peer_of
 from pneud.console.protocol import Error, ProtocolError
-from pneud.console.wire import MAX_LINE
 from pneud.signals import Answer, Request, RequestKind, State
 
 INFO, WARNING = 2, 3  # levels of the log's events

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pneud.config import Config, ConfigError, load_config
+from pneud.config.conversions import reference_of
+from pneud.config.models import Config, ConfigError, load_config
 from pneud.console.protocol import Error, ProtocolError
 from pneud.console.server import Plan
-from pneud.control.tuning import LAWS, TUNABLE
-from pneud.parameters import reference_of
+from pneud.control.tunables import LAWS, TUNABLE
 from pneud.signals import Request, RequestKind
 
 Values = dict[str, float | str]

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto as F
 
-from pneud.log.schema import SCHEMA, Field, tick_fields
+from pneud.log.format.schema import SCHEMA, Field, tick_fields
 
 # Meaning of every field; the unit stands at the end of its name
 MEANINGS = {

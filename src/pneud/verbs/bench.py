@@ -10,18 +10,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pneud.benchmark import contestants, rates
-from pneud.benchmark.contestants import AbsentError, Track, Turn
-from pneud.benchmark.disturbances import DISTURBANCES, Disturb
-from pneud.benchmark.picture import page
-from pneud.benchmark.report import KERNEL, OURS, as_object, disturbances_in_words, in_words
-from pneud.benchmark.sample import Series, ratio_of_turns
+from pneud.bench import contestants, rates
+from pneud.bench.chart import page
+from pneud.bench.contestants import AbsentError, Track, Turn
+from pneud.bench.disturbances import DISTURBANCES, Disturb
+from pneud.bench.sample import Series, ratio_of_turns
+from pneud.bench.tables import KERNEL, OURS, as_object, disturbances_in_words, in_words
 from pneud.bus.link import open_link
-from pneud.config import ConfigError
+from pneud.config.models import ConfigError
 from pneud.loading import Loaded, bus_name, load
-from pneud.rt import machine
+from pneud.loop.summary import finite
 from pneud.rt.setup import own_cpu
-from pneud.summary import finite
+from pneud.service import machine
 
 TURN_S = 1.0
 

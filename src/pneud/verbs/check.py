@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json as json_
 
-from pneud import parameters, resources, trial
-from pneud.axis import Axis
-from pneud.design import predict, warnings
+from pneud import resources
+from pneud.axis.cycle import Axis
+from pneud.config import conversions
 from pneud.loading import is_scenario, load, load_axis, load_scenario
+from pneud.scenario import verdict
+from pneud.study.gains import predict, warnings
 
 
 def check(config_file: str, json: bool) -> int:
@@ -21,8 +23,8 @@ def check(config_file: str, json: bool) -> int:
         return _check_scenario(config_file, json)
     loaded = load(config_file)
     c, codecs = loaded.config, loaded.codecs
-    Axis(parameters.axis_of(c, codecs.command_lsb_v))
-    parameters.plant_of(c)
+    Axis(conversions.axis_of(c, codecs.command_lsb_v))
+    conversions.plant_of(c)
     doubts = warnings(c, predict(c))
     if json:
         print(
@@ -42,7 +44,7 @@ def check(config_file: str, json: bool) -> int:
 
 def _check_scenario(file: str, json: bool) -> int:
     scenario = load_scenario(file)
-    trial.check_names(scenario)
+    verdict.check_names(scenario)
     axis = load_axis(None, None, scenario)
     path = resources.find(file)
     if json:

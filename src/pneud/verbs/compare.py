@@ -6,9 +6,9 @@ import importlib.util
 import json as json_
 import sys
 
-from pneud.config import ConfigError
+from pneud.config.models import ConfigError
 from pneud.loading import load
-from pneud.sim.compare import as_json, compare, in_words
+from pneud.study.comparison import as_json, compare, in_words
 
 MOST_REST_S = 600.0
 

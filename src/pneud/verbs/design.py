@@ -7,13 +7,13 @@ import math
 import sys
 from typing import NamedTuple
 
-from pneud import design as rules
-from pneud.config import Config, ConfigError
-from pneud.control.tuning import is_hurwitz
+from pneud.config.conversions import axis_of, plant_of
+from pneud.config.models import Config, ConfigError
+from pneud.control.tunables import is_hurwitz
 from pneud.loading import load
-from pneud.parameters import axis_of, plant_of
-from pneud.sim.jit import JitError
-from pneud.sim.recovery import Service, service
+from pneud.study import gains as rules
+from pneud.study.jit import JitError
+from pneud.study.push import Service, service
 
 
 class DesignOptions(NamedTuple):

@@ -10,14 +10,13 @@ from rich.console import Console
 from rich.padding import Padding
 from rich.text import Text
 
-from pneud import installation
-from pneud.config import Config, ConfigError
+from pneud.config.models import Config, ConfigError
 from pneud.loading import load
-from pneud.log.files import log_folder
-from pneud.rt import machine
-from pneud.rt.machine import Facts
-from pneud.rt.probe import Finding, Level, Wanted, examine, worst_first
+from pneud.log.files.naming import log_folder
 from pneud.rt.setup import Report, own_cpu
+from pneud.service import installation, machine
+from pneud.service.machine import Facts
+from pneud.service.probe import Finding, Level, Wanted, examine, worst_first
 
 _STYLE = {Level.LACK: "bold red", Level.WARNING: "yellow", Level.OK: "green"}
 _SIGN = {Level.LACK: "lack", Level.WARNING: "warn", Level.OK: "ok"}

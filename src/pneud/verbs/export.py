@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pneud.config import ConfigError, parse
-from pneud.exchange import export as to
-from pneud.exchange.traffic import FORMATS
+from pneud.config.models import ConfigError, parse
 from pneud.loading import codecs_of
-from pneud.log.reader import read_log
+from pneud.log.files.reader import read_log
+from pneud.replay import exporting as to
+from pneud.replay.traffic import FORMATS
 
 
 def export(log: str, output: Path) -> int:

@@ -6,15 +6,15 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-from pneud.config import ConfigError, load_with_text, parse
-from pneud.exchange import sidecar
-from pneud.exchange.rebuild import rebuild, start_ns
-from pneud.exchange.sidecar import Sidecar
-from pneud.exchange.traffic import FORMATS
+from pneud.config.models import ConfigError, load_with_text, parse
 from pneud.loading import at_rate, codecs_of
-from pneud.log.files import create_log, log_path
-from pneud.log.header import LogHeader
-from pneud.log.writer import LogWriter
+from pneud.log.files.naming import create_log, log_path
+from pneud.log.files.writer import LogWriter
+from pneud.log.format.header import LogHeader
+from pneud.replay import sidecar
+from pneud.replay.importing import rebuild, start_ns
+from pneud.replay.sidecar import Sidecar
+from pneud.replay.traffic import FORMATS
 from pneud.safety.faults import FAULT_NAMES
 
 _LEAD_NS = 1_000_000_000  # the log's own times begin one second before the first frame

@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from pneud import installation
-from pneud.installation import InstallError
 from pneud.loading import Loaded, load
+from pneud.service import installation
+from pneud.service.installation import InstallError
 
 
 def install_service(config_file: str | None, destdir: Path | None, networkd: bool) -> int:

@@ -6,15 +6,15 @@ import json
 import signal
 import sys
 
-from pneud import parameters
 from pneud.bus.link import open_link, refuse_if_driven
-from pneud.compiled.law import law
-from pneud.config import ConfigError
+from pneud.compiled.backend import law
+from pneud.config import conversions
+from pneud.config.models import ConfigError
 from pneud.loading import bus_name, listening_s, load_axis, load_scenario
-from pneud.plant.node import PlantNode
-from pneud.plant.process import serve
-from pneud.plant.scenario import Engine
+from pneud.rig.answering import serve
+from pneud.rig.node import PlantNode
 from pneud.rt import setup
+from pneud.scenario.engine import Engine
 from pneud.signals import ValveState
 
 
@@ -48,18 +48,18 @@ def plant(config_file: str | None, bus: str, scenario_file: str | None, seed: in
 
     codecs = axis.codecs
     answers = (codecs.encoder.can_id, codecs.pressure.can_id, codecs.valve_status.can_id)
-    how = law(config.loop.compiled, parameters.axis_of(config, codecs.command_lsb_v))
+    how = law(config.loop.compiled, conversions.axis_of(config, codecs.command_lsb_v))
     with open_link(channel, virtual=True, by=how.carriage) as link:
         refuse_if_driven(link, answers, listening_s(config), "other nodes answer there")
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, stop)
-        rig, rate_hz = parameters.plant_of(config), config.loop.rate_hz
+        rig, rate_hz = conversions.plant_of(config), config.loop.rate_hz
         engine = None
         if scenario is not None:
             engine = Engine(scenario, rig, codecs, seed, rate_hz, advance=how.advance)
         node = engine.node if engine is not None else PlantNode(rig, codecs, seed, advance=how.advance)
         print(f"plant {config.name} on {link.name}; Ctrl-C stops", file=sys.stderr, flush=True)
-        setup.apply(parameters.plant_priority(config.realtime), None, False)
+        setup.apply(conversions.plant_priority(config.realtime), None, False)
         serve(link, node, stop=lambda: stopped, on_valve_state=say)
     if engine is not None:
         engine.settle()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pneud.log.recover import recover as mend
+from pneud.log.files.recovery import recover as mend
 
 
 def recover(log: str, output: Path) -> int:

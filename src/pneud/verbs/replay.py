@@ -11,18 +11,18 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pneud.bus.link import open_link, refuse_if_driven
-from pneud.config import Config, ConfigError, check_channel, with_settings
-from pneud.config import load_with_text as load_text
-from pneud.log.files import LogError
-from pneud.log.reader import LogReader, read_log
-from pneud.replaying import Outcome
-from pneud.replaying import replay as run
-from pneud.reporting.gather import gather
-from pneud.reporting.pictures import PicturesError, require
-from pneud.reporting.timing import in_words
-from pneud.workbench import pictures
-from pneud.workbench.differences import Differences, compare
-from pneud.workbench.playing import play
+from pneud.config.models import Config, ConfigError, check_channel, with_settings
+from pneud.config.models import load_with_text as load_text
+from pneud.log.files.naming import LogError
+from pneud.log.files.reader import LogReader, read_log
+from pneud.replay import courses
+from pneud.replay.differences import Differences, compare
+from pneud.replay.playing import play
+from pneud.replay.replaying import Outcome
+from pneud.replay.replaying import replay as run
+from pneud.report.gather import gather
+from pneud.report.pictures import PicturesError, require
+from pneud.report.timing import in_words
 
 _ROWS = 12  # of the table of differences
 
@@ -175,7 +175,7 @@ def _tell(d: Differences) -> None:
 
 def _draw(d: Differences, names: tuple[str, str], path: Path) -> None:
     try:
-        pictures.write(d.points, names, path)
+        courses.write(d.points, names, path)
     except OSError as e:
         raise LogError(f"{path}: cannot be written: {e.strerror or e}") from None
 

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pneud.config import ConfigError
-from pneud.log.files import LogError
-from pneud.log.reader import read_log
-from pneud.reporting import pictures
-from pneud.reporting.gather import EmptyError, Window, gather
-from pneud.reporting.page import is_reference, page
-from pneud.reporting.pictures import PicturesError
+from pneud.config.models import ConfigError
+from pneud.log.files.naming import LogError
+from pneud.log.files.reader import read_log
+from pneud.report import pictures
+from pneud.report.gather import EmptyError, Window, gather
+from pneud.report.page import is_reference, page
+from pneud.report.pictures import PicturesError
 
 _BUCKETS = 8192  # of a page, shared by its logs
 _FEWEST = 1024

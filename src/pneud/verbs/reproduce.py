@@ -9,10 +9,10 @@ import os
 import sys
 from pathlib import Path
 
-from pneud.config import ConfigError
-from pneud.sim.figures import FiguresError, pictures, require
-from pneud.sim.paper import as_json, reproduce
-from pneud.sim.paper_page import page, words
+from pneud.config.models import ConfigError
+from pneud.study.paper import as_json, reproduce
+from pneud.study.paper_figures import FiguresError, pictures, require
+from pneud.study.paper_page import page, words
 
 PAGE = "paper.html"
 

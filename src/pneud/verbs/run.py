@@ -11,30 +11,31 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pneud import parameters, trial
-from pneud.axis import Axis
+from pneud.axis.cycle import Axis
 from pneud.bus.inbox import Inbox
 from pneud.bus.link import Link, LinkError, open_link, refuse_if_driven
-from pneud.compiled.law import Law, law
-from pneud.config import Config, ConfigError, LogConfig
-from pneud.console import handoff, place
-from pneud.console.run import Run
-from pneud.daemon import Loop, options_of
+from pneud.compiled.backend import Law, law
+from pneud.config import conversions
+from pneud.config.models import Config, ConfigError, LogConfig
+from pneud.console import endpoint, handoff
+from pneud.console.facts import Run
+from pneud.crew import Stage, end, end_screen, fork_console, fork_live, fork_plant, fork_screen, wait
 from pneud.loading import Loaded, bus_name, listening_s, load_axis, load_scenario
-from pneud.log import messages
-from pneud.log.files import open_log
-from pneud.log.header import LogHeader, Rotation
-from pneud.log.recorder import start_recorder
-from pneud.log.ring import Ring
-from pneud.plant.truth import TruthReader, truth_memory
-from pneud.processes import Stage, end, end_screen, fork_console, fork_live, fork_plant, fork_screen, wait
+from pneud.log.files.naming import open_log
+from pneud.log.format.header import LogHeader, Rotation
+from pneud.log.live import notes
+from pneud.log.live.recorder import start_recorder
+from pneud.log.live.ring import Ring
+from pneud.loop.loop import Loop, options_of
+from pneud.loop.summary import in_words, summarise
+from pneud.rig.truth import TruthReader, truth_memory
 from pneud.rt import setup
 from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES, names
+from pneud.scenario import verdict
 from pneud.signals import State
-from pneud.summary import in_words, summarise
 
 if TYPE_CHECKING:
-    from pneud.plant.scenario_file import Scenario
+    from pneud.scenario.format import Scenario
 
 RECORDER_PATIENCE_S = 15.0
 CONSOLE_PATIENCE_S = 1.0
@@ -81,13 +82,13 @@ def run(o: RunOptions) -> int:
     axis = load_axis(o.config, o.rate_hz, scenario)
     channel = bus_name(o.bus, axis.config)
     if scenario is not None:
-        trial.check_names(scenario)
+        verdict.check_names(scenario)
         if scenario.needs_interface and not channel.startswith("socketcan:"):
             raise ConfigError(f"scenario {scenario.name}: takes a CAN interface; --bus socketcan:vcan0")
     if channel == "auto" and not o.virtual:
         raise ConfigError(f"{axis.path}: bus auto is for virtual runs; name the rig's bus with --bus")
     codecs = axis.codecs
-    p = parameters.axis_of(axis.config, codecs.command_lsb_v)
+    p = conversions.axis_of(axis.config, codecs.command_lsb_v)
     how = law(axis.config.loop.compiled, p)
     if how.reason:
         print(f"pneud: the law runs in Python: {how.reason}", file=sys.stderr)
@@ -97,8 +98,8 @@ def run(o: RunOptions) -> int:
         if channel != "auto":
             own = (codecs.sync.can_id, codecs.valve_command.can_id)
             refuse_if_driven(link, own, listening_s(axis.config))
-        socket = place.bind(axis.config.name, o.socket, virtual=o.virtual)
-    except (LinkError, place.PlaceError):
+        socket = endpoint.bind(axis.config.name, o.socket, virtual=o.virtual)
+    except (LinkError, endpoint.PlaceError):
         os.close(descriptor)
         log_file.unlink(missing_ok=True)
         raise
@@ -142,7 +143,7 @@ def _run(
     how: Law,
     scenario: Scenario | None,
     link: Link,
-    socket: place.Place,
+    socket: endpoint.Place,
     log_file: Path,
     descriptor: int,
     viewers: tuple[str, int] | None,
@@ -169,7 +170,7 @@ def _run(
     effects: dict[str, Any] | None = None
     reports: list[setup.Report] = []
     try:
-        words, heard = messages.pair()
+        words, heard = notes.pair()
         asking, taking = handoff.pair()
         reports = [setup.leave_to_the_loop(cpu, wanted.other_cpus)]
         recorder = start_recorder(
@@ -199,17 +200,17 @@ def _run(
             plant = fork_plant(
                 link.name,
                 link,
-                parameters.plant_of(config),
+                conversions.plant_of(config),
                 codecs,
                 o.seed,
                 memory,
-                parameters.plant_priority(config.realtime),
+                conversions.plant_priority(config.realtime),
                 how.advance,
                 how.carriage,
                 stage,
             )
             if stage is not None and stage.scenario.orders:
-                from pneud.sabotage import Victims, fork_saboteur  # noqa: PLC0415
+                from pneud.scenario.sabotage import Victims, fork_saboteur  # noqa: PLC0415
 
                 kind, _, name = link.name.partition(":")
                 victims = Victims(os.getpid(), recorder, plant, name if kind == "socketcan" else "")
@@ -258,8 +259,8 @@ def _run(
         finished = wait(recorder, RECORDER_PATIENCE_S) if recorder else True
     result = None
     if scenario is not None and effects is not None:
-        seen = trial.Seen(loop.ever_present, loop.ever_latched, loop.state, effects["engaged"])
-        result = trial.judge(scenario, config, seen, effects)
+        seen = verdict.Seen(loop.ever_present, loop.ever_latched, loop.state, effects["engaged"])
+        result = verdict.judge(scenario, config, seen, effects)
     return _report(o, config, loop, ring, log_file, reports, finished, result)
 
 
@@ -316,7 +317,7 @@ def _report(
         print(f"pneud: the log lacks {missing} records: {why}", file=sys.stderr)
     if result is not None:
         summary["scenario"] = result
-        print(f"pneud: {trial.in_words(result)}", file=sys.stderr)
+        print(f"pneud: {verdict.in_words(result)}", file=sys.stderr)
     if o.json:
         print(json.dumps(summary))
     else:

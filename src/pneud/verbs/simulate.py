@@ -7,17 +7,17 @@ import os
 import sys
 from pathlib import Path
 
-from pneud import trial
-from pneud.axis import FOLLOWING
-from pneud.config import ConfigError
+from pneud.axis.cycle import FOLLOWING
+from pneud.config.models import ConfigError
 from pneud.loading import load_axis, load_scenario
-from pneud.log.files import create_log, log_path
-from pneud.log.header import SNAPSHOT_S, LogHeader
-from pneud.log.writer import LogWriter
+from pneud.log.files.naming import create_log, log_path
+from pneud.log.files.writer import LogWriter
+from pneud.log.format.header import SNAPSHOT_S, LogHeader
+from pneud.loop.summary import Tracking, in_words, summarise
+from pneud.replay.lockstep import Simulation, law_of
 from pneud.safety.faults import FAULT_NAMES
+from pneud.scenario import verdict
 from pneud.signals import State
-from pneud.sim.lockstep import Simulation, law_of
-from pneud.summary import Tracking, in_words, summarise
 
 DURATION_S = 10.0
 
@@ -82,7 +82,7 @@ def simulate(
         )
     tracking = Tracking(True)
     state, ticks, faults = int(State.STARTING), 0, 0
-    seen = trial.Seen()
+    seen = verdict.Seen()
     snapshot_ticks, written = max(1, round(SNAPSHOT_S * loaded.config.loop.rate_hz)), 0
     for record in run.records():
         tick = record.tick
@@ -121,8 +121,8 @@ def simulate(
     )
     if run.engine is not None and scenario is not None:
         run.engine.settle()
-        summary["scenario"] = trial.judge(scenario, loaded.config, seen, run.engine.effects.as_dict())
+        summary["scenario"] = verdict.judge(scenario, loaded.config, seen, run.engine.effects.as_dict())
     print(json_.dumps(summary) if json else in_words(summary))
     if scenario is not None and not json:
-        print(trial.in_words(summary["scenario"]))
+        print(verdict.in_words(summary["scenario"]))
     return 0 if state == State.TRACKING and not faults and not lost else 1

@@ -18,8 +18,8 @@ import tty
 from typing import Any
 
 from pneud.console.client import Client, RefusedError
-from pneud.console.place import PlaceError
-from pneud.log.ring import Ring
+from pneud.console.endpoint import PlaceError
+from pneud.log.live.ring import Ring
 from pneud.view import LEAVE_SCREEN, ScreenInfo, run_child
 
 _SPEEDS_MM_S = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pneud import profiles
-from pneud.config import ConfigError
+from pneud.config.models import ConfigError
+from pneud.console import profiles
 from pneud.console.client import Client, RefusedError
+from pneud.console.profiles import ProfileError
 from pneud.console.protocol import MAX_PIECES
 from pneud.console.results import refused, show
 from pneud.control.reference import Bounds, Septic
-from pneud.profiles import ProfileError
 
 _MM = 1e-3
 

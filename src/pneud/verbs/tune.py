@@ -11,9 +11,9 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from pneud.config import ConfigError, load_config
+from pneud.config.models import ConfigError, load_config
 from pneud.console.client import Client, RefusedError
-from pneud.console.place import PlaceError
+from pneud.console.endpoint import PlaceError
 from pneud.console.results import refused, show
 from pneud.console.tuning import NAMES, Values, difference, keys, values_of
 

@@ -1,7 +1,7 @@
 """The live screen of an axis: one page, and the process that keeps it on a terminal."""
 
 from pneud.view.history import History
-from pneud.view.page import ScreenInfo, Snapshot, render, status_line
+from pneud.view.screen import ScreenInfo, Snapshot, render, status_line
 from pneud.view.terminal import LEAVE_SCREEN, run, run_child
 
 __all__ = [

@@ -17,7 +17,7 @@ from rich.control import Control
 from pneud.rt.setup import die_with_parent
 from pneud.signals import Record
 from pneud.view.history import History
-from pneud.view.page import ScreenInfo, Snapshot, render, status_line
+from pneud.view.screen import ScreenInfo, Snapshot, render, status_line
 
 FRAME_S = 0.05
 PLAIN_LINE_S = 2.0

@@ -1,0 +1,1 @@
+"""One axis: its cycle, and what becomes of requests. Neither clock nor I/O."""

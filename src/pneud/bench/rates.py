@@ -1,0 +1,92 @@
+"""The highest rate that a contestant holds, on a bus whose frames take no time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pneud.bench.contestants import AbsentError, Track, Turn
+from pneud.bench.sample import Sample
+from pneud.config.models import Config
+from pneud.loading import at_rate, load
+
+RATES_HZ = (250.0, 500.0, 1000.0, 1500.0, 2000.0, 2500.0, 3000.0, 3500.0, 4000.0, 4500.0, 5000.0)
+MOST_SKIPPED = 0.002  # part of the ticks; hosts take CPUs away even from those who do nothing
+MOST_INCOMPLETE = 0.01
+ATTEMPTS = 2  # so that one pause of the host does not decide
+
+
+def held(sample: Sample) -> bool:
+    """Whether a turn kept its rate: nearly no tick skipped, nearly every one with a complete set."""
+    return (
+        sample.ticks > 0
+        and not sample.note
+        and sample.skipped <= MOST_SKIPPED * sample.ticks
+        and sample.incomplete <= MOST_INCOMPLETE * sample.ticks
+    )
+
+
+def highest(turn: Turn, track: Track, seconds: float) -> float | None:
+    """The highest of RATES_HZ that a contestant holds, by bisection; None if it holds none of them.
+
+    Raises:
+        AbsentError: it could not take part at any rate that was tried.
+    """
+    best, left, right = None, 0, len(RATES_HZ)
+    reason, started = "", False
+    while left < right:
+        middle = (left + right) // 2
+        held_it = False
+        for _ in range(ATTEMPTS):
+            try:
+                sample = turn(at(track, RATES_HZ[middle]), RATES_HZ[middle], seconds)
+            except AbsentError as e:
+                reason = str(e)
+                continue
+            started = True
+            if held(sample):
+                held_it = True
+                break
+        if held_it:
+            best, left = RATES_HZ[middle], middle + 1
+        else:
+            right = middle
+    if not started:
+        raise AbsentError(reason)
+    return best
+
+
+def without_bus_time(track: Track) -> Track:
+    """The same axis on a bus of infinite bit rate."""
+    data = track.axis.config.model_dump(by_alias=True, exclude_defaults=True)
+    data.setdefault("bus", {})["bitrate_bit_s"] = float("inf")
+    data["bus"]["dbc"] = str(track.axis.dbc.resolve())
+    data.setdefault("plant", {})["bitrate_bit_s"] = float("inf")
+    file = track.scratch / "no-bus-time.toml"
+    file.write_text(as_toml(data))
+    return track._replace(axis=load(file), config_file=file)
+
+
+def at(track: Track, rate_hz: float) -> Track:
+    """The same axis at another rate."""
+    config: Config = at_rate(track.axis.config, rate_hz)
+    file: Path = track.scratch / f"at-{rate_hz:g}.toml"
+    file.write_text(as_toml(config.model_dump(by_alias=True, exclude_defaults=True)))
+    return track._replace(axis=track.axis._replace(config=config), config_file=file)
+
+
+def as_toml(data: Mapping[str, Any], table: str = "") -> str:
+    """Nested tables of plain values as TOML; None is left out."""
+    own = {key: value for key, value in data.items() if not isinstance(value, Mapping) and value is not None}
+    text = f"[{table}]\n" if table and own else ""
+    text += "".join(f"{key} = {_value(value)}\n" for key, value in own.items())
+    for key, value in data.items():
+        if isinstance(value, Mapping):
+            text += as_toml(value, f"{table}.{key}" if table else key)
+    return text
+
+
+def _value(value: Any) -> str:
+    return repr(value) if isinstance(value, float) else json.dumps(value)

@@ -1,0 +1,129 @@
+"""How an axis is computed: by the functions as they are, or by their compiled versions.
+
+The axis itself stays as it is: the compiled law comes with one whose cycle is compiled. What is rare in a
+tick, such as a request or a way, is left to Python, which calls compiled functions.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from pneud.axis import sensing
+from pneud.axis.cycle import Axis, AxisParameters, cycle
+from pneud.bus import wire
+from pneud.compiled.build import BuildError, load, load_source
+from pneud.compiled.rebinding import rebound
+from pneud.control.reference import at, sine
+from pneud.control.step import join
+from pneud.log.live import packing
+from pneud.rig import dynamics
+from pneud.safety import supervisor
+from pneud.signals import ALL_SOURCES, EncoderStatus, Measurement, Request, RequestKind, State, ValveState
+
+FUNCTIONS: tuple[Callable[..., Any], ...] = (
+    cycle,
+    sensing.sense,
+    sensing.drive,
+    join,
+    sine,
+    at,
+    supervisor.advance,
+    dynamics.advance,
+)
+SAMPLE_TICKS = 150
+_NOISE_PA = 2e4  # so that the command goes from end to end
+
+
+class Law(NamedTuple):
+    """How axis and plant are computed, frames carried and records handed over."""
+
+    axis: Callable[[AxisParameters], Axis]
+    advance: Callable[..., dynamics.PlantState]
+    carriage: wire.Carriage
+    pack: packing.Pack
+    name: str  # for the log
+    reason: str = ""  # why it is not the compiled one
+
+
+INTERPRETED = Law(Axis, dynamics.advance, wire.CARRIAGE, packing.pack, "python")
+
+
+def law(mode: str, p: AxisParameters) -> Law:
+    """The law in C where that can be had, else in Python.
+
+    Args:
+        mode: "off", "auto" or "required".
+        p: the axis; a sample of its ticks must come out the same to the bit.
+
+    Raises:
+        BuildError: it is required and cannot be had.
+    """
+    if mode == "off":
+        return INTERPRETED
+    try:
+        made = compiled()
+        if sample(made, p) != sample(INTERPRETED, p):
+            raise BuildError("the compiled law does not compute what Python does")
+    except BuildError as e:
+        if mode == "required":
+            raise
+        return INTERPRETED._replace(reason=str(e))
+    return made
+
+
+def compiled() -> Law:
+    """The law in C, built if need be.
+
+    Raises:
+        BuildError: it cannot be had.
+    """
+    built = load(FUNCTIONS)
+    by = dict(zip(FUNCTIONS, built.functions, strict=True))
+    whole = by.pop(cycle)
+    # a tick of which C cannot do all is done in parts
+    built.originals[FUNCTIONS.index(cycle)] = rebound(cycle, by)  # type: ignore[arg-type]  # it is a plain function
+    axis = type("CompiledAxis", (Axis,), {"_cycle": staticmethod(whole)})
+    frames = load_source(wire.SOURCE)
+    return Law(
+        axis,
+        by[dynamics.advance],
+        wire.Carriage(frames.receive, frames.send),
+        load_source(packing.SOURCE).pack,
+        "compiled",
+    )
+
+
+def sample(one: Law, p: AxisParameters) -> list[str]:
+    """What an axis makes of a made-up run, to the last digit: every tick, and the state after every tenth.
+
+    What differs in a state shows in a tick, or is still there after the tenth. The axis starts, arms, and
+    tracks until the noise or the motion that does not come is too much for it.
+    """
+    axis = one.axis(p)
+    noise = random.Random(1).uniform
+    c, limits = p.controller.cylinder, p.limits
+    centre_m = 0.5 * (limits.travel_min_m + limits.travel_max_m)
+    p2_pa = 0.5 * p.controller.gas.supply_pa
+    p1_pa = (p2_pa * c.A2 + c.rod_force_n) / c.A1
+    period_ns = round(p.controller.h * 1e9)
+    applied_v, found = 0.0, []
+    for i in range(SAMPLE_TICKS):
+        m = Measurement(
+            (i + 1) * period_ns,
+            ALL_SOURCES,
+            centre_m + 1e-6 * round(noise(-2.0, 2.0)),
+            p1_pa + noise(-_NOISE_PA, _NOISE_PA),
+            p2_pa + noise(-_NOISE_PA, _NOISE_PA),
+            p.controller.gas.supply_pa,
+            applied_v,
+            int(EncoderStatus.REFERENCED),
+            int(ValveState.ENABLED if axis.state.supervisor.state == State.TRACKING else ValveState.CENTRED),
+            *(0, 0, 0, 0, 0, 0, 0, 0, 0),
+        )
+        arm = Request(RequestKind.ARM, (1.0,)) if axis.state.supervisor.state == State.DISARMED else None
+        tick = axis.cycle(m, arm, m.t_ns)
+        applied_v = tick.command.voltage_v
+        found.append(repr((tick, axis.state) if i % 10 == 9 else tick))
+    return found

@@ -1,0 +1,1 @@
+"""Configurations: their models, and what they come to as parameters."""

@@ -1,0 +1,194 @@
+"""From a configuration to the plain numbers that the loop runs on."""
+
+from __future__ import annotations
+
+import math
+
+from pneud.axis.cycle import AxisParameters
+from pneud.config.models import (
+    BusConfig,
+    Config,
+    RealtimeConfig,
+    cylinder_of,
+    friction_of,
+    gas_of,
+    plant_of,
+    valve_of,
+)
+from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
+from pneud.control.homing import HomingParameters
+from pneud.control.homogeneous import feedback
+from pneud.control.motion import MotionFilter, kalman, quickened, triple_pole
+from pneud.control.reference import Bounds, Sine
+from pneud.control.sliding import Sliding
+from pneud.control.step import Controller
+from pneud.physics.valve import Valve, spool_transition
+from pneud.safety.checks import Limits
+from pneud.safety.output import OutputLimits
+
+__all__ = ["axis_of", "command_delay_s", "plant_of"]
+
+COMPUTING_S = 80e-6  # from the last sensor frame to the command's place on the wire
+FRAME_BITS, STUFFING = 47, 1.1
+LONGEST_SHARE, LONGEST_S = 2.0, 10.0  # a stroke of homing may take so much longer than at its speed
+LEAST_STILL_M, STILL_STEPS = 5e-5, 10.0  # travel that a reading cannot hide: at least, and in encoder steps
+BLEND_S = 0.1  # in which one set of gains gives way to another
+
+
+def command_delay_s(bus: BusConfig) -> float:
+    """Time from the sampling instant until the command of that sample acts [s].
+
+    Three answers of eight bytes, the computation, and the command of eight bytes, one after the other on
+    the wire.
+    """
+    if bus.command_delay_us is not None:
+        return bus.command_delay_us * 1e-6
+    return 4 * (FRAME_BITS + 64) * STUFFING / bus.bitrate_bit_s + COMPUTING_S
+
+
+def lead_s(delay_s: float, valve: Valve) -> float:
+    """Time from the sampling instant until the command of that sample has its effect [s].
+
+    A spool of second order delays by 2ζ/ω what passes slowly.
+    """
+    lag_s = 2.0 * valve.zeta / valve.omega_rad_s if valve.omega_rad_s > 0.0 else 0.0
+    return delay_s + lag_s
+
+
+def motion_of(c: Config) -> MotionFilter:
+    """The motion filter's gains."""
+    m, h = c.control.motion, 1.0 / c.loop.rate_hz
+    blind_m = 0.5 * m.encoder_resolution_m
+    if m.bandwidth_rad_s is None:
+        assert m.encoder_noise_m is not None and m.force_walk_n_rs is not None
+        return kalman(m.encoder_noise_m, m.force_walk_n_rs, c.cylinder.moving_mass_kg, h, blind_m)
+    found = triple_pole(m.bandwidth_rad_s, h, blind_m)
+    if m.push_bandwidth_rad_s is None:
+        return found
+    return quickened(found, triple_pole(m.push_bandwidth_rad_s, h), m.push_beyond_m)
+
+
+def _swings_pa_m_s(c: Config) -> tuple[float, float]:
+    """Fastest change of each chamber's pressure by valve and piston together, times the chamber's length."""
+    g, k = gas_of(c), cylinder_of(c)
+    upstream_pa = max(c.limits.supply_max_pa, c.limits.chamber_max_pa)
+    flow = k.c1 * c.valve.u_max_v * g.gamma_choked * upstream_pa
+    moved = g.k * c.limits.chamber_max_pa * c.limits.speed_m_s
+    return flow / k.A1 + moved, flow / k.A2 + moved
+
+
+def _homing_of(c: Config) -> HomingParameters:
+    h = c.encoder.homing
+    rear = h.stop == "rear"
+    return HomingParameters(
+        incremental=c.encoder.kind == "incremental",
+        side=-1.0 if rear else 1.0,
+        stop_m=0.0 if rear else c.cylinder.stroke_m,
+        speed_m_s=h.speed_m_s,
+        force_n=h.force_n,
+        back_off_m=h.back_off_m,
+        longest_ns=round((LONGEST_SHARE * c.cylinder.stroke_m / h.speed_m_s + LONGEST_S) * 1e9),
+    )
+
+
+def reference_of(c: Config) -> Sine:
+    """The configured reference, in the stroke coordinate."""
+    r = c.reference
+    return Sine(
+        r.effective_centre_m - c.cylinder.dead_length_1_m, r.amplitude_m, 2.0 * math.pi * r.frequency_hz
+    )
+
+
+def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
+    """Everything `Axis` needs.
+
+    Args:
+        c: the configuration.
+        command_lsb_v: step of the command on the wire, from the DBC [V].
+    """
+    h = 1.0 / c.loop.rate_hz
+    law, limits = c.control, c.limits
+    valve = valve_of(c)
+    delay_s = min(command_delay_s(c.bus), h)
+    ahead_s = lead_s(delay_s, valve) if law.predict else 0.0
+    cylinder = cylinder_of(c) if law.rod_force else cylinder_of(c)._replace(rod_force_n=0.0)
+    controller = Controller(
+        h=h,
+        delay_s=delay_s,
+        spool_before=spool_transition(delay_s, valve),
+        lead_s=ahead_s,
+        spool_ahead=spool_transition(0.5 * ahead_s, valve),
+        gas=gas_of(c),
+        cylinder=cylinder._replace(reverse_flow=law.reverse_flow),
+        valve=valve,
+        friction=friction_of(law.friction),
+        motion=motion_of(c),
+        observer=Observer(
+            law.observer.lambda0,
+            law.observer.lambda1,
+            law.observer.gain_n_s2,
+            {"explicit": EXPLICIT, "implicit": IMPLICIT, "matched": MATCHED}[law.observer.discretisation],
+        ),
+        sliding=Sliding(
+            gains=feedback(law.k1, law.k2, law.k3, law.alpha),
+            eta=law.eta_m_s3,
+            implicit=law.discretisation == "implicit",
+            horizon_s=ahead_s,  # feedback any faster would fight its own dead time
+            compensate_d=law.law == "composite",
+            M=c.cylinder.moving_mass_kg,
+            invert_dead_zone=law.compensate_dead_zone,
+            hold_v=law.dead_zone_hold_v,
+        ),
+        use_x3_hat=law.smooth_x3,
+        use_force=law.estimate_force,
+        force_rate_gain=1.0 - math.exp(-law.force_rate_bandwidth_rad_s * h),
+        blend_kept=math.exp(-h / BLEND_S),
+    )
+    return AxisParameters(
+        controller=controller,
+        output=OutputLimits(c.valve.u_max_v, limits.slew_v_s, command_lsb_v),
+        limits=Limits(
+            limits.travel_min_m,
+            limits.travel_max_m,
+            limits.speed_m_s,
+            limits.tracking_error_m,
+            limits.chamber_min_pa,
+            limits.chamber_max_pa,
+            limits.supply_min_pa,
+            limits.supply_max_pa,
+            round(c.bus.sensor_timeout_ms * 1e6),
+            round(c.bus.valve_timeout_ms * 1e6),
+            round(c.bus.deadline_timeout_ms * 1e6),
+            round(c.bus.overload_timeout_ms * 1e6),
+            limits.innovation_m,
+            limits.chamber_max_pa * c.cylinder.piston_area_1_m2 / c.cylinder.moving_mass_kg,
+            limits.braking_m_s2,
+            limits.disagreement_n,
+            round(limits.saturation_s * 1e9),
+            max(LEAST_STILL_M, STILL_STEPS * c.control.motion.encoder_resolution_m),
+            limits.stuck_force_n,
+            limits.stuck_travel_m,
+            c.cylinder.stroke_m,
+            c.cylinder.dead_length_1_m,
+            c.cylinder.dead_length_2_m,
+            *_swings_pa_m_s(c),
+        ),
+        reference=reference_of(c),
+        transfer=Bounds(
+            limits.transfer.speed_m_s, limits.transfer.acceleration_m_s2, limits.transfer.jerk_m_s3
+        ),
+        motion=Bounds(
+            min(limits.motion.speed_m_s, limits.speed_m_s),
+            limits.motion.acceleration_m_s2,
+            limits.motion.jerk_m_s3,
+        ),
+        travel_margin_m=limits.motion.margin_m,
+        homing=_homing_of(c),
+        stop_centres=limits.stop_then == "centre",
+        join_at_once=c.reference.join == "at_once",
+    )
+
+
+def plant_priority(c: RealtimeConfig) -> int:
+    """The software plant's: below the loop's, since on a rig nobody competes with the loop."""
+    return max(0, c.priority - 10) if c.plant_priority is None else c.plant_priority

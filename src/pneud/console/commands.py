@@ -1,0 +1,200 @@
+"""What the console makes of well-formed requests: status, or requests to the axis in its units."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pneud.console import protocol
+from pneud.console.facts import Run
+from pneud.console.handoff import Outcome
+from pneud.console.protocol import Error, ProtocolError
+from pneud.console.server import Plan
+from pneud.console.status import Watch, faults
+from pneud.console.tuning import Tuning
+from pneud.log.live.ring import Ring
+from pneud.safety.faults import CENTRES, FAULT_CURES, FAULT_NAMES, STOPS
+from pneud.safety.supervisor import BLOCKS
+from pneud.signals import Answer, Request, RequestKind, State
+
+_MM = 1e-3
+_SIMPLE = {
+    protocol.Arm: RequestKind.ARM,
+    protocol.Clear: RequestKind.CLEAR,
+    protocol.Hold: RequestKind.HOLD,
+    protocol.Home: RequestKind.HOME,
+}
+_BLOCKS = {"arm": BLOCKS[RequestKind.ARM], "home": BLOCKS[RequestKind.HOME]}  # faults, by what they forbid
+_URGENT = {protocol.Disarm: RequestKind.DISARM, protocol.Stop: RequestKind.STOP}
+
+
+class AxisDesk:
+    """The desk of one axis."""
+
+    def __init__(self, run: Run, ring: Ring, watch: Watch) -> None:
+        """Ready to be asked.
+
+        Args:
+            run: what runs.
+            ring: where its records are.
+            watch: follows them.
+        """
+        self._run = run
+        self._ring = ring
+        self._watch = watch
+        self._tuning = Tuning(run.config, run.path, run.text)
+
+    def status(self) -> dict[str, Any]:
+        """The fields of the reply to `status`."""
+        r = self._run
+        recorder = self._ring.status()
+        return {
+            "schema": 1,
+            "name": r.config.name,
+            **self._watch.fields(),
+            "rate_hz": r.config.loop.rate_hz,
+            "limits": self._limits(),
+            "bus": r.bus,
+            "log": r.log_path,
+            "log_written": recorder.written,
+            "log_dropped": recorder.lost,
+            "log_error": recorder.error_text or None,
+            "config": str(r.path),
+            "config_changed": self._tuning.changed_on_disk(),
+        }
+
+    def _limits(self) -> dict[str, float]:
+        """What may be asked for."""
+        limits = self._run.config.limits
+        motion = limits.motion
+        found = {
+            "min_mm": limits.travel_min_m + motion.margin_m,
+            "max_mm": limits.travel_max_m - motion.margin_m,
+            "speed_mm_s": motion.speed_m_s,
+            "acceleration_mm_s2": motion.acceleration_m_s2,
+            "jerk_mm_s3": motion.jerk_m_s3,
+        }
+        return {name: round(value / _MM, 6) for name, value in found.items()}
+
+    def attach(self) -> tuple[dict[str, Any], int]:
+        """The fields of the reply to `attach`, and the descriptor that goes with it."""
+        r, limits = self._run, self._run.config.limits
+        return {
+            "layout": Ring.layout(),
+            "slots": self._ring.slots,
+            "slot_bytes": self._ring.slot_bytes,
+            "name": r.config.name,
+            "bus": r.bus,
+            "rate_hz": r.config.loop.rate_hz,
+            "travel_min_mm": limits.travel_min_m / _MM,
+            "travel_max_mm": limits.travel_max_m / _MM,
+            "u_max_v": r.config.valve.u_max_v,
+            "note": r.note,
+            "faults": list(FAULT_NAMES),
+            "cures": list(FAULT_CURES),
+            "log": r.log_path,
+            "sync": r.config.bus.sync,
+        }, self._ring.open_for_reading()
+
+    def gains(self) -> dict[str, Any]:
+        """The fields of the reply to `tune_get`."""
+        return {"gains": self._tuning.running, "config": str(self._run.path)}
+
+    def plan(self, message: protocol.Request) -> Plan:
+        """What to ask of the loop.
+
+        Raises:
+            ProtocolError: what is asked for cannot be done.
+        """
+        kind = type(message)
+        if kind in _SIMPLE:
+            return Plan(message.verb, (Request(_SIMPLE[kind]),))
+        if kind in _URGENT:
+            return Plan(message.verb, (Request(_URGENT[kind]),), urgent=True)
+        match message:
+            case protocol.Goto():
+                return self._goto(message)
+            case protocol.Jog(velocity_mm_s=v, lease_s=lease_s):
+                self._check_speed(v)
+                ticks = max(1, round(lease_s * self._run.config.loop.rate_hz))
+                return Plan(f"jog {v:g} mm/s", (Request(RequestKind.JOG, (v * _MM, float(ticks))),))
+            case protocol.Track(what=what):
+                return Plan(f"track {what}", (Request(RequestKind.TRACK, (float(what == "profile"),)),))
+            case protocol.Upload(first=first, pieces=pieces):
+                requests = [Request(RequestKind.PIECE)] if first else []
+                requests += [Request(RequestKind.PIECE, tuple(piece)) for piece in pieces]
+                return Plan(f"upload of {len(pieces)} pieces", tuple(requests))
+            case protocol.TuneSet(gains=values):
+                return self._tuning.set(values)
+            case protocol.TuneReload():
+                return self._tuning.reload()
+            case protocol.Mark(text=text):
+                shown = "".join(c if c.isprintable() else "?" for c in text)
+                return Plan(f"mark {shown}", (Request(RequestKind.MARK),), free=True)
+        raise AssertionError(message)
+
+    def _goto(self, m: protocol.Goto) -> Plan:
+        allowed = self._limits()
+        low_mm, high_mm = allowed["min_mm"], allowed["max_mm"]
+        nearest_mm = min(max(m.x_mm, low_mm), high_mm)
+        if nearest_mm != m.x_mm:
+            raise ProtocolError(
+                Error.OUT_OF_TRAVEL,
+                f"{m.x_mm:g} mm lies outside the travel {low_mm:g} … {high_mm:g} mm;"
+                f" the nearest allowed is {nearest_mm:g} mm",
+                nearest_mm=nearest_mm,
+            )
+        if m.speed_mm_s is not None:
+            self._check_speed(m.speed_mm_s)
+        bounds = (m.speed_mm_s, m.acceleration_mm_s2, m.jerk_mm_s3)
+        words = f"goto {m.x_mm:g} mm"
+        for name, bound in zip(("speed", "acceleration", "jerk"), bounds, strict=True):
+            words += f" {name} {bound:g}" if bound is not None else ""
+        values = (m.x_mm * _MM, *((bound or 0.0) * _MM for bound in bounds))
+        return Plan(words, (Request(RequestKind.GOTO, values),))
+
+    def _check_speed(self, speed_mm_s: float) -> None:
+        highest_mm_s = self._limits()["speed_mm_s"]
+        if abs(speed_mm_s) > highest_mm_s:
+            raise ProtocolError(
+                Error.BEYOND_LIMITS,
+                f"{speed_mm_s:g} mm/s is faster than limits.motion.speed_m_s; at most {highest_mm_s:g} mm/s",
+                nearest_mm_s=highest_mm_s,
+            )
+
+    def refused(self, answer: int, words: str, outcome: Outcome) -> ProtocolError:
+        """What to tell a client about the axis's refusal."""
+        try:
+            kind = Answer(answer)
+        except ValueError:
+            return ProtocolError(Error.MALFORMED, f"the axis answered {answer}")
+        state = State(outcome.state).label
+        more: dict[str, Any] = {"state": state}
+        match kind:
+            case Answer.WRONG_STATE:
+                text = f"{words}: not while the axis is {state}"
+            case Answer.BLOCKED:
+                blocking = _BLOCKS.get(words, CENTRES | STOPS)
+                found = faults(outcome.present & blocking, outcome.latched)
+                more["faults"] = [f for f in found if f["present"]]
+                text = f"{words}: blocked by " + (
+                    "; ".join(f"{f['name']}: {f['cure']}" for f in more["faults"]) or "a fault"
+                )
+            case Answer.OUT_OF_TRAVEL:
+                limits = self._run.config.limits
+                text = (
+                    f"{words}: the way leaves the travel"
+                    f" {limits.travel_min_m / _MM:g} … {limits.travel_max_m / _MM:g} mm"
+                )
+            case Answer.BEYOND_LIMITS:
+                text = f"{words}: faster or harder than the configuration's limits"
+            case Answer.UNSTABLE:
+                text = f"{words}: the loop would not be stable with these gains"
+            case Answer.NOT_REFERENCED:
+                text = f"{words}: the encoder has no reference; home the axis: pneud home"
+            case Answer.NO_PROFILE:
+                text = f"{words}: there is no profile that could be followed"
+            case Answer.CLOSING:
+                text = f"{words}: the daemon is shutting down"
+            case _:
+                text = f"{words}: {kind.name.lower()}"
+        return ProtocolError(kind.name.lower(), text, **more)

@@ -1,0 +1,19 @@
+"""What a console is told of the daemon that it belongs to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+from pneud.config.models import Config
+
+
+class Run(NamedTuple):
+    """What stays the same while a daemon runs."""
+
+    config: Config
+    path: Path  # of the configuration
+    text: str  # of the configuration, as it was loaded
+    bus: str
+    note: str  # one line, for example how the bus was chosen
+    log_path: str

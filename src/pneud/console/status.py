@@ -1,0 +1,89 @@
+"""What the console knows of the loop: read from the ring, so that asking for it costs the loop nothing."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+from pneud.log.live.ring import Ring
+from pneud.rt.histogram import Histogram
+from pneud.safety.faults import TABLE
+from pneud.signals import State
+
+
+class Watch:
+    """Follows the records of one run."""
+
+    def __init__(self, ring: Ring) -> None:
+        """Begin with the oldest record that is still in the ring."""
+        self._ring = ring
+        self._reader = ring.reader()
+        self._skipped = 0
+        self._lateness = Histogram()
+        self._latency = Histogram()
+
+    def poll(self) -> None:
+        """Take what the loop has done since the last call; to be called a few times a second."""
+        for skipped, lateness_ns, latency_ns in self._reader.skim():
+            self._skipped += skipped
+            self._lateness.add(lateness_ns)
+            if latency_ns >= 0:
+                self._latency.add(latency_ns)
+
+    def fields(self) -> dict[str, Any]:
+        """The part of `status` that the records tell."""
+        fields: dict[str, Any] = {
+            "state": State.STARTING.label,
+            "faults": [],
+            **dict.fromkeys(("position_mm", "velocity_mm_s", "reference_mm", "error_mm")),
+            "pressures_bar": None,
+            "command_v": None,
+            "silent_s": None,
+            "ticks": self._ring.put_count,
+            "skipped": self._skipped,
+            "lateness_us": _percentiles_us(self._lateness),
+            "sensor_to_command_us": _percentiles_us(self._latency),
+        }
+        last = self._reader.latest()
+        if last is None:
+            return fields
+        tick = last.tick
+        m, position_m, reference_m = tick.measurement, tick.estimate.position_m, tick.reference.position_m
+        fields["state"] = State(tick.state).label
+        fields["silent_s"] = round(max(0, time.monotonic_ns() - tick.t_ns) * 1e-9, 3)
+        fields["faults"] = faults(tick.present, tick.latched)
+        fields["position_mm"] = _scaled(position_m if math.isfinite(position_m) else m.position_m, 1e3)
+        fields["velocity_mm_s"] = _scaled(tick.estimate.velocity_m_s, 1e3)
+        fields["reference_mm"] = _scaled(reference_m, 1e3)
+        fields["error_mm"] = _scaled(reference_m - position_m, 1e3)
+        pressures = (("p1", m.p1_pa), ("p2", m.p2_pa), ("supply", m.supply_pa))
+        fields["pressures_bar"] = {name: _scaled(pa, 1e-5) for name, pa in pressures}
+        fields["command_v"] = _scaled(tick.command.voltage_v, 1.0)
+        return fields
+
+
+def faults(present: int, latched: int) -> list[dict[str, Any]]:
+    """Faults by name, what they do, and what a person can do."""
+    return [
+        {
+            "name": fault.name,
+            "latched": bool(latched >> fault.bit & 1),
+            "present": bool(present >> fault.bit & 1),
+            "effect": fault.reaction.value,
+            "cure": fault.cure,
+        }
+        for fault in TABLE
+        if (present | latched) >> fault.bit & 1
+    ]
+
+
+def _scaled(value: float, factor: float) -> float | None:
+    return round(value * factor, 6) if math.isfinite(value) else None
+
+
+def _percentiles_us(h: Histogram) -> dict[str, float] | None:
+    if not h.count:
+        return None
+    names = ("p50", "p99", "p999", "max")
+    return dict(zip(names, (ns / 1e3 for ns in h.percentiles((50.0, 99.0, 99.9, 100.0))), strict=True))

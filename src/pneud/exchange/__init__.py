@@ -1,1 +1,0 @@
-"""Logs to and from the formats of other tools."""

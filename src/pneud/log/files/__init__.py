@@ -1,0 +1,1 @@
+"""Logs as files: writing, rotation, retention, reading, recovery."""

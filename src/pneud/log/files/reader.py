@@ -1,0 +1,367 @@
+"""Reads a log as a stream, as far as it can be read, in bounded memory.
+
+A log is one file, or the parts that a recorder has split it into.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Generator, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from google.protobuf.message import DecodeError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+
+from pneud.log.files.naming import LogError
+from pneud.log.files.part import CRC, check_intact
+from pneud.log.format.frames import FrameBlock
+from pneud.log.format.framing import (
+    SPAN,
+    CutShortError,
+    DamageError,
+    Message,
+    Piece,
+    attachment,
+    chunk_items,
+    metadata,
+    open_mcap,
+    pieces,
+)
+from pneud.log.format.records import LoggedEvent, LoggedTick, TickMessage, unpack, unpack_event
+from pneud.log.format.schema import EVENTS, FRAMES, METADATA, SCHEMA, SETUP, STATE, TICK
+
+_SEQUENCES = 1 << 32  # of MCAP's messages, after which they begin anew
+_LOOK_BACK = 2000  # chunks among which a snapshot is looked for
+
+
+class RawBatch(NamedTuple):
+    """The messages of some consecutive ticks, as they stand in the log."""
+
+    ticks: list[TickMessage]
+    frames: bytes
+
+
+class LoggedState(NamedTuple):
+    """The state of the axis as read: it follows the record of its number and precedes the next one."""
+
+    number: int
+    log_time_ns: int  # Unix
+    data: bytes  # JSON
+
+
+Raw = RawBatch | LoggedState | LoggedEvent
+Item = LoggedTick | LoggedState
+
+
+class _Definitions:
+    """Channels by their number: topic and name of the schema."""
+
+    def __init__(self) -> None:
+        self.channels: dict[int, tuple[str, str]] = {}
+        self._schemas: dict[int, str] = {}
+
+    def learn(self, item: Schema | Channel) -> None:
+        if isinstance(item, Schema):
+            self._schemas[item.id] = item.name
+        elif item.schema_id in self._schemas:
+            self.channels[item.id] = (item.topic, self._schemas[item.schema_id])
+
+
+class _File:
+    """One file of a log.
+
+    Attributes as in `LogReader`, and `damage` after an iteration.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.metadata: dict[str, str] = {}
+        self.setup: dict[str, str] = {}
+        self.attachments: dict[str, bytes] = {}
+        self.damage = ""
+        self._read_head()
+        self.run = self.metadata.get("run", "")
+        self.part = int(self.metadata.get("part", "1"))
+        self.records_before = int(self.metadata.get("records_before", "0"))
+
+    def _read_head(self) -> None:
+        with open_mcap(self.path) as file:
+            try:
+                for piece in pieces(file, skip_chunks=True):
+                    # Another tool may have moved the head behind the chunks: look on until it is there.
+                    if piece.opcode in (Opcode.CHUNK, Opcode.DATA_END) and self.metadata:
+                        break
+                    self._head_piece(piece)
+            except CutShortError as e:
+                if not self.metadata:
+                    raise LogError(f"{self.path}: {e}, before anything was logged") from None
+            except DamageError as e:
+                if not self.metadata:
+                    raise LogError(f"{self.path}: {e}; try pneud recover") from None
+        self._check_head()
+
+    def _head_piece(self, piece: Piece) -> None:
+        if piece.opcode == Opcode.ATTACHMENT:
+            attached = attachment(piece)
+            self.attachments[attached.name] = attached.data
+        elif piece.opcode == Opcode.METADATA:
+            found = metadata(piece)
+            if found.name not in (METADATA, SETUP):
+                return
+            check_intact(found, piece.offset)
+            if found.name == METADATA:
+                self.metadata = found.metadata
+            else:
+                self.setup = {key: value for key, value in found.metadata.items() if key != CRC}
+
+    def _check_head(self) -> None:
+        m = self.metadata
+        if not m:
+            raise LogError(f"{self.path}: is an MCAP file, but no log of pneud")
+        if m.get("schema") != str(SCHEMA):
+            raise LogError(
+                f"{self.path}: has log schema {m.get('schema')}, this pneud reads {SCHEMA};"
+                f" use the version that wrote it ({m.get('pneud', 'unknown')})"
+            )
+        try:
+            self.attachments[m["config"]].decode(), self.attachments[m["dbc"]]
+            float(m["rate_hz"]), m["faults"], int(m.get("part", "1")), int(m.get("records_before", "0"))
+        except (KeyError, ValueError) as e:
+            raise LogError(f"{self.path}: its head is incomplete: {e}; try pneud recover") from None
+
+    def start_ns(self) -> int:
+        """Time of the first message; 0 where there is none."""
+        with open_mcap(self.path) as file:
+            try:
+                for piece in pieces(file, skip_chunks=True):
+                    if piece.opcode == Opcode.CHUNK:
+                        return int(SPAN.unpack(piece.body)[0])
+            except DamageError:
+                pass
+        return 0
+
+    def messages(self, from_ns: int = 0) -> Iterator[tuple[str, str, Message]]:
+        """Topic, schema and message; ends at the first place that cannot be read.
+
+        Args:
+            from_ns: begin with the last snapshot not after this time, or at the start where there is none.
+        """
+        self.damage = ""
+        known = _Definitions()
+        with open_mcap(self.path) as file:
+            try:
+                if from_ns and (start := self._snapshot_before(from_ns)):
+                    known = self._definitions()
+                    file.seek(start)
+                for piece in pieces(file):
+                    if piece.opcode != Opcode.CHUNK:
+                        continue
+                    for item in chunk_items(piece):
+                        if not isinstance(item, Message):
+                            known.learn(item)
+                        elif (channel := known.channels.get(item.channel)) is not None:
+                            yield *channel, item
+            except DamageError as e:
+                self.damage = str(e)
+
+    def _definitions(self) -> _Definitions:
+        """What the first chunk defines; of an own log, that is everything."""
+        known = _Definitions()
+        with open_mcap(self.path) as file:
+            first = next((piece for piece in pieces(file) if piece.opcode == Opcode.CHUNK), None)
+            for item in chunk_items(first) if first is not None else ():
+                if not isinstance(item, Message):
+                    known.learn(item)
+        return known
+
+    def _snapshot_before(self, time_ns: int) -> int:
+        """Where the chunk with the last snapshot not after a time begins; 0 where there is none.
+
+        A snapshot is the first message of its chunk.
+        """
+        chunks: deque[int] = deque(maxlen=_LOOK_BACK)
+        with open_mcap(self.path) as file:
+            try:
+                for piece in pieces(file, skip_chunks=True):
+                    if piece.opcode == Opcode.CHUNK:
+                        if SPAN.unpack(piece.body)[0] > time_ns:
+                            break
+                        chunks.append(piece.offset)
+            except DamageError:
+                pass  # said by whoever reads that far
+            channels = self._definitions().channels
+            for offset in reversed(chunks):
+                file.seek(offset)
+                try:
+                    items = chunk_items(next(pieces(file)))
+                except DamageError:
+                    continue
+                first = next((item for item in items if isinstance(item, Message)), None)
+                if first is not None and channels.get(first.channel, ("",))[0] == STATE:
+                    return offset
+        return 0
+
+
+class LogReader:
+    """One log; every iteration begins anew at its start.
+
+    Attributes:
+        path: the file, or the first one of several.
+        paths: all of them.
+        metadata: what the log says about its run: schema, bus, rate_hz, versions, fingerprint, …
+        setup: the report of the real-time set-up; empty if there was none.
+        config_name: name of the attached configuration.
+        config_text: its text.
+        dbc_name: name of the attached DBC.
+        dbc: its bytes.
+        records_before: records of the loop before the first one in these files, in parts that are gone.
+        truncated: after an iteration: a file ends too early or goes on damaged.
+        damage: after an iteration: where and why; empty if the files are whole.
+        missing: after an iteration: records of the loop that are not in the files, before their last one.
+    """
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        """Read the heads.
+
+        Raises:
+            LogError: one is no log of pneud or of another schema, or they are not of one run.
+        """
+        self._open([_File(path) for path in paths])
+
+    def _open(self, files: list[_File]) -> None:
+        self._files = sorted(files, key=lambda f: f.part)
+        first = self._files[0]
+        for before, after in zip(self._files, self._files[1:], strict=False):
+            if before.run != after.run:
+                raise LogError(
+                    f"{before.path} and {after.path}: are of two runs; give the files of one, such as"
+                    f" {before.path.with_name(before.path.name.split('.')[0])}*.mcap"
+                )
+            if before.part == after.part:
+                raise LogError(f"{before.path} and {after.path}: are the same part of one run")
+        self.paths = [file.path for file in self._files]
+        self.path = first.path
+        self.metadata = first.metadata
+        self.setup = first.setup
+        self.config_name, self.dbc_name = self.metadata["config"], self.metadata["dbc"]
+        self.config_text = first.attachments[self.config_name].decode()
+        self.dbc = first.attachments[self.dbc_name]
+        self.records_before = first.records_before
+        self.truncated = False
+        self.damage = ""
+        self.missing = 0
+
+    @property
+    def rate_hz(self) -> float:
+        """Ticks per second."""
+        return float(self.metadata["rate_hz"])
+
+    @property
+    def fault_names(self) -> tuple[str, ...]:
+        """Names of the faults by bit number."""
+        return tuple(name for name in self.metadata["faults"].split(",") if name)
+
+    def start_ns(self) -> int:
+        """Unix time of the first message; 0 where there is none."""
+        return self._files[0].start_ns()
+
+    def __iter__(self) -> Iterator[LoggedTick]:
+        """The ticks in their order. `truncated`, `damage` and `missing` are valid when it ends."""
+        return (item for item in self.items() if isinstance(item, LoggedTick))
+
+    def items(self, from_ns: int = 0) -> Iterator[Item]:
+        """Ticks and snapshots of the axis in their order; otherwise as an iteration over the ticks.
+
+        Args:
+            from_ns: Unix time; begin with the last snapshot not after it, at the start where there is none.
+        """
+        for raw in self.raw(from_ns):
+            if isinstance(raw, LoggedState):
+                yield raw
+            elif isinstance(raw, RawBatch):
+                number = raw.ticks[0].number
+                try:
+                    for tick in unpack(raw.ticks, FrameBlock(raw.frames)):
+                        number = tick.number
+                        yield tick
+                except (DecodeError, KeyError, ValueError) as e:
+                    self.damaged_at(number, e)
+                    return
+
+    def raw(self, from_ns: int = 0) -> Iterator[Raw]:
+        """Ticks as bytes, snapshots and events in the order of the files; otherwise as `items`."""
+        self.truncated, self.damage, self.missing = False, "", 0
+        files = self._files
+        if from_ns:
+            later = (i for i, file in enumerate(files) if i and file.start_ns() > from_ns)
+            files = files[next(later, len(files)) - 1 :]
+        last = files[0].records_before
+        for file in files:
+            last = yield from self._raw(file, last, from_ns if file is files[0] else 0)
+
+    def _raw(self, file: _File, last: int, from_ns: int) -> Generator[Raw, None, int]:
+        waiting: dict[int, TickMessage] = {}
+        began = not from_ns  # from the middle, what came before is not missing
+        for topic, schema, message in file.messages(from_ns):
+            # the number whose sequence this is and that lies nearest to the last one
+            number = last + (message.sequence - last + _SEQUENCES // 2) % _SEQUENCES - _SEQUENCES // 2
+            if topic == TICK:
+                waiting[number] = TickMessage(number, message.log_time_ns, schema, message.data)
+            elif topic == FRAMES:
+                ticks = list(waiting.values())
+                waiting = {}
+                if not ticks or ticks[0].number != number:
+                    self.damaged_at(number, ValueError("frames without their ticks"))
+                    return last
+                if began:
+                    self.missing += max(0, number - last - 1)
+                began, last = True, ticks[-1].number
+                yield RawBatch(ticks, message.data)
+            elif topic == STATE:
+                if not began:
+                    began, last = True, number
+                yield LoggedState(number, message.log_time_ns, message.data)
+            elif topic == EVENTS:
+                try:
+                    yield unpack_event(message.log_time_ns, message.data)
+                except (DecodeError, ValueError) as e:
+                    self._damaged(f"damaged in an event: {e}")
+                    return last
+        if file.damage:
+            self._damaged(file.damage if len(self._files) == 1 else f"{file.path.name}: {file.damage}")
+        return last
+
+    def damaged_at(self, number: int, why: Exception) -> None:
+        """Note that a record cannot be decoded."""
+        self._damaged(f"damaged in record {number}: {why}")
+
+    def events(self) -> Iterator[LoggedEvent]:
+        """What happened, in words."""
+        for raw in self.raw():
+            if isinstance(raw, LoggedEvent):
+                yield raw
+
+    def _damaged(self, words: str) -> None:
+        self.truncated = True
+        self.damage = self.damage or words
+
+
+def read_log(path: str | Path, *more: str | Path) -> LogReader:
+    """Open a log: a file, a folder with the parts of one, or the parts themselves in any order.
+
+    Raises:
+        LogError: no such file, not a log of pneud, of another schema, or of several runs.
+    """
+    paths: list[Path] = []
+    for given in map(Path, (path, *more)):
+        paths += _parts_in(given) if given.is_dir() else [given]
+    return LogReader(paths)
+
+
+def _parts_in(folder: Path) -> list[Path]:
+    found = sorted(folder.glob("*.mcap"))
+    if not found:
+        raise LogError(f"{folder}: holds no log; give a folder with .mcap files, or a file")
+    return found

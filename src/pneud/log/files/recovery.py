@@ -1,0 +1,206 @@
+"""Mends a log that was cut short or damaged: every whole chunk goes into a new file with index and footer.
+
+What stands in one place of a log only would be lost with it: the head is repeated at the end of a log, and
+what its first chunk defines is known of every log of this schema.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.writer import CompressionType, Writer
+
+from pneud.log.files.naming import LogError, create_log
+from pneud.log.files.part import CONFIG_TEXT, CRC, DBC, check_intact, checked
+from pneud.log.files.writer import CHUNK_BYTES
+from pneud.log.format import framing
+from pneud.log.format.framing import (
+    DamageError,
+    Message,
+    Piece,
+    attachment,
+    chunk_items,
+    metadata,
+    open_mcap,
+)
+from pneud.log.format.schema import COPY, METADATA, SCHEMA, topics
+
+_COMPRESSION = b"\x04\x00\x00\x00zstd"  # in a chunk's head
+_COMPRESSION_AT = 9 + 8 + 8 + 8 + 4  # from the chunk's beginning
+_SEARCHED_BYTES = 1 << 20
+
+
+class RecoverReport(NamedTuple):
+    """What was saved."""
+
+    messages: int
+    chunks: int
+    damaged_chunks: int  # left out
+    damage: str  # the first place that could not be read, and why; empty if the source is whole
+
+
+def recover(src: Path, dst: Path) -> RecoverReport:
+    """Write what can be read of a log into a new one.
+
+    Args:
+        src: the log, whole or not.
+        dst: the new file.
+
+    Raises:
+        LogError: the source is no MCAP file, or the new file exists or cannot be written.
+    """
+    with open_mcap(src, damaged=True) as source:
+        descriptor = create_log(dst)
+        try:
+            with os.fdopen(descriptor, "wb") as target:
+                rescue = _Rescue(Writer(target, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD))
+                report = rescue.run(source)
+                target.flush()
+                os.fsync(target.fileno())
+        except OSError as e:
+            with contextlib.suppress(OSError):
+                dst.unlink()
+            raise LogError(f"{dst}: cannot be written: {e.strerror}") from None
+    return report
+
+
+class _Rescue:
+    def __init__(self, writer: Writer) -> None:
+        self._writer = writer
+        self._schemas: dict[int, int] = {}
+        self._channels: dict[int, int] = {}
+        self._messages = 0
+        self._damage = ""
+        self._damaged_chunks = 0
+        self._attachments: dict[str, Attachment] = {}
+        self._metadata: list[Metadata] = []
+
+    def run(self, source: IO[bytes]) -> RecoverReport:
+        self._writer.start(library="pneud recover")
+        self._read_head(source)
+        for a in self._attachments.values():
+            self._writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, a.data)
+        for m in self._metadata:
+            self._writer.add_metadata(m.name, m.metadata)
+        self._define()
+        source.seek(len(framing.MAGIC))
+        chunks = 0
+        for piece in self._pieces(source):
+            if piece.opcode != Opcode.CHUNK:
+                continue
+            try:
+                items = chunk_items(piece)
+            except DamageError as e:
+                self._damaged_chunks += 1
+                self._damage = self._damage or str(e)
+                continue
+            self._chunk(items)
+            chunks += 1
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        return RecoverReport(self._messages, chunks, self._damaged_chunks, self._damage)
+
+    def _pieces(self, source: IO[bytes], *, skip_chunks: bool = False) -> Iterator[Piece]:
+        """The records, going on at the next chunk where one makes no sense."""
+        while True:
+            last = source.tell() + 1
+            try:
+                for piece in framing.pieces(source, skip_chunks=skip_chunks):
+                    last = piece.offset + 1
+                    yield piece
+                return
+            except DamageError as e:
+                self._damage = self._damage or str(e)
+            following = _next_chunk(source, last)
+            if following is None:
+                return
+            source.seek(following)
+
+    def _read_head(self, source: IO[bytes]) -> None:
+        """Attachments and metadata, or what the copy of them at the end says."""
+        copy: dict[str, str] = {}
+        source.seek(len(framing.MAGIC))
+        for piece in self._pieces(source, skip_chunks=True):
+            try:
+                if piece.opcode == Opcode.ATTACHMENT:
+                    a = attachment(piece)
+                    self._attachments[a.name] = a
+                elif piece.opcode == Opcode.METADATA:
+                    m = metadata(piece)
+                    check_intact(m, piece.offset)
+                    if m.name == COPY:
+                        copy = m.metadata
+                    else:
+                        self._metadata.append(m)
+            except DamageError as e:
+                self._damage = self._damage or str(e)
+        if copy:
+            try:
+                self._complete(copy)
+            except (KeyError, ValueError):
+                self._damage = self._damage or "the copy of the head is incomplete"
+
+    def _complete(self, copy: dict[str, str]) -> None:
+        head = {k: v for k, v in copy.items() if k not in (CONFIG_TEXT, DBC, CRC)}
+        if not any(m.name == METADATA for m in self._metadata):
+            self._metadata.insert(0, Metadata(METADATA, checked(head)))
+        config, dbc = head["config"], head["dbc"]
+        for name, kind, data in (
+            (config, "application/toml", copy[CONFIG_TEXT].encode()),
+            (dbc, "application/vnd.can-dbc", base64.b64decode(copy[DBC])),
+        ):
+            if name not in self._attachments:
+                self._attachments[name] = Attachment(0, 0, name, kind, data)
+
+    def _define(self) -> None:
+        """Know the channels of a log of this schema before its first chunk is read; they number from 1."""
+        head: dict[str, Any] = next((m.metadata for m in self._metadata if m.name == METADATA), {})
+        detail = head.get("detail")
+        if head.get("schema") != str(SCHEMA) or detail not in ("compact", "full"):
+            return
+        for number, t in enumerate(topics(detail), start=1):
+            schema = self._writer.register_schema(t.schema, t.schema_encoding, t.descriptors)
+            self._schemas[number] = schema
+            self._channels[number] = self._writer.register_channel(t.topic, t.encoding, schema)
+
+    def _chunk(self, items: list[Schema | Channel | Message]) -> None:
+        w = self._writer
+        for item in items:
+            if isinstance(item, Message):
+                channel = self._channels.get(item.channel)
+                if channel is not None:
+                    w.add_message(channel, item.log_time_ns, item.data, item.publish_time_ns, item.sequence)
+                    self._messages += 1
+            elif isinstance(item, Schema):
+                if item.id not in self._schemas:
+                    self._schemas[item.id] = w.register_schema(item.name, item.encoding, item.data)
+            elif item.id not in self._channels:
+                schema = self._schemas.get(item.schema_id, 0)
+                self._channels[item.id] = w.register_channel(
+                    item.topic, item.message_encoding, schema, item.metadata
+                )
+
+
+def _next_chunk(file: IO[bytes], start: int) -> int | None:
+    """Where the next chunk seems to begin, by the name of its compression; None if there is no other."""
+    at = start + _COMPRESSION_AT
+    while True:
+        file.seek(at)
+        block = file.read(_SEARCHED_BYTES)
+        place = block.find(_COMPRESSION)
+        if place >= 0:
+            found = at + place - _COMPRESSION_AT
+            file.seek(found)
+            if file.read(1)[0] == Opcode.CHUNK:
+                return found
+            at += place + 1
+        elif len(block) < _SEARCHED_BYTES:
+            return None
+        else:
+            at += len(block) - len(_COMPRESSION)

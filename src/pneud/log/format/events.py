@@ -1,0 +1,123 @@
+"""What happened, in words, from what changed between one record and the next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from pneud.log.format.records import LoggedEvent
+from pneud.log.format.schema import Level
+from pneud.signals import Answer, Record, RequestKind, State
+
+_QUIET_NS = 1_000_000_000
+_OFTEN = (RequestKind.JOG, RequestKind.PIECE)  # asked many times a second
+
+
+class _Limiter:
+    """Lets one event of a kind through per second and counts the others."""
+
+    def __init__(self) -> None:
+        self._open_from: dict[str, int] = {}
+        self._held: dict[str, int] = {}
+
+    def admit(self, kind: str, t_ns: int) -> str | None:
+        """Words on those held back since the last one of the kind; None to hold this one back as well."""
+        if t_ns < self._open_from.get(kind, t_ns):
+            self._held[kind] = self._held.get(kind, 0) + 1
+            return None
+        self._open_from[kind] = t_ns + _QUIET_NS
+        held = self._held.pop(kind, 0)
+        return f" ({held} more since the last message)" if held else ""
+
+
+class EventSource:
+    """Watches the records of one run."""
+
+    def __init__(self, fault_names: tuple[str, ...], offset_ns: int) -> None:
+        """Begin.
+
+        Args:
+            fault_names: by bit number.
+            offset_ns: Unix time minus monotonic time.
+        """
+        self._names = fault_names
+        self._offset_ns = offset_ns
+        self._limiter = _Limiter()
+        self._state = -1
+        self._present = 0
+        self._latched = 0
+        self._saturated = 0
+        self._saturated_ticks = 0
+
+    def after(self, record: Record) -> Iterator[LoggedEvent]:
+        """The events of one record, given those before it."""
+        tick = record.tick
+        t_ns = tick.t_ns
+        if tick.request is not None:
+            kind, values = tick.request
+            words = " ".join([_label(RequestKind, kind), *(f"{value:g}" for value in values)])
+            level = Level.INFO
+            if tick.answer > Answer.TAKEN:
+                level, words = Level.WARNING, f"{words}: {_label(Answer, tick.answer)}"
+            if kind in _OFTEN:
+                yield from self._limited(t_ns, level, "request", words)
+            else:
+                yield self._event(t_ns, level, "request", words)
+        if tick.state != self._state:
+            yield self._state_change(t_ns, tick.state)
+        if tick.latched != self._latched or tick.present != self._present:
+            yield from self._fault_changes(t_ns, tick.present, tick.latched)
+        if tick.measurement.skipped:
+            yield from self._limited(t_ns, Level.WARNING, "loop", f"skipped {tick.measurement.skipped} ticks")
+        if tick.command.saturated != self._saturated:
+            self._saturated = tick.command.saturated
+            words = "saturated" if self._saturated else f"saturation over after {self._saturated_ticks} ticks"
+            yield from self._limited(t_ns, Level.INFO, "output", words)
+            self._saturated_ticks = 0
+        self._saturated_ticks += self._saturated
+
+    def message(self, t_ns: int, level: Level, name: str, words: str) -> Iterator[LoggedEvent]:
+        """An event from elsewhere, if its kind is not held back."""
+        yield from self._limited(t_ns, level, name, words)
+
+    def _state_change(self, t_ns: int, state: int) -> LoggedEvent:
+        old, self._state = self._state, state
+        label = _label(State, state)
+        words = label if old < 0 else f"{_label(State, old)} → {label}"
+        return self._event(t_ns, Level.ERROR if state == State.FAULT else Level.INFO, "state", words)
+
+    def _fault_changes(self, t_ns: int, present: int, latched: int) -> Iterator[LoggedEvent]:
+        for bit in _bits(latched & ~self._latched):
+            yield self._event(t_ns, Level.ERROR, "fault", f"{self._fault(bit)} latched")
+        for bit in _bits(self._latched & ~latched):
+            yield self._event(t_ns, Level.INFO, "fault", f"{self._fault(bit)} cleared")
+        for bit in _bits(present & ~self._present & ~latched):
+            yield from self._limited(t_ns, Level.WARNING, "fault", f"{self._fault(bit)} present")
+        for bit in _bits(self._present & ~present):
+            yield from self._limited(t_ns, Level.INFO, "fault", f"{self._fault(bit)} gone")
+        self._present, self._latched = present, latched
+
+    def _fault(self, bit: int) -> str:
+        return self._names[bit] if bit < len(self._names) else f"fault {bit}"
+
+    def _limited(self, t_ns: int, level: Level, name: str, words: str) -> Iterator[LoggedEvent]:
+        kind = words if name == "fault" else f"{name} {words.split(maxsplit=1)[0]}"
+        held = self._limiter.admit(kind, t_ns)
+        if held is not None:
+            yield self._event(t_ns, level, name, words + held)
+
+    def _event(self, t_ns: int, level: Level, name: str, words: str) -> LoggedEvent:
+        return LoggedEvent(t_ns + self._offset_ns, level, name, words)
+
+
+def _label(names: type[Answer] | type[RequestKind] | type[State], value: int) -> str:
+    try:
+        return names(value).name.lower()
+    except ValueError:
+        return str(value)
+
+
+def _bits(mask: int) -> Iterator[int]:
+    while mask:
+        low = mask & -mask
+        yield low.bit_length() - 1
+        mask ^= low

@@ -1,0 +1,164 @@
+"""The frames of consecutive ticks as one message, by columns, and back again.
+
+Columns of bytes compress to half of what the same frames take one after another; `schema` says how they lie.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Iterator
+from itertools import islice, repeat
+from typing import NamedTuple
+
+from pneud.log.format.schema import message_class
+from pneud.signals import Frame, Record
+
+_Frames = message_class("pneud.Frames")
+
+
+class FramesPacker:
+    """Gathers the frames of consecutive ticks."""
+
+    def __init__(self) -> None:
+        self._clear()
+
+    def _clear(self) -> None:
+        self._received: list[int] = []
+        self._before: list[int] = []
+        self._sent: list[int] = []
+        self._order: list[int] = []
+        self._columns: dict[tuple[int, int], int] = {}
+        self._stamps: list[list[int]] = []
+        self._data: list[list[bytes]] = []
+
+    def __len__(self) -> int:
+        return len(self._received)
+
+    def add(self, record: Record) -> None:
+        """The frames of one more tick."""
+        t_ns = record.tick.t_ns
+        self._received.append(len(record.frames))
+        self._before.append(record.before)
+        self._sent.append(len(record.sent))
+        columns, order, stamps, payloads = self._columns, self._order, self._stamps, self._data
+        for stamp_ns, can_id, data in (*record.frames, *record.sent):
+            key = can_id, len(data)
+            column = columns.get(key)
+            if column is None:
+                column = columns[key] = len(columns)
+                stamps.append([])
+                payloads.append([])
+            order.append(column)
+            stamps[column].append(stamp_ns - t_ns)
+            payloads[column].append(data)
+
+    def take(self) -> bytes:
+        """The message of `/can/frames` of all ticks since the last time."""
+        message = _Frames(received=self._received, before=self._before, sent=self._sent, order=self._order)
+        for (can_id, length), column in self._columns.items():
+            stamps = self._stamps[column]
+            message.columns.add(
+                can_id=can_id,
+                length=length,
+                stamp_after_t_ns=_planes(struct.pack(f"<{len(stamps)}q", *stamps), 8),
+                data=_planes(b"".join(self._data[column]), length),
+            )
+        self._clear()
+        packed: bytes = message.SerializeToString()
+        return packed
+
+
+def _planes(rows: bytes, width: int) -> bytes:
+    """All first bytes of the rows, then all second ones, and so on."""
+    return b"".join([rows[i::width] for i in range(width)])
+
+
+def _rows(planes: bytes, width: int, count: int) -> bytes:
+    """The other way round.
+
+    Raises:
+        ValueError: not that many rows.
+    """
+    if len(planes) != width * count:
+        raise ValueError(f"a column of {len(planes)} bytes does not hold {count} times {width}")
+    rows = bytearray(len(planes))
+    for i in range(width):
+        rows[i::width] = planes[i * count : (i + 1) * count]
+    return bytes(rows)
+
+
+class Column(NamedTuple):
+    """All frames of one identifier and length in a message, in their order."""
+
+    can_id: int
+    length: int
+    stamp_planes: bytes
+    data_planes: bytes
+    frame_count: int
+
+    def stamps(self) -> bytes:
+        """Their stamps, counted from t_ns of their ticks, as little-endian 64-bit integers."""
+        return _rows(self.stamp_planes, 8, self.frame_count)
+
+    def rows(self) -> bytes:
+        """Their data, one after another."""
+        return _rows(self.data_planes, self.length, self.frame_count)
+
+    def frames(self) -> Iterator[tuple[int, int, bytes]]:
+        """Stamp, identifier, data of each."""
+        n, rows = self.length, self.rows()
+        stamps = struct.unpack(f"<{self.frame_count}q", self.stamps())
+        data = [rows[i : i + n] for i in range(0, len(rows), n)] if n else repeat(b"")
+        return zip(stamps, repeat(self.can_id), data, strict=False)
+
+
+class FrameBlock:
+    """A message of `/can/frames` as read.
+
+    Attributes:
+        counts: of each tick: frames received, those among them drained before SYNC left, frames sent.
+        count: number of ticks.
+        order: of each frame, in which column it stands; tick by tick, received ones, then sent ones.
+        columns: the columns.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        """Take it apart.
+
+        Raises:
+            google.protobuf.message.DecodeError: not such a message.
+            ValueError: its columns do not fit together.
+        """
+        message = _Frames.FromString(data)
+        self.counts = list(zip(message.received, message.before, message.sent, strict=True))
+        self.count = len(self.counts)
+        self.order = list(message.order)
+        if sum(received + sent for received, _, sent in self.counts) != len(self.order):
+            raise ValueError("frames of no tick")
+        if self.order and max(self.order) >= len(message.columns):
+            raise ValueError("frames in a column that is not there")
+        self.columns = [
+            Column(c.can_id, c.length, c.stamp_after_t_ns, c.data, self.order.count(index))
+            for index, c in enumerate(message.columns)
+        ]
+        if any(column.length > 8 for column in self.columns):
+            raise ValueError("a frame of more than 8 bytes")
+
+    def ticks(self, t_ns: Iterable[int]) -> Iterator[tuple[tuple[Frame, ...], int, tuple[Frame, ...]]]:
+        """For each tick: frames received, how many of them were drained before SYNC left, frames sent.
+
+        Args:
+            t_ns: instants of SYNC, which the stamps count from.
+
+        Raises:
+            ValueError: not as many as there are ticks, or a column is too short.
+        """
+        new = tuple.__new__  # half the time of Frame(…)
+        columns = [column.frames() for column in self.columns]
+        frames = map(next, map(columns.__getitem__, self.order))
+        for t, (received, before, sent) in zip(t_ns, self.counts, strict=True):
+            yield (
+                tuple([new(Frame, (t + s, i, d)) for s, i, d in islice(frames, received)]),
+                before,
+                tuple([new(Frame, (t + s, i, d)) for s, i, d in islice(frames, sent)]),
+            )

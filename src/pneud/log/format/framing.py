@@ -1,0 +1,200 @@
+"""MCAP records one by one, so read that a file which is cut short or damaged ends with a sentence."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import IO, NamedTuple
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
+from mcap.stream_reader import get_chunk_data_stream
+
+from pneud.log.files.naming import LogError
+
+MAGIC = b"\x89MCAP0\r\n"
+SPAN = struct.Struct("<QQ")  # first and last time in a chunk, with which it begins
+_HEAD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_MESSAGE_HEAD = _HEAD.size + _MESSAGE.size
+_LARGEST_CHUNK = 256 * 1024 * 1024
+_OPCODE_MESSAGE = int(Opcode.MESSAGE)
+_KNOWN = frozenset(int(code) for code in Opcode)
+
+# What the decoders of MCAP and zstd raise on bytes that make no sense.
+NONSENSE = (struct.error, ValueError, IndexError, KeyError, MemoryError, OverflowError, McapError)
+
+
+class DamageError(Exception):
+    """A place from which on a file cannot be read; the text says where and why."""
+
+
+class CutShortError(DamageError):
+    """The file ends where more should follow."""
+
+
+class Piece(NamedTuple):
+    """One record of the file."""
+
+    offset: int
+    opcode: int
+    body: bytes
+
+
+class Message(NamedTuple):
+    """One message of a chunk."""
+
+    channel: int
+    sequence: int
+    log_time_ns: int
+    publish_time_ns: int
+    data: bytes
+
+
+def open_mcap(path: Path, *, damaged: bool = False) -> IO[bytes]:
+    """Open a file and read its magic.
+
+    Args:
+        path: of the file.
+        damaged: a magic of which half the bytes are right will do.
+
+    Raises:
+        LogError: no such file, or none of MCAP.
+    """
+    try:
+        file = path.open("rb")
+    except OSError as e:
+        raise LogError(f"{path}: cannot be read: {e.strerror}") from None
+    try:
+        magic = file.read(len(MAGIC))
+    except OSError as e:
+        file.close()
+        raise LogError(f"{path}: cannot be read: {e.strerror}") from None
+    right = sum(a == b for a, b in zip(magic, MAGIC, strict=False))
+    if right < (len(MAGIC) // 2 if damaged else len(MAGIC)):
+        file.close()
+        what = "is empty" if not magic else "is not an MCAP file"
+        raise LogError(f"{path}: {what}; give a log that pneud wrote")
+    return file
+
+
+def pieces(file: IO[bytes], *, skip_chunks: bool = False) -> Iterator[Piece]:
+    """The records of a file after its magic, up to and including the footer.
+
+    Args:
+        file: at the first record.
+        skip_chunks: pass over the chunks without reading more of them than their first and last time.
+
+    Raises:
+        DamageError: the file goes on in a way that makes no sense; CutShortError where it ends too early.
+    """
+    end = os.fstat(file.fileno()).st_size
+    offset = file.tell()
+    while True:
+        head = file.read(_HEAD.size)
+        if len(head) < _HEAD.size:
+            raise CutShortError(f"cut short at byte {end}")
+        opcode, length = _HEAD.unpack(head)
+        following = offset + _HEAD.size + length
+        if opcode not in _KNOWN:
+            raise DamageError(f"damaged at byte {offset}: no record begins with {opcode}")
+        if following > end:
+            raise CutShortError(f"cut short at byte {end}, in a record that begins at byte {offset}")
+        if skip_chunks and opcode == Opcode.CHUNK:
+            span = file.read(min(length, SPAN.size))
+            file.seek(following)
+            yield Piece(offset, opcode, span.ljust(SPAN.size, b"\0"))
+        else:
+            body = file.read(length)
+            if len(body) < length:
+                raise CutShortError(f"cut short at byte {end}")
+            yield Piece(offset, opcode, body)
+        offset = following
+        if opcode == Opcode.FOOTER:
+            if file.read(len(MAGIC)) != MAGIC:
+                raise CutShortError(f"cut short at byte {end}, after the index")
+            return
+
+
+def stream(body: bytes) -> ReadDataStream:
+    """What the records of MCAP read themselves from."""
+    return ReadDataStream(BytesIO(body))
+
+
+def attachment(piece: Piece) -> Attachment:
+    """An attachment, its checksum compared.
+
+    Raises:
+        DamageError: its bytes are not what was written.
+    """
+    (crc,) = struct.unpack("<I", piece.body[-4:]) if len(piece.body) >= 4 else (0,)
+    if crc and zlib.crc32(piece.body[:-4]) != crc:
+        raise DamageError(f"damaged at byte {piece.offset}: checksum of an attachment")
+    try:
+        attached: Attachment = Attachment.read(stream(piece.body))
+    except NONSENSE as e:
+        raise DamageError(f"damaged at byte {piece.offset}: attachment: {e}") from None
+    return attached
+
+
+def metadata(piece: Piece) -> Metadata:
+    """A metadata record.
+
+    Raises:
+        DamageError: its bytes make no sense.
+    """
+    try:
+        found: Metadata = Metadata.read(stream(piece.body))
+    except NONSENSE as e:
+        raise DamageError(f"damaged at byte {piece.offset}: metadata: {e}") from None
+    return found
+
+
+def chunk_items(piece: Piece) -> list[Schema | Channel | Message]:
+    """What a chunk holds, its checksum compared.
+
+    Raises:
+        DamageError: its bytes are not what was written.
+    """
+    try:
+        chunk = Chunk.read(stream(piece.body))
+        _check_size(chunk)
+        data, size = get_chunk_data_stream(chunk, validate_crc=True)
+        return list(_items(data.read(size)))
+    except zstandard.ZstdError:
+        raise DamageError(f"damaged at byte {piece.offset}: a chunk cannot be decompressed") from None
+    except NONSENSE as e:
+        raise DamageError(f"damaged at byte {piece.offset}: {e}") from None
+
+
+def _check_size(chunk: Chunk) -> None:
+    size = chunk.uncompressed_size
+    if chunk.compression == "zstd":
+        size = max(size, zstandard.frame_content_size(chunk.data))
+    if size > _LARGEST_CHUNK:
+        raise ValueError(f"a chunk claims to hold {size} bytes")
+
+
+def _items(data: bytes) -> Iterator[Schema | Channel | Message]:
+    offset, end = 0, len(data)
+    new = tuple.__new__  # half the time of Message(…)
+    while offset < end:
+        opcode, length = _HEAD.unpack_from(data, offset)
+        following = offset + _HEAD.size + length
+        if following > end:
+            raise ValueError("a record reaches beyond its chunk")
+        if opcode == _OPCODE_MESSAGE:
+            head = _MESSAGE.unpack_from(data, offset + _HEAD.size)
+            yield new(Message, (*head, data[offset + _MESSAGE_HEAD : following]))
+        elif opcode == Opcode.SCHEMA:
+            yield Schema.read(stream(data[offset + _HEAD.size : following]))
+        elif opcode == Opcode.CHANNEL:
+            yield Channel.read(stream(data[offset + _HEAD.size : following]))
+        offset = following

@@ -1,0 +1,242 @@
+"""The protobuf messages of a log, built at run time from the records in `signals`.
+
+Field names are those of the records, units included. Whoever changes what comes out of here raises `SCHEMA`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from enum import IntEnum
+from typing import Any, NamedTuple, get_type_hints
+
+from google.protobuf import descriptor_pool, message_factory, timestamp_pb2
+from google.protobuf.descriptor_pb2 import (
+    DescriptorProto,
+    EnumDescriptorProto,
+    FieldDescriptorProto,
+    FileDescriptorProto,
+    FileDescriptorSet,
+)
+
+from pneud.log.format.header import Detail
+from pneud.signals import (
+    Answer,
+    Command,
+    Estimate,
+    Measurement,
+    Reference,
+    RequestKind,
+    State,
+    Timing,
+)
+
+SCHEMA = 2
+
+METADATA = "pneud"  # name of the metadata on the run
+SETUP = "setup"  # name of the metadata on the real-time set-up
+
+KEPT = "kept"  # name of the metadata on why a part of a log is kept
+COPY = "copy"  # name of the metadata that repeats the head, in case that it is damaged
+
+TICK = "/axis/tick"
+STATE = "/axis/state"
+FRAMES = "/can/frames"
+EVENTS = "/events"
+
+F = FieldDescriptorProto
+_PREFIX = ".pneud."
+
+
+class Field(NamedTuple):
+    """One field: its protobuf type, and the name of its message or enumeration where it has one."""
+
+    name: str
+    type: F.Type.ValueType
+    of: str = ""
+    repeated: bool = False
+
+
+def fields_of(record: Any, real: F.Type.ValueType) -> list[Field]:
+    """The fields of a NamedTuple of numbers, all of fixed width: `real` for floats, by name for integers."""
+    fields = []
+    types = get_type_hints(record)
+    for name in record._fields:
+        if types[name] is float:
+            fields.append(Field(name, real))
+        else:
+            fields.append(Field(name, F.TYPE_SFIXED64 if name.endswith("_ns") else F.TYPE_FIXED32))
+    return fields
+
+
+PARTS = (
+    ("measurement", Measurement),
+    ("estimate", Estimate),
+    ("reference", Reference),
+    ("command", Command),
+    ("timing", Timing),
+)
+
+
+def tick_fields(detail: Detail) -> tuple[str, list[Field], dict[str, list[Field]]]:
+    """Name, fields and nested messages of `/axis/tick`.
+
+    Every field is of fixed width and always present, but for the last, which only a tick with a request has.
+    """
+    real = F.TYPE_FLOAT if detail == "compact" else F.TYPE_DOUBLE
+    name = "Tick" if detail == "compact" else "FullTick"
+    nested = {record.__name__: fields_of(record, real) for _, record in PARTS}
+    nested["Request"] = [
+        Field("kind", F.TYPE_ENUM, "RequestKind"),
+        Field("values", F.TYPE_DOUBLE, repeated=True),
+    ]
+    fields = [Field("t_ns", F.TYPE_SFIXED64)]
+    fields += [Field(part, F.TYPE_MESSAGE, f"{name}.{record.__name__}") for part, record in PARTS]
+    fields += [
+        Field("state", F.TYPE_ENUM, "State"),
+        Field("present", F.TYPE_FIXED64),
+        Field("latched", F.TYPE_FIXED64),
+        Field("answer", F.TYPE_ENUM, "Answer"),
+        Field("truth_m", real),
+        Field("check", F.TYPE_FIXED32),
+        Field("request", F.TYPE_MESSAGE, f"{name}.Request"),
+    ]
+    return name, fields, nested
+
+
+# Frames of consecutive ticks by columns, which take half the room that they take one after another. A column
+# holds all frames of one identifier and length: first the first bytes of all its stamps (as little-endian
+# 64-bit integers), then the second ones, …; its data alike.
+_COLUMN = [
+    Field("can_id", F.TYPE_UINT32),
+    Field("length", F.TYPE_UINT32),
+    Field("stamp_after_t_ns", F.TYPE_BYTES),
+    Field("data", F.TYPE_BYTES),
+]
+_FRAMES = [
+    Field("received", F.TYPE_UINT32, repeated=True),  # frames of each tick
+    Field("before", F.TYPE_UINT32, repeated=True),  # those among them that were drained before SYNC left
+    Field("sent", F.TYPE_UINT32, repeated=True),
+    Field("order", F.TYPE_UINT32, repeated=True),  # columns that the frames lie in: received, then sent ones
+    Field("columns", F.TYPE_MESSAGE, "Column", repeated=True),
+]
+
+
+def _message(name: str, fields: Iterable[Field]) -> DescriptorProto:
+    message = DescriptorProto(name=name)
+    for number, field in enumerate(fields, start=1):
+        message.field.append(
+            F(
+                name=field.name,
+                number=number,
+                type=field.type,
+                label=F.LABEL_REPEATED if field.repeated else F.LABEL_OPTIONAL,
+                type_name=_PREFIX + field.of if field.of else None,
+            )
+        )
+    return message
+
+
+def _enum(name: str, prefix: str, values: Iterable[IntEnum], *, none: bool = False) -> EnumDescriptorProto:
+    enum = EnumDescriptorProto(name=name)
+    if none:
+        enum.value.add(name=f"{prefix}NONE", number=0)
+    for value in values:
+        enum.value.add(name=prefix + value.name, number=value.value)
+    return enum
+
+
+def _tick_message(detail: Detail) -> DescriptorProto:
+    name, fields, nested = tick_fields(detail)
+    message = _message(name, fields)
+    message.nested_type.extend(_message(inner, inner_fields) for inner, inner_fields in nested.items())
+    return message
+
+
+def _pneud_file() -> FileDescriptorProto:
+    file = FileDescriptorProto(name="pneud.proto", package="pneud", syntax="proto3")
+    # Values of an enumeration share the package's name space, hence the prefixes.
+    file.enum_type.append(_enum("State", "STATE_", State))
+    file.enum_type.append(_enum("RequestKind", "REQUEST_", RequestKind, none=True))
+    file.enum_type.append(_enum("Answer", "ANSWER_", Answer))
+    file.message_type.append(_tick_message("compact"))
+    file.message_type.append(_tick_message("full"))
+    file.message_type.append(_message("Column", _COLUMN))
+    file.message_type.append(_message("Frames", _FRAMES))
+    return file
+
+
+class Level(IntEnum):
+    """Levels of `foxglove.Log`."""
+
+    UNKNOWN = 0
+    DEBUG = 1
+    INFO = 2
+    WARNING = 3
+    ERROR = 4
+    FATAL = 5
+
+
+def _log_file() -> FileDescriptorProto:
+    file = FileDescriptorProto(
+        name="foxglove/Log.proto",
+        package="foxglove",
+        syntax="proto3",
+        dependency=[timestamp_pb2.DESCRIPTOR.name],
+    )
+    log = _message(
+        "Log",
+        [
+            Field("timestamp", F.TYPE_MESSAGE),
+            Field("level", F.TYPE_ENUM),
+            Field("message", F.TYPE_STRING),
+            Field("name", F.TYPE_STRING),
+            Field("file", F.TYPE_STRING),
+            Field("line", F.TYPE_FIXED32),
+        ],
+    )
+    log.field[0].type_name = ".google.protobuf.Timestamp"
+    log.field[1].type_name = ".foxglove.Log.Level"
+    log.enum_type.append(_enum("Level", "", Level))
+    file.message_type.append(log)
+    return file
+
+
+def _timestamp_file() -> FileDescriptorProto:
+    file = FileDescriptorProto()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(file)
+    return file
+
+
+def _pool() -> descriptor_pool.DescriptorPool:
+    pool = descriptor_pool.DescriptorPool()
+    for file in (_timestamp_file(), _log_file(), _pneud_file()):
+        pool.Add(file)
+    return pool
+
+
+_POOL = _pool()
+
+
+def message_class(name: str) -> Any:
+    """The class of a message by its full name, such as `pneud.Frames`."""
+    return message_factory.GetMessageClass(_POOL.FindMessageTypeByName(name))
+
+
+class Topic(NamedTuple):
+    """A topic with its schema as MCAP wants it; the state is JSON, everything else protobuf."""
+
+    topic: str
+    schema: str
+    descriptors: bytes
+    encoding: str = "protobuf"
+    schema_encoding: str = "protobuf"
+
+
+def topics(detail: Detail) -> Iterator[Topic]:
+    """The topics of a log, in the order of their channels."""
+    own = FileDescriptorSet(file=[_pneud_file()]).SerializeToString(deterministic=True)
+    log = FileDescriptorSet(file=[_timestamp_file(), _log_file()]).SerializeToString(deterministic=True)
+    yield Topic(TICK, f"pneud.{tick_fields(detail)[0]}", own)
+    yield Topic(FRAMES, "pneud.Frames", own)
+    yield Topic(EVENTS, "foxglove.Log", log)
+    yield Topic(STATE, "pneud.State", b'{"type": "object"}', "json", "jsonschema")

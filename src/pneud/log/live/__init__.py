@@ -1,0 +1,1 @@
+"""The record on its way: from the loop through the ring to the recorder."""

@@ -1,0 +1,223 @@
+"""The recorder: a process that empties the ring into a file, and outlives the loop to finish it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import sys
+import time
+import traceback
+from collections import deque
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pneud.log.format.header import LogHeader, Rotation
+from pneud.log.live.notes import Listener, Message
+from pneud.log.live.ring import RECORDER_FAILED, RecorderStatus, Ring, RingReader
+from pneud.signals import Record
+
+if TYPE_CHECKING:
+    from pneud.log.files.writer import LogWriter
+
+_POLL_S = 0.04  # with an open chunk of 100 ms, a kill costs less than 0.2 s
+_LOOK_POLLS = 25  # how often the watched files are looked at
+NICE = 0  # a recorder that is starved loses records
+_ERROR = 4  # a `Level`; their module is heavy to load
+
+
+def start_recorder(
+    ring: Ring,
+    descriptor: int,
+    header: LogHeader,
+    files: tuple[Path, ...] = (),
+    words: socket.socket | None = None,
+    rotation: Rotation | None = None,
+    nice: int = NICE,
+) -> int:
+    """Fork the recorder.
+
+    It finishes by itself when the ring is closed or this process dies, however it dies.
+
+    Args:
+        ring: what to read; nothing may have been put yet.
+        descriptor: of the new file, open for writing; closed here.
+        header: what the log says about its run.
+        files: what the run began with; it is watched whether they stay as they are.
+        words: the recorder's end of `messages.pair`; closed here.
+        rotation: how the log is split and what is kept; None for one file.
+        nice: its niceness.
+
+    Returns:
+        The child's process id; wait for it after `ring.set_closed()`.
+
+    Raises:
+        OSError: no more processes.
+    """
+    parent = os.getpid()
+    child = os.fork()
+    if child:
+        os.close(descriptor)
+        if words is not None:
+            words.close()
+        return child
+    status = 1
+    try:
+        leave_the_parents_files(descriptor, *([words.fileno()] if words is not None else []))
+        status = recorder_main(ring, descriptor, header, parent, files, words, rotation, nice)
+    finally:
+        os._exit(status)
+
+
+def leave_the_parents_files(*keep: int) -> None:
+    """Close what the fork inherited: a socket held open here would seem alive after its owner's death."""
+    for name in sorted(entry.name for entry in Path("/proc/self/fd").iterdir()):
+        if int(name) > 2 and int(name) not in keep:
+            with contextlib.suppress(OSError):
+                os.close(int(name))
+    null = os.open(os.devnull, os.O_RDWR)
+    os.dup2(null, 0)
+    os.dup2(null, 1)
+    os.close(null)
+
+
+def recorder_main(
+    ring: Ring,
+    descriptor: int,
+    header: LogHeader,
+    parent: int,
+    files: tuple[Path, ...] = (),
+    words: socket.socket | None = None,
+    rotation: Rotation | None = None,
+    nice: int = NICE,
+) -> int:
+    """Record until the ring is closed or the parent is gone, then finish the file.
+
+    Args:
+        ring: what to read.
+        descriptor: of the new file; closed here.
+        header: what the log says about its run.
+        parent: process id of the loop.
+        files: to be watched.
+        words: where other processes' words for the log come from.
+        rotation: how the log is split and what is kept; None for one file.
+        nice: niceness of this process.
+
+    Returns:
+        Exit status: 0, or 1 if records are missing or the file is incomplete.
+    """
+    # What ends the group (Ctrl-C, a closed terminal, systemd) reaches the recorder; it leaves after the loop.
+    for number in (
+        *(signal.SIGINT, signal.SIGTERM, signal.SIGHUP),
+        *(signal.SIGQUIT, signal.SIGTSTP, signal.SIGABRT),
+    ):
+        signal.signal(number, signal.SIG_IGN)
+    try:
+        os.nice(nice)
+        # protobuf and MCAP are loaded here, beside the loop's own start, while the ring keeps what comes
+        from pneud.log.files.writer import LogWriter  # noqa: PLC0415
+
+        listener = Listener(words) if words is not None else None
+        return _Recorder(ring, LogWriter(descriptor, header, rotation), parent, files, listener).run()
+    except Exception:
+        traceback.print_exc(file=sys.stderr)
+        ring.set_status(ring.status()._replace(error=RECORDER_FAILED, failing=1))
+        return 1
+
+
+class _Recorder:
+    def __init__(
+        self,
+        ring: Ring,
+        writer: LogWriter,
+        parent: int,
+        files: tuple[Path, ...],
+        listener: Listener | None,
+    ) -> None:
+        self._ring = ring
+        self._reader: RingReader = ring.reader()
+        self._writer = writer
+        self._parent = parent
+        self._listener = listener
+        self._dropped = 0
+        self._noted = False
+        self._heartbeat = 0
+        self._states: deque[tuple[int, Any]] = deque()  # of records that are still to come
+        self._files = {path: _content(path) for path in files}
+        self._changed = False
+
+    def run(self) -> int:
+        self._report()
+        while not self._ring.closed and os.getppid() == self._parent:
+            self._take(self._reader.poll())
+            self._listen()
+            if self._listener is not None and self._listener.gone:
+                self._listener = None
+                self._say_that_the_console_is_gone()
+            self._writer.attend()
+            self._report()
+            time.sleep(_POLL_S)
+        self._take(self._reader.drain())
+        self._listen()
+        complete = self._writer.close()
+        self._report(finished=complete)
+        status = self._ring.status()
+        return 0 if complete and not status.lost else 1
+
+    def _take(self, records: list[Record]) -> None:
+        if not self._noted:
+            notes = self._ring.notes()
+            if notes is not None:
+                self._writer.note(notes)
+                self._noted = True
+        # Where records were dropped, it was before the first of these, but for rare cases.
+        missed = self._reader.dropped - self._dropped
+        self._dropped = self._reader.dropped
+        if (state := self._reader.state()) is not None:
+            self._states.append(state)
+        for record in records:
+            self._writer.write(record, missed)
+            missed = 0
+            while self._states and self._states[0][0] <= record.tick.t_ns:
+                t_ns, tree = self._states.popleft()
+                if t_ns == record.tick.t_ns:  # else its record was dropped
+                    self._writer.snapshot(tree)
+
+    def _listen(self) -> None:
+        if self._listener is not None:
+            for message in self._listener.poll():
+                self._writer.say(message)
+
+    def _say_that_the_console_is_gone(self) -> None:
+        if self._ring.closed or os.getppid() != self._parent:
+            return
+        words = "the console is gone; control goes on, but takes no requests until it is restarted"
+        self._writer.say(Message(time.monotonic_ns(), _ERROR, "console", words))
+        print(f"pneud: {words}", file=sys.stderr, flush=True)
+
+    def _report(self, *, finished: bool = False) -> None:
+        if self._heartbeat % _LOOK_POLLS == 0:
+            self._changed = any(_content(path) != content for path, content in self._files.items())
+        self._heartbeat += 1
+        w = self._writer
+        self._ring.set_status(
+            RecorderStatus(
+                self._heartbeat,
+                w.written,
+                self._reader.dropped,
+                w.unwritten,
+                w.error,
+                int(w.blocked),
+                int(finished),
+                w.file_bytes,
+                int(self._changed),
+            )
+        )
+
+
+def _content(path: Path) -> bytes | None:
+    try:
+        return path.read_bytes()
+    except OSError:
+        return None

@@ -1,0 +1,137 @@
+"""A log's frames as a recording of its bus, and its ticks as a table."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from pneud.bus.codec import Codecs
+from pneud.log.files.columns import Block, blocks
+from pneud.log.files.naming import LogError
+from pneud.log.files.reader import LogReader
+from pneud.replay import sidecar, traffic
+from pneud.signals import Frame
+
+TABLES = (".csv", ".parquet")
+
+
+class Exported(NamedTuple):
+    """What was written."""
+
+    rows: int  # frames or ticks
+    files: tuple[Path, ...]
+    unsent_ticks: int  # ticks whose SYNC could not be sent, and which no recording can therefore show
+
+
+def frames(log: LogReader, codecs: Codecs, path: Path) -> Exported:
+    """Write the frames, and beside them what no bus carries.
+
+    Frames stand in the order in which the axis took them, a SYNC at the instant at which its tick began, so
+    that `pneud import` finds the same ticks. Where a frame came in while a command was on its way out, its
+    stamp lies a little before that of the line above it.
+
+    Args:
+        log: the log.
+        codecs: of its axis.
+        path: ends in .log (candump), .asc or .blf.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    collector = sidecar.Collector(log)
+    offset_ns = int(log.metadata["realtime_offset_ns"])
+    sync_id = codecs.sync.can_id
+    unsent = 0
+
+    def passing() -> Iterator[tuple[Frame, bool]]:
+        nonlocal unsent
+        tick = 0
+        for logged in log:
+            sent = [f for f in logged.sent if f.stamp_ns >= 0]
+            for frame in logged.frames[: logged.before]:
+                yield _unix(frame, offset_ns), False
+            if not any(f.can_id == sync_id for f in sent):
+                unsent += 1
+            else:
+                collector.add(tick, logged.request, logged.skipped, logged.host)
+                tick += 1
+            for frame in sent:
+                if frame.can_id == sync_id:
+                    yield Frame(logged.t_ns + offset_ns, sync_id, frame.data), True
+            for frame in logged.frames[logged.before :]:
+                yield _unix(frame, offset_ns), False
+            for frame in sent:
+                if frame.can_id != sync_id:
+                    yield _unix(frame, offset_ns), True
+
+    count = traffic.write(path, passing())
+    beside = sidecar.beside(path)
+    sidecar.write(beside, collector.sidecar())
+    return Exported(count, (path, beside), unsent)
+
+
+def _unix(frame: Frame, offset_ns: int) -> Frame:
+    return frame._replace(stamp_ns=frame.stamp_ns + offset_ns)
+
+
+def table(log: LogReader, path: Path) -> Exported:
+    """Write a row for each tick, all its numbers in SI units as their names say.
+
+    Args:
+        log: the log.
+        path: ends in .csv or .parquet.
+
+    Raises:
+        LogError: pyarrow is missing.
+        OSError: the file cannot be written.
+    """
+    rows = _write_csv(log, path) if path.suffix == ".csv" else _write_parquet(log, path)
+    return Exported(rows, (path,), 0)
+
+
+def _columns(block: Block) -> dict[str, list[int | float]]:
+    columns: dict[str, list[int | float]] = {
+        "number": block.number.tolist(),
+        "log_time_ns": block.log_time_ns.tolist(),
+    }
+    for name in block.ticks.dtype.names or ():
+        columns[name] = block.ticks[name].tolist()
+    kinds = dict(block.requests)
+    columns["request.kind"] = [kinds[i].kind if i in kinds else 0 for i in range(len(block.number))]
+    return columns
+
+
+def _write_csv(log: LogReader, path: Path) -> int:
+    rows = 0
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        for block in blocks(log):
+            columns = _columns(block)
+            if not rows:
+                writer.writerow(columns)
+            writer.writerows(zip(*columns.values(), strict=True))
+            rows += len(block.number)
+    return rows
+
+
+def _write_parquet(log: LogReader, path: Path) -> int:
+    try:
+        import pyarrow as pa  # noqa: PLC0415  (an extra)
+        import pyarrow.parquet as pq  # noqa: PLC0415
+    except ImportError:
+        raise LogError("Parquet needs pyarrow; install it with: pip install 'pneud[parquet]'") from None
+    rows = 0
+    writer = None
+    try:
+        for block in blocks(log):
+            part = pa.table(_columns(block))
+            if writer is None:
+                writer = pq.ParquetWriter(path, part.schema, compression="zstd")
+            writer.write_table(part)
+            rows += part.num_rows
+    finally:
+        if writer is not None:
+            writer.close()
+    return rows

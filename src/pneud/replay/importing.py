@@ -1,0 +1,203 @@
+"""A recording of a bus as a log: every SYNC begins a tick, and the axis is computed along.
+
+What leaves for the valve is what the recording has. Estimates, states and faults are the axis's own, from
+the frames, the configuration, and what was asked of it. An exported log has that beside it; of another
+recording it is inferred from `Enable`: a rise arms and tracks the configured reference, a fall disarms, a
+rise after a fault clears first. Other requests leave no trace on a bus, and a replay then shows where the
+commands part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import chain, pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+from pneud.axis.cycle import Axis
+from pneud.bus.codec import Codec, Codecs
+from pneud.bus.inbox import Inbox
+from pneud.compiled.backend import law
+from pneud.config import conversions
+from pneud.config.models import Config
+from pneud.log.files.naming import LogError
+from pneud.log.files.writer import LogWriter
+from pneud.replay import traffic
+from pneud.replay.sidecar import Sidecar
+from pneud.replay.traffic import Passing
+from pneud.safety.supervisor import is_engaged
+from pneud.signals import Command, Frame, Record, Request, RequestKind, State, Timing
+
+UNTIMED = Timing(-1, -1, -1, -1, -1, -1)
+_NAN = float("nan")
+
+
+class Heard(NamedTuple):
+    """One tick of a recording."""
+
+    sync: Frame
+    before: tuple[Frame, ...]
+    after: tuple[Frame, ...]
+    command: Frame | None
+
+
+class Rebuilt(NamedTuple):
+    """What came of a recording."""
+
+    ticks: int
+    without_command: int  # ticks in which nothing valid was sent to the valve
+    differing: int  # ticks whose command is another than the axis computes
+    channel: str
+    elsewhere: int  # frames on other channels, left out
+
+
+def start_ns(path: Path) -> int:
+    """Unix time of the first frame.
+
+    Raises:
+        LogError: the file cannot be read, or there is none.
+    """
+    for passing in traffic.read(path):
+        return passing.frame.stamp_ns
+    raise LogError(f"{path}: there is no frame in it")
+
+
+class Ticks:
+    """The ticks of a recording, on the channel on which the first SYNC is."""
+
+    def __init__(self, frames: Iterable[Passing], codecs: Codecs, offset_ns: int) -> None:
+        """Nothing read yet.
+
+        Args:
+            frames: the recording.
+            codecs: which of its messages are SYNC and command.
+            offset_ns: what to take from its stamps.
+        """
+        self.channel = ""
+        self.elsewhere = 0
+        self._frames = frames
+        self._codecs = codecs
+        self._offset_ns = offset_ns
+
+    def __iter__(self) -> Iterator[Heard]:
+        """One after another; what comes before the first SYNC belongs to its tick."""
+        sync, command = self._codecs.sync, self._codecs.valve_command
+        early: list[Passing] = []
+        before: list[Frame] = []
+        after: list[Frame] = []
+        pending: list[Frame] = []  # came after the command
+        begun: Frame | None = None
+        sent: Frame | None = None
+        for passing in self._frames:
+            frame = passing.frame._replace(stamp_ns=passing.frame.stamp_ns - self._offset_ns)
+            # what another controller sends is heard, not sent, where the recording tells them apart
+            own = passing.sent is not False
+            is_sync = own and frame.can_id == sync.can_id and sync.valid(frame.data)
+            if not self.channel:
+                early.append(passing._replace(frame=frame))
+                if not is_sync:
+                    continue
+                self.channel = passing.channel
+                before = [p.frame for p in early[:-1] if p.channel == self.channel]
+                self.elsewhere = len(early) - 1 - len(before)
+            elif passing.channel != self.channel:
+                self.elsewhere += 1
+                continue
+            if is_sync:
+                if begun is not None:
+                    yield Heard(begun, tuple(before), tuple(after), sent)
+                    # without a command, what came was taken by the tick that waited for it
+                    before, after = (pending, []) if sent is not None else ([], [])
+                begun, sent, pending = frame, None, []
+            elif sent is None and own and frame.can_id == command.can_id and command.valid(frame.data):
+                sent = frame
+            elif sent is None:
+                after.append(frame)
+            else:
+                pending.append(frame)
+        if begun is not None:
+            yield Heard(begun, tuple(before), tuple(after), sent)
+
+
+def rebuild(
+    path: Path, writer: LogWriter, config: Config, codecs: Codecs, offset_ns: int, known: Sidecar | None
+) -> Rebuilt:
+    """Write the log of a recording.
+
+    Args:
+        path: the recording.
+        writer: of the new log, closed by the caller.
+        config: of the axis.
+        codecs: of its frames.
+        offset_ns: Unix time minus the new log's own.
+        known: what was written beside the frames, if they were exported.
+
+    Raises:
+        LogError: the recording cannot be read, or there is no SYNC in it.
+        BuildError: the configuration requires the compiled law, which cannot be had.
+    """
+    p = conversions.axis_of(config, codecs.command_lsb_v)
+    axis = law(config.loop.compiled, p).axis(p)
+    inbox = Inbox(codecs, config.bus)
+    command = codecs.valve_command
+    period_ns = 1e9 / config.loop.rate_hz
+    ticks = Ticks(traffic.read(path), codecs, offset_ns)
+    count = silent = differing = host = 0
+    last_ns = None
+    for heard, following in pairwise(chain(ticks, (None,))):
+        assert heard is not None  # only the last one is
+        t_ns = heard.sync.stamp_ns
+        for frame in heard.before:
+            inbox.feed(frame)
+        inbox.begin(t_ns)
+        for frame in heard.after:
+            inbox.feed(frame)
+        if known is None:
+            passed = 1 if last_ns is None else round((t_ns - last_ns) / period_ns)
+            skipped = max(0, passed - 1)
+            request = _inferred(axis, _enabled(command, heard), _enabled(command, following))
+        else:
+            skipped, host = known.skipped.get(count, 0), known.host.get(count, host)
+            request = known.requests.get(count)
+        tick = axis.cycle(inbox.measurement(skipped, host), request, t_ns)
+        sent: tuple[Frame, ...] = (heard.sync,)
+        # where the recording stamps the ends of frames, a SYNC close behind a command is taken to be heard
+        # later, by less than it takes itself; a replay of the new log does the same
+        inbox.commanded_ns = -1 if heard.command is None else heard.command.stamp_ns
+        if heard.command is None:
+            silent += 1
+        else:
+            sent += (heard.command,)
+            voltage_v, enable, _ = command.decode(heard.command.data)
+            if not _same(tick.command, voltage_v, enable, codecs.command_lsb_v):
+                differing += 1
+                tick = tick._replace(command=tick.command._replace(voltage_v=voltage_v, enable=enable))
+        frames = (*heard.before, *heard.after)
+        writer.write(Record(tick, UNTIMED, frames, len(heard.before), sent, _NAN))
+        last_ns = t_ns
+        count += 1
+    if not count:
+        raise LogError(f"{path}: there is no SYNC (0x{codecs.sync.can_id:03X}) in it, so it has no ticks")
+    return Rebuilt(count, silent, differing, ticks.channel, ticks.elsewhere)
+
+
+def _same(c: Command, voltage_v: float, enable: int, lsb_v: float) -> bool:
+    return c.enable == enable and abs(c.voltage_v - voltage_v) < 0.5 * lsb_v
+
+
+def _enabled(command: Codec, heard: Heard | None) -> bool:
+    if heard is None or heard.command is None:
+        return False
+    return bool(command.decode(heard.command.data)[1])
+
+
+def _inferred(axis: Axis, enabled: bool, next_enabled: bool) -> Request | None:
+    """What must have been asked for, for the valve to be enabled as it was."""
+    state = axis.state.supervisor.state
+    if enabled and not is_engaged(state):
+        return Request(RequestKind.ARM, (1.0,))
+    if not enabled and is_engaged(state):
+        return Request(RequestKind.DISARM)
+    if state == State.FAULT and not enabled and next_enabled:
+        return Request(RequestKind.CLEAR)
+    return None

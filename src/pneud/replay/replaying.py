@@ -1,0 +1,266 @@
+"""A log through the axis again: the same frames, requests and times, and every command compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+from pneud.axis.cycle import AxisState
+from pneud.bus.codec import Codecs
+from pneud.bus.inbox import Inbox, InboxState
+from pneud.compiled.backend import law
+from pneud.config import conversions
+from pneud.config.models import Config, ConfigError, parse
+from pneud.control.step import Controller
+from pneud.control.tunables import TUNABLE, tunables, tuned
+from pneud.loading import at_rate, codecs_of
+from pneud.log.files.naming import LogError
+from pneud.log.files.reader import LoggedState, LogReader
+from pneud.log.format.fingerprint import numeric_fingerprint
+from pneud.log.format.records import COARSE, COARSE_ERROR, FLOAT_ERROR, LoggedTick, crc_of
+from pneud.log.format.snapshot import SnapshotError, from_json
+from pneud.safety.supervisor import is_engaged
+from pneud.signals import Request, RequestKind, State, Tick
+
+
+class Difference(NamedTuple):
+    """Where a replay first left its log."""
+
+    tick: int
+    variable: str
+    logged: str
+    replayed: str
+
+    def __str__(self) -> str:
+        return f"tick {self.tick}: {self.variable} logged {self.logged}, replayed {self.replayed}"
+
+
+class Outcome(NamedTuple):
+    """What a replay comes to."""
+
+    ticks: int
+    commands: int
+    mismatches: int  # ticks in which anything differs
+    first: Difference | None
+    engaged_ticks: int
+    worst_lsb: int  # greatest difference of a command on the wire
+    same_states: bool
+    same_fingerprint: bool
+    truncated: bool
+    damage: str
+
+    @property
+    def identical(self) -> bool:
+        """Every state and command to the bit."""
+        return self.mismatches == 0
+
+    @property
+    def equivalent(self) -> bool:
+        """Every command within one step on the wire, and the same states."""
+        return self.worst_lsb <= 1 and self.same_states
+
+    @property
+    def good(self) -> bool:
+        """Engaged, and as equal as the numeric fingerprints let one expect."""
+        return self.engaged_ticks > 0 and (self.identical or (self.equivalent and not self.same_fingerprint))
+
+
+class Snapshot(NamedTuple):
+    """What a log holds of the state between two ticks."""
+
+    axis: AxisState
+    inbox: InboxState
+
+
+def replay(
+    log: LogReader,
+    config: Config | None = None,
+    from_s: float = 0.0,
+    look: Callable[[LoggedTick, Tick], None] | None = None,
+) -> Outcome:
+    """Feed a log through the axis again.
+
+    It begins at the last snapshot before `from_s`, and goes on at the next one where records are missing.
+
+    Args:
+        log: the log.
+        config: another configuration than the log's own; gains changed in the run stay as they were.
+        from_s: compare from so long after the log's start.
+        look: called with every tick compared, as it is in the log and as it comes out.
+
+    Raises:
+        ConfigError: the configuration in the log cannot be used by this version.
+        DatabaseError: nor its DBC.
+        BuildError: it requires the compiled law, which cannot be had.
+        LogError: a snapshot that is needed is of another version's axis.
+    """
+    chosen = config or parse(log.config_text, f"{log.path}:{log.config_name}")
+    if chosen.loop.rate_hz != log.rate_hz:
+        chosen = at_rate(chosen, log.rate_hz)
+    codecs = codecs_of(chosen.bus, log.dbc_name, log.dbc)
+    p = conversions.axis_of(chosen, codecs.command_lsb_v)
+    axis = law(chosen.loop.compiled, p).axis(p)
+    inbox = Inbox(codecs, chosen.bus)
+    command = codecs.valve_command
+
+    ticks = commands = mismatches = engaged = worst_lsb = 0
+    first: Difference | None = None
+    same_states = True
+    gap = ""
+    exact = log.metadata.get("detail") == "full"
+    gains = _Gains(p.controller, None if config is None else _configured(log, codecs))
+    expected = 1
+    from_ns = log.start_ns() + round(from_s * 1e9) if from_s > 0.0 else 0
+    for logged in log.items(from_ns):
+        if isinstance(logged, LoggedState):
+            if logged.number + 1 != expected:  # the start, or behind missing records
+                state = _thawed(log, logged)
+                if expected > 1 or not (from_ns or log.records_before):
+                    gap = gap or f"records {expected} to {logged.number} are missing"
+                axis.thaw(state.axis._replace(law=gains.of(state.axis.law)))
+                inbox.thaw(state.inbox)
+                expected = logged.number + 1
+            continue
+        if logged.number != expected:
+            gap = gap or f"records {expected} to {logged.number - 1} are missing"
+            continue
+        expected += 1
+        for frame in logged.frames[: logged.before]:
+            inbox.feed(frame)
+        inbox.begin(logged.t_ns)
+        for frame in logged.frames[logged.before :]:
+            inbox.feed(frame)
+        measurement = inbox.measurement(logged.skipped, logged.host)
+        tick = axis.cycle(measurement, gains.asked(logged.request), logged.t_ns)
+        inbox.commanded_ns = next((f.stamp_ns for f in logged.sent if f.can_id == command.can_id), -1)
+        if logged.log_time_ns < from_ns:
+            continue
+        states_differ = _states(tick) != _states(logged)
+        different = states_differ or crc_of(tick) != logged.check
+        same_states = same_states and not states_differ
+        sent = {f.can_id: f.data for f in logged.sent}
+        sync, data = sent.get(codecs.sync.can_id, b""), sent.get(command.can_id, b"")
+        whole = len(logged.sent) == 2 and codecs.sync.valid(sync) and command.valid(data)
+        if whole:
+            commands += 1
+            again = command.encode(
+                tick.command.voltage_v,
+                tick.command.enable,
+                codecs.sync.counter(sync),
+                counter=command.counter(data),
+            )
+            if again != data:
+                different = True
+                apart = abs(command.decode(data)[0] - command.decode(again)[0])
+                worst_lsb = max(worst_lsb, round(apart / codecs.command_lsb_v))
+        else:
+            different, same_states = True, False
+        if different:
+            mismatches += 1
+            if first is None:
+                first = _difference(logged.number - 1, logged, tick, whole, exact)
+        if look is not None:
+            look(logged, tick)
+        engaged += is_engaged(tick.state)
+        ticks += 1
+    return Outcome(
+        ticks,
+        commands,
+        mismatches,
+        first,
+        engaged,
+        worst_lsb,
+        same_states,
+        log.metadata.get("fingerprint") == numeric_fingerprint(),
+        log.truncated or bool(gap),
+        log.damage or gap,
+    )
+
+
+def _configured(log: LogReader, codecs: Codecs) -> tuple[float, ...] | None:
+    """The gains of the log's own configuration; None where this version cannot use that."""
+    try:
+        config = at_rate(parse(log.config_text, log.config_name), log.rate_hz)
+        return tunables(conversions.axis_of(config, codecs.command_lsb_v).controller)
+    except ConfigError:
+        return None
+
+
+class _Gains:
+    """Gains that nobody changed in the run are those of the replay; others stay as they were."""
+
+    def __init__(self, law: Controller, own: tuple[float, ...] | None) -> None:
+        """The replay's law, and the gains of the log's own configuration where that is another one."""
+        self._law = law
+        self._own = own
+
+    def of(self, logged: Controller) -> Controller:
+        """The law in the place of one in the log."""
+        if self._own is None:
+            return logged
+        had = tunables(logged)
+        return self._law if had == self._own else tuned(had, self._law)
+
+    def asked(self, request: Request | None) -> Request | None:
+        """The request in the place of one in the log; one for another reference brings the gains along."""
+        count = len(TUNABLE)
+        if request is None or self._own is None or request.kind != RequestKind.GAINS:
+            return request
+        if tuple(request.values[:count]) != self._own:
+            return request
+        return Request(request.kind, (*tunables(self._law), *request.values[count:]))
+
+
+def _thawed(log: LogReader, state: LoggedState) -> Snapshot:
+    try:
+        found: Snapshot = from_json(Snapshot, state.data)
+    except SnapshotError as e:
+        raise LogError(
+            f"{log.path}: the snapshot after record {state.number} is of another version's axis: {e};"
+            f" replay from the start, or with pneud {log.metadata.get('pneud', 'of the log')}"
+        ) from None
+    return found
+
+
+def _states(t: Tick | LoggedTick) -> tuple[int, int, int, int, int]:
+    return t.state, t.present, t.latched, t.answer, t.command.enable
+
+
+def _difference(number: int, logged: LoggedTick, tick: Tick, whole: bool, exact: bool) -> Difference:
+    """The first value that differs, in the order in which a cycle makes them."""
+    if not whole:
+        return Difference(number, "frames sent", "not one valid SYNC and one valid command", "both")
+    for name, was, now in pairs(logged, tick):
+        if differ(name, was, now, exact=exact):
+            return Difference(number, name, f"{was!r}", f"{now!r}")
+    return Difference(number, "the checksum of the states", f"{logged.check:08x}", f"{crc_of(tick):08x}")
+
+
+def differ(name: str, was: float | str, now: float | str, *, exact: bool) -> bool:
+    """Whether a value is another one than the log's.
+
+    Args:
+        name: of the variable.
+        was: its value in the log.
+        now: its other value.
+        exact: the log holds it to the bit; else, as in a compact log, 32 bits or fewer.
+    """
+    if was == now or repr(was) == repr(now):  # the latter makes NaN equal to itself
+        return False
+    if not exact and isinstance(was, float) and isinstance(now, float):
+        error = COARSE_ERROR if name.rpartition(".")[2] in COARSE else FLOAT_ERROR
+        return not abs(was - now) <= error * abs(now)
+    return True
+
+
+def pairs(logged: LoggedTick, tick: Tick | LoggedTick) -> Iterator[tuple[str, float | str, float | str]]:
+    """Name, value in the log and value now of all in a tick, in the order in which a cycle makes it."""
+    for group in ("measurement", "estimate", "reference"):
+        old, new = getattr(logged, group), getattr(tick, group)
+        for name, was, now in zip(new._fields, old, new, strict=True):
+            yield f"{group}.{name}", was, now
+    yield "state", State(logged.state).label, State(tick.state).label
+    yield "present", logged.present, tick.present
+    yield "latched", logged.latched, tick.latched
+    for name, was, now in zip(tick.command._fields, logged.command, tick.command, strict=True):
+        yield f"command.{name}", was, now

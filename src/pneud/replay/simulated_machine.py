@@ -1,0 +1,63 @@
+"""What a scenario does to the machine, as far as a simulation has one: interface, processes that stop."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pneud.scenario.format import Interface, Overload, Scenario, Stop
+from pneud.signals import Host
+
+HEALTHY, FULL, DOWN = 0, 1, 2  # the controller's way to the bus
+
+
+class SimulatedMachine:
+    """Asked in every tick of a simulation."""
+
+    def __init__(self, scenario: Scenario | None, period_ns: int) -> None:
+        self._faults: tuple[Any, ...] = scenario.fault if scenario is not None else ()
+        self._period_ns = period_ns
+        self._t_ns = 0
+        self._link, self._link_until_ns = HEALTHY, 0
+        self._plant_until_ns = 0
+        self._stall_ticks = 0
+        self._overload_ticks, self._overload_until_ns = 0, 0
+
+    def begin(self, number: int) -> None:
+        """A fault of the machine begins in this tick."""
+        fault = self._faults[number]
+        until_ns = self._t_ns + round(fault.for_s * 1e9) if fault.for_s is not None else 1 << 62
+        if isinstance(fault, Interface):
+            self._link = FULL if fault.kind == "queue_full" else DOWN
+            self._link_until_ns = until_ns
+        elif isinstance(fault, Stop) and fault.who == "daemon":
+            self._stall_ticks = round(fault.for_s * 1e9 / self._period_ns)
+        elif isinstance(fault, Overload):
+            self._overload_ticks, self._overload_until_ns = (
+                round(fault.stand_s * 1e9 / self._period_ns),
+                until_ns,
+            )
+        elif isinstance(fault, Stop) and fault.who == "plant":
+            self._plant_until_ns = until_ns
+
+    def skip(self, t_ns: int) -> int:
+        """Ticks that the controller misses before the one that would be at `t_ns`."""
+        skipped, self._stall_ticks = self._stall_ticks, 0
+        if t_ns < self._overload_until_ns:
+            skipped = max(skipped, self._overload_ticks)
+        self._t_ns = t_ns + skipped * self._period_ns
+        return skipped
+
+    def link(self, t_ns: int) -> int:
+        """The controller's way to the bus."""
+        return self._link if t_ns < self._link_until_ns else HEALTHY
+
+    def plant_stands(self, t_ns: int) -> bool:
+        """Whether the plant's process stands still."""
+        return t_ns < self._plant_until_ns
+
+    @staticmethod
+    def host(link: int) -> int:
+        """Bits of `signals.Host` that a way to the bus gives."""
+        if link == DOWN:
+            return int(Host.LINK_DOWN | Host.SEND_FAILED)
+        return int(Host.SEND_FAILED) if link == FULL else 0

@@ -1,0 +1,143 @@
+"""Which figures a report has and what is in them; the page and the pictures draw the same ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneud.report.gather import Run
+from pneud.signals import State
+
+# Okabe and Ito's colours, which everybody can tell apart
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
+STATE_COLOURS = {
+    State.STARTING: "#cccccc",
+    State.WAITING: "#b8b8b8",
+    State.DISARMED: "#999999",
+    State.TRACKING: "#009e73",
+    State.MOVING: "#56b4e9",
+    State.HOLDING: "#0072b2",
+    State.HOMING: "#cc79a7",
+    State.STOPPING: "#e69f00",
+    State.FAULT: "#d55e00",
+}
+
+
+class Series(NamedTuple):
+    """One line."""
+
+    column: str  # of `gather.COLUMNS`
+    label: str
+    colour: str
+
+
+class Figure(NamedTuple):
+    """One figure over time. Where logs are compared, only its first line is drawn at first."""
+
+    name: str
+    title: str
+    unit: str
+    series: tuple[Series, ...]
+    note: str = ""
+
+
+BLUE, RED, GREEN, PINK, SKY, ORANGE, BLACK = COLOURS
+
+FIGURES = (
+    Figure(
+        "tracking",
+        "Position",
+        "mm",
+        (
+            Series("position_mm", "encoder", BLUE),
+            Series("reference_mm", "reference", BLACK),
+            Series("truth_mm", "true position", GREEN),
+        ),
+    ),
+    Figure(
+        "error",
+        "Tracking error",
+        "mm",
+        (Series("error_mm", "reference − position", BLUE),),
+        "against the true position where a software plant tells it, else against the encoder",
+    ),
+    Figure(
+        "velocity",
+        "Velocity",
+        "mm/s",
+        (Series("velocity_mm_s", "estimate", BLUE), Series("reference_mm_s", "reference", BLACK)),
+    ),
+    Figure(
+        "pressures",
+        "Pressures",
+        "bar",
+        (
+            Series("p1_bar", "chamber 1", BLUE),
+            Series("p2_bar", "chamber 2", RED),
+            Series("supply_bar", "supply", BLACK),
+        ),
+        "absolute",
+    ),
+    Figure(
+        "command",
+        "Valve command",
+        "V",
+        (
+            Series("voltage_v", "sent", BLUE),
+            Series("law_v", "asked for by the law", ORANGE),
+            Series("applied_v", "applied", GREEN),
+        ),
+    ),
+    Figure("force", "Unmatched force F̂", "N", (Series("force_n", "F̂", BLUE),)),
+    Figure(
+        "force-innovation",
+        "Innovation behind F̂",
+        "µm",
+        (Series("innovation_um", "encoder − prediction", BLUE),),
+    ),
+    Figure("disturbance", "Matched disturbance d̂", "N/s", (Series("d_hat_n_s", "d̂", BLUE),)),
+    Figure(
+        "disturbance-innovation",
+        "Innovation behind d̂",
+        "N",
+        (Series("x3_innovation_n", "x3 − x̂3", BLUE),),
+    ),
+    Figure(
+        "timing",
+        "Timing",
+        "µs",
+        (
+            Series("lateness_us", "wake-up lateness", BLUE),
+            Series("latency_us", "sensor to command", ORANGE),
+            Series("sync_jitter_us", "jitter of SYNC", GREEN),
+        ),
+    ),
+    Figure(
+        "ages",
+        "Age of the newest valid values at SYNC",
+        "ms",
+        (
+            Series("encoder_age_ms", "encoder", BLUE),
+            Series("pressure_age_ms", "pressure", RED),
+            Series("valve_age_ms", "valve status", GREEN),
+        ),
+        "0 where a frame answered this tick's SYNC",
+    ),
+)
+
+
+def offsets_s(runs: Sequence[Run]) -> list[float]:
+    """What to take from each run's times: several runs begin where they were first engaged."""
+    if len(runs) < 2 or any(math.isnan(run.first_engaged_s) for run in runs):
+        return [0.0] * len(runs)
+    return [run.first_engaged_s for run in runs]
+
+
+def line(run: Run, column: str) -> NDArray[np.float64] | None:
+    """Values of a line at `run.series.t_s`; None where there is nothing to draw."""
+    values = run.series.values[:, run.columns[column]]
+    return values if np.isfinite(values).any() else None

@@ -1,0 +1,357 @@
+"""One pass over a log: everything that a report shows of it, in bounded memory."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneud.bus.inbox import NEVER_NS
+from pneud.config.models import Config, parse
+from pneud.loading import at_rate, codecs_of
+from pneud.log.files.columns import Block, blocks
+from pneud.log.files.reader import LogReader
+from pneud.log.format.records import LoggedEvent
+from pneud.report.decimate import Envelope, Path, Points
+from pneud.report.health import Health
+from pneud.report.spans import Span, Spans
+from pneud.report.spread import Spread
+from pneud.safety.supervisor import is_engaged
+from pneud.signals import Request, RequestKind, State, Timing
+
+AFTER_S = 5.0  # from when on after it began to track an axis is judged
+EVENTS = 1000  # kept of the first ones, the rest is counted
+MARKS = 400
+
+_REMARK = re.compile(r": mark (.*) → taken")
+_MM, _UM, _BAR = 1e3, 1e6, 1e-5
+_ENGAGED = np.array([is_engaged(state) for state in range(max(State) + 1)])
+
+
+class Mark(NamedTuple):
+    """Something an operator asked for."""
+
+    t_s: float
+    text: str
+
+
+class Window(NamedTuple):
+    """Which part of a log to look at, in seconds from its first tick."""
+
+    begin_s: float = 0.0
+    end_s: float = math.inf
+
+
+class Run(NamedTuple):
+    """A log as a report shows it."""
+
+    name: str  # of the file
+    log: LogReader
+    config: Config
+    start_unix_s: float  # of the first tick, where times begin
+    first_engaged_s: float  # NaN if never
+    last_s: float
+    ticks: int
+    skipped: int
+    missing: int
+    columns: dict[str, int]  # name → index in `series.values`
+    series: Points
+    phase: Points  # position error [mm], velocity error [mm/s]
+    states: list[Span]
+    present: dict[int, list[Span]]  # by bit
+    latched: dict[int, list[Span]]
+    saturated: list[Span]
+    gaps: list[Span]  # ticks skipped, or records missing
+    marks: list[Mark]
+    more_marks: int
+    events: list[LoggedEvent]
+    more_events: int
+    timing: dict[str, Spread]
+    health: Health
+    error_against: str
+    figures: dict[str, float]  # of tracking and command; empty where the axis did not track for long enough
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the run was in simulated time, which has no lateness."""
+        return self.log.metadata.get("bus") == "simulated"
+
+    def fault_name(self, bit: int) -> str:
+        """The name of a fault in this log."""
+        names = self.log.fault_names
+        return names[bit] if bit < len(names) else f"fault {bit}"
+
+
+class _Judge:
+    """Error and command while the axis tracks, from `AFTER_S` after it began to."""
+
+    def __init__(self) -> None:
+        self._since_s = math.nan  # when tracking began
+        self._last_v = math.nan
+        self.count = self.saturated = self.steps = 0
+        self.square = self.max_mm = self.max_v = self.step_v = 0.0
+
+    def add(self, t_s: Any, state: Any, error_mm: Any, volts: Any, saturated: Any) -> None:
+        tracking = state == State.TRACKING
+        before = np.concatenate(([not math.isnan(self._since_s)], tracking[:-1]))
+        began = np.where(tracking & ~before, t_s, -np.inf)
+        if not math.isnan(self._since_s):
+            began[0] = max(began[0], self._since_s)
+        since = np.maximum.accumulate(began)
+        self._since_s = float(since[-1]) if tracking[-1] else math.nan
+        judged = tracking & (t_s - since >= AFTER_S)
+        errors = error_mm[judged & np.isfinite(error_mm)]
+        self.count += len(errors)
+        if len(errors):
+            self.square += float(errors @ errors)
+            self.max_mm = max(self.max_mm, float(np.abs(errors).max()))
+        self.saturated += int(saturated[judged].sum())
+        if judged.any():
+            v = volts[judged]
+            self.max_v = max(self.max_v, float(np.abs(v).max()))
+            steps = np.abs(np.diff(v, prepend=self._last_v))
+            self.step_v += float(np.nansum(steps))
+            self.steps += int(np.isfinite(steps).sum())
+            self._last_v = float(v[-1])
+
+    def figures(self) -> dict[str, float]:
+        if not self.count:
+            return {}
+        return {
+            "rms_mm": math.sqrt(self.square / self.count),
+            "max_mm": self.max_mm,
+            "max_v": self.max_v,
+            "mean_step_v": self.step_v / self.steps if self.steps else math.nan,
+            "saturated_ticks": self.saturated,
+        }
+
+
+COLUMNS = (
+    *("reference_mm", "position_mm", "truth_mm", "error_mm", "reference_mm_s", "velocity_mm_s"),
+    *("p1_bar", "p2_bar", "supply_bar", "voltage_v", "applied_v", "law_v"),
+    *("force_n", "d_hat_n_s", "innovation_um", "x3_innovation_n"),
+    *("lateness_us", "latency_us", "sync_jitter_us", "encoder_age_ms", "pressure_age_ms", "valve_age_ms"),
+)
+
+
+EVERYTHING = Window()
+
+
+def gather(log: LogReader, window: Window = EVERYTHING, buckets: int = 8192) -> Run:
+    """Read a log.
+
+    Args:
+        log: the log.
+        window: which part of it.
+        buckets: into how many the series are drawn together at most, with two points for each.
+
+    Raises:
+        ConfigError: the configuration in the log cannot be used by this version.
+        DatabaseError: nor its DBC.
+        EmptyError: there is no tick in the window.
+    """
+    return _Gatherer(log, buckets).run(window)
+
+
+class EmptyError(Exception):
+    """There is nothing to report on; the text is one line for a person."""
+
+
+class _Gatherer:
+    def __init__(self, log: LogReader, buckets: int) -> None:
+        self.log = log
+        config = parse(log.config_text, f"{log.path}:{log.config_name}")
+        self.config = config if config.loop.rate_hz == log.rate_hz else at_rate(config, log.rate_hz)
+        self.period_ns = round(1e9 / log.rate_hz)
+        codecs = codecs_of(self.config.bus, log.dbc_name, log.dbc)
+        self.health = Health(codecs, self.config.bus.sync, self.period_ns)
+        self.series = Envelope(len(COLUMNS), buckets)
+        self.phase = Path(max(1, buckets // 4))
+        self.states, self.saturated, self.gaps = Spans(), Spans(), Spans()
+        self.present: dict[int, Spans] = {}
+        self.latched: dict[int, Spans] = {}
+        self.timing = {name: Spread() for name in Timing._fields}
+        self.judge = _Judge()
+        self.marks: list[Mark] = []
+        self.events: list[LoggedEvent] = []
+        self.more_marks = self.more_events = 0
+        self.ticks = self.skipped = 0
+        self.t0_ns: int | None = None
+        self.start_unix_s = math.nan
+        self.first_engaged_s = math.nan
+        self.last_s = 0.0
+        self.number = 0
+        self.has_truth = False
+
+    def run(self, window: Window) -> Run:
+        for block, t_s in self._windowed(window):
+            self._take(block, t_s)
+        if not self.ticks:
+            raise EmptyError(f"{self.log.path}: no tick in it")
+        self._name_marks()
+        end_s = self.last_s + 1e-9 * self.period_ns
+        log = self.log
+        return Run(
+            name=log.path.name,
+            log=log,
+            config=self.config,
+            start_unix_s=self.start_unix_s,
+            first_engaged_s=self.first_engaged_s,
+            last_s=self.last_s,
+            ticks=self.ticks,
+            skipped=self.skipped,
+            missing=log.missing,
+            columns={name: i for i, name in enumerate(COLUMNS)},
+            series=self.series.points(),
+            phase=self.phase.points(),
+            states=self.states.finish(end_s),
+            present={bit: spans.finish(end_s) for bit, spans in sorted(self.present.items())},
+            latched={bit: spans.finish(end_s) for bit, spans in sorted(self.latched.items())},
+            saturated=self.saturated.finish(end_s),
+            gaps=self.gaps.finish(end_s),
+            marks=self.marks,
+            more_marks=self.more_marks,
+            events=self.events,
+            more_events=self.more_events,
+            timing=self.timing,
+            health=self.health,
+            error_against="true position" if self.has_truth else "encoder",
+            figures=self.judge.figures(),
+        )
+
+    def _windowed(self, window: Window) -> Iterator[tuple[Block, NDArray[np.float64]]]:
+        for block in blocks(self.log):
+            if not len(block.number):
+                self._keep_events(block, window)
+                continue
+            t_ns = block.ticks["t_ns"]
+            if self.t0_ns is None:
+                self.t0_ns = int(t_ns[0])
+                self.start_unix_s = 1e-9 * int(block.log_time_ns[0])
+            self._keep_events(block, window)
+            t_s = (t_ns - self.t0_ns) * 1e-9
+            begin, end = np.searchsorted(t_s, (window.begin_s, window.end_s)).tolist()
+            if begin < end:
+                yield (block if end - begin == len(t_s) else block.part(begin, end)), t_s[begin:end]
+            if end < len(t_s):
+                return
+
+    def _keep_events(self, block: Block, window: Window) -> None:
+        for event in block.events:
+            t_s = 1e-9 * event.log_time_ns - self.start_unix_s
+            if math.isnan(t_s) or window.begin_s <= t_s < window.end_s:
+                if len(self.events) < EVENTS:
+                    self.events.append(event)
+                else:
+                    self.more_events += 1
+
+    def _take(self, block: Block, t_s: NDArray[np.float64]) -> None:
+        ticks = block.ticks
+        jitter_ns = self.health.add(block)
+        columns = self._columns(block, jitter_ns)
+        values = np.stack([columns[name] for name in COLUMNS], axis=1)
+        self.series.add(t_s, values)
+        velocity_error = columns["reference_mm_s"] - columns["velocity_mm_s"]
+        self.phase.add(t_s, columns["error_mm"], velocity_error)
+
+        state = ticks["state"].astype(np.int64)
+        self.states.add(t_s, state + 1)
+        self.saturated.add(t_s, ticks["command.saturated"].astype(np.int64))
+        for name, kept in (("present", self.present), ("latched", self.latched)):
+            _bits(t_s, ticks[name], kept)
+        dropped = np.diff(block.number, prepend=self.number if self.number else block.number[0] - 1) > 1
+        skipped = ticks["measurement.skipped"].astype(np.int64)
+        self._gaps(t_s, dropped, skipped)
+        self.number = int(block.number[-1])
+
+        for i, spread in enumerate(self.timing.values()):
+            spread.add(block.timing[:, i])
+        self.judge.add(t_s, state, columns["error_mm"], columns["voltage_v"], ticks["command.saturated"])
+        for index, request in block.requests:
+            self._mark(float(t_s[index]), request)
+        engaged = np.flatnonzero(_ENGAGED[np.minimum(state, len(_ENGAGED) - 1)])
+        if math.isnan(self.first_engaged_s) and len(engaged):
+            self.first_engaged_s = float(t_s[engaged[0]])
+        self.ticks += len(t_s)
+        self.skipped += int(skipped.sum())
+        self.last_s = float(t_s[-1])
+
+    def _gaps(self, t_s: NDArray[np.float64], dropped: Any, skipped: Any) -> None:
+        """Stretches without a tick: 1 where ticks were skipped, 2 where records are missing."""
+        for index in np.flatnonzero(dropped | (skipped > 0)).tolist():
+            before = float(t_s[index - 1]) if index else self.last_s
+            kind = 2 if dropped[index] else 1
+            self.gaps.add(np.array([before, float(t_s[index])]), np.array([kind, 0]))
+
+    def _name_marks(self) -> None:
+        """Give the operator's remarks, which stand in the events, to their marks."""
+        for event in self.events:
+            words = _REMARK.search(event.message)
+            if event.name != "console" or words is None:
+                continue
+            t_s = 1e-9 * event.log_time_ns - self.start_unix_s
+            plain = [i for i, mark in enumerate(self.marks) if mark.text == "mark"]
+            nearest = min(plain, key=lambda i: abs(self.marks[i].t_s - t_s), default=None)
+            if nearest is not None and abs(self.marks[nearest].t_s - t_s) < 1.0:
+                self.marks[nearest] = self.marks[nearest]._replace(text=words[1])
+
+    def _mark(self, t_s: float, request: Request) -> None:
+        if len(self.marks) >= MARKS:
+            self.more_marks += 1
+            return
+        try:
+            label = RequestKind(request.kind).name.lower()
+        except ValueError:
+            label = f"request {request.kind}"
+        self.marks.append(Mark(t_s, " ".join([label, *(f"{value:g}" for value in request.values)])))
+
+    def _columns(self, block: Block, jitter_ns: Any) -> dict[str, NDArray[np.float64]]:
+        real = block.real
+        reference = real("reference.position_m")
+        speed = real("reference.velocity_m_s")
+        position, truth = real("measurement.position_m"), real("truth_m")
+        # at the instant of SYNC, from which the reference is some frame times away
+        at_sync = reference - speed * block.ticks["measurement.encoder_offset_ns"] * 1e-9
+        self.has_truth = self.has_truth or bool(np.isfinite(truth).any())
+        error = at_sync - truth if self.has_truth else reference - position
+        return {
+            "reference_mm": reference * _MM,
+            "position_mm": position * _MM,
+            "truth_mm": truth * _MM,
+            "error_mm": error * _MM,
+            "reference_mm_s": speed * _MM,
+            "velocity_mm_s": real("estimate.velocity_m_s") * _MM,
+            "p1_bar": real("measurement.p1_pa") * _BAR,
+            "p2_bar": real("measurement.p2_pa") * _BAR,
+            "supply_bar": real("measurement.supply_pa") * _BAR,
+            "voltage_v": real("command.voltage_v"),
+            "applied_v": real("measurement.applied_v"),
+            "law_v": real("command.law_v"),
+            "force_n": real("estimate.force_n"),
+            "d_hat_n_s": real("estimate.d_hat_n_s"),
+            "innovation_um": real("estimate.innovation_m") * _UM,
+            "x3_innovation_n": real("estimate.x3_n") - real("estimate.x3_hat_n"),
+            "lateness_us": _duration(block.timing[:, 0], 1e-3),
+            "latency_us": _duration(block.timing[:, 4], 1e-3),
+            "sync_jitter_us": _duration(jitter_ns, 1e-3),
+            "encoder_age_ms": _duration(block.ticks["measurement.encoder_age_ns"], 1e-6),
+            "pressure_age_ms": _duration(block.ticks["measurement.pressure_age_ns"], 1e-6),
+            "valve_age_ms": _duration(block.ticks["measurement.valve_age_ns"], 1e-6),
+        }
+
+
+def _duration(ns: Any, factor: float) -> NDArray[np.float64]:
+    return np.where((ns >= 0) & (ns < NEVER_NS), ns * factor, np.nan)
+
+
+def _bits(t_s: NDArray[np.float64], masks: NDArray[np.uint64], kept: dict[int, Spans]) -> None:
+    everything = int(np.bitwise_or.reduce(masks))
+    for bit in range(64):
+        if everything >> bit & 1 and bit not in kept:
+            kept[bit] = Spans()
+        if bit in kept and (everything >> bit & 1 or kept[bit].open):
+            kept[bit].add(t_s, (masks >> np.uint64(bit) & np.uint64(1)).astype(np.int64))

@@ -1,0 +1,249 @@
+"""What a log says about its bus: frames by identifier, what was wrong with them, and when they came.
+
+It judges frames as the inbox does, a block at a time; a test holds the two together.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneud.bus import crc8
+from pneud.bus.codec import Codec, Codecs
+from pneud.bus.layout import Field, shift
+from pneud.bus.wire import CAN_ERR_FLAG
+from pneud.log.files.columns import AFTER, BEFORE, SENT, Block, Floats, FrameColumns, Ints
+from pneud.report.spread import Spread
+
+_TABLE = np.frombuffer(crc8.TABLE, dtype=np.uint8)
+_EMCY = range(0x081, 0x100)
+_HEARTBEAT = range(0x701, 0x780)
+
+Words = NDArray[np.uint64]
+
+
+def raw(field: Field, data: Words, length: int) -> Ints:
+    """Raw values of a field of many frames.
+
+    Args:
+        field: where it lies.
+        data: the frames' bytes as little-endian integers.
+        length: bytes in a frame.
+    """
+    word = data.byteswap() >> np.uint64(64 - 8 * length) if field.big_endian else data
+    bits = word >> np.uint64(shift(field, length)) & np.uint64((1 << field.length) - 1)
+    value = bits.astype(np.int64)
+    if field.signed:
+        sign = 1 << (field.length - 1)
+        value = (value ^ sign) - sign
+    return value
+
+
+def valid(codec: Codec, length: Ints, data: Words) -> NDArray[np.bool_]:
+    """Which frames have the right length and, where there is one, checksum."""
+    good: NDArray[np.bool_] = length == codec.length
+    if codec.crc:
+        state = np.full(len(data), crc8.identifier_state(codec.can_id), dtype=np.uint8)
+        for i in range(codec.length):
+            byte = (data >> np.uint64(8 * i) & np.uint64(0xFF)).astype(np.uint8)
+            if i == codec.length - 1:
+                good &= state ^ crc8.FINAL_XOR == byte
+            state = _TABLE[state ^ byte]
+    return good
+
+
+class SourceHealth:
+    """One of the three frames that answer SYNC."""
+
+    def __init__(self, name: str, codec: Codec, older_s: float) -> None:
+        self.name = name
+        self.codec = codec
+        self.frames = self.lost = self.corrupt = self.frozen = self.late = 0
+        self.answer = Spread()  # SYNC handed to the kernel → received
+        self.age = Spread()  # received → command sent
+        self._older_s = older_s
+        self._counter = -1
+        self._corrupt_since = 0
+
+    def add(
+        self, t_ns: Ints, frames: FrameColumns, sync_sent_ns: Ints, command_sent_ns: Ints, sync: bool
+    ) -> None:
+        """Take the frames of a block.
+
+        Args:
+            t_ns: of the ticks.
+            frames: of the block.
+            sync_sent_ns: when each tick's SYNC was sent, negative where it was not.
+            command_sent_ns: likewise for the command.
+            sync: whether frames answer SYNC.
+        """
+        codec = self.codec
+        mine = (frames.can_id == codec.can_id) & (frames.part != SENT)
+        kept = np.flatnonzero(mine)
+        self.frames += len(kept)
+        good = valid(codec, frames.length[kept], frames.data[kept])
+        self.corrupt += int((~good).sum())
+        # how many were corrupt since the last one that was taken
+        corrupt = np.cumsum(~good) + self._corrupt_since
+        kept, corrupt_before = kept[good], corrupt[good]
+        if codec.counter_field is not None and len(kept):
+            kept, corrupt_before = self._counted(frames, kept, corrupt_before, codec.counter_field)
+        self._corrupt_since = int(corrupt[-1]) if len(corrupt) else self._corrupt_since
+        if len(kept):
+            self._corrupt_since -= int(corrupt_before[-1])
+
+        tick, stamp, part = frames.tick[kept], frames.stamp_ns[kept], frames.part[kept]
+        age_s: Floats = np.zeros(len(tick))
+        if codec.age_field is not None:
+            age = raw(codec.age_field, frames.data[kept], codec.length)
+            age_s = np.asarray(age * codec.age_field.scale + codec.age_field.offset, dtype=np.float64)
+        late = age_s >= self._older_s
+        if sync:
+            sampled = stamp - np.rint(np.where(late, 0.0, age_s) * 1e9).astype(np.int64)
+            late |= (part == BEFORE) | (sampled < t_ns[tick])
+        self.late += int(late.sum())
+        in_time = ~late & (part == AFTER)
+        tick, stamp = tick[in_time], stamp[in_time]
+        sent = sync_sent_ns[tick]
+        # the answer's stamp may lie before that of a sender that was interrupted behind its send()
+        self.answer.add(np.where(sent > 0, np.maximum(stamp - sent, 0), -1))
+        sent = command_sent_ns[tick]
+        self.age.add(np.where(sent > 0, np.maximum(sent - stamp, 0), -1))
+
+    def _counted(
+        self, frames: FrameColumns, kept: Ints, corrupt_before: Ints, field: Field
+    ) -> tuple[Ints, Ints]:
+        """Those whose counter went on; counts the others, and what is missing between them."""
+        counter = raw(field, frames.data[kept], self.codec.length)
+        known = self._counter >= 0
+        step = np.diff(counter, prepend=self._counter if known else counter[0] - 1) & self.codec.counter_mask
+        fresh = step != 0
+        self.frozen += int((~fresh).sum())
+        kept, corrupt_before, step = kept[fresh], corrupt_before[fresh], step[fresh]
+        missing = np.maximum(0, step - 1 - np.diff(corrupt_before, prepend=0))
+        self.lost += int(missing.sum())
+        self._counter = int(counter[-1])
+        return kept, corrupt_before
+
+
+class Row(NamedTuple):
+    """An identifier on the bus."""
+
+    can_id: int
+    name: str
+    direction: str  # "received", "sent"
+    frames: int
+
+
+class Health:
+    """All of a log's frames."""
+
+    def __init__(self, codecs: Codecs, sync: bool, period_ns: int) -> None:
+        """Nothing so far.
+
+        Args:
+            codecs: of the axis.
+            sync: whether the frames answer SYNC.
+            period_ns: of the ticks.
+        """
+        self.sources = tuple(
+            SourceHealth(name, codec, codecs.older_s if name == "encoder" else float("inf"))
+            for name, codec in (
+                ("encoder", codecs.encoder),
+                ("pressure", codecs.pressure),
+                ("valve_status", codecs.valve_status),
+            )
+        )
+        self.sync_jitter = Spread()  # |interval between two SYNCs − what the ticks between them take|
+        self.emcy: dict[int, int] = {}  # node → last error code
+        self.error_frames = 0
+        self.foreign = 0
+        self.unsent = 0
+        self._codecs = codecs
+        self._sync = sync
+        self._period_ns = period_ns
+        self._count: Counter[tuple[int, bool]] = Counter()
+        self._last_sync: tuple[int, int] | None = None  # number of the record, time
+
+    def add(self, block: Block) -> Ints:
+        """Take a block.
+
+        Returns:
+            For each tick, how far its SYNC lies from the grid that the one before began [ns]; −1 if unknown.
+        """
+        frames, count = block.frames, len(block.number)
+        sync_id, command_id = self._codecs.sync.can_id, self._codecs.valve_command.can_id
+        sent = frames.part == SENT
+
+        def sent_ns(can_id: int) -> Ints:
+            of_it = sent & (frames.can_id == can_id)
+            times = np.full(count, -1, dtype=np.int64)
+            times[frames.tick[of_it]] = frames.stamp_ns[of_it]
+            return times
+
+        sync_ns, command_ns = sent_ns(sync_id), sent_ns(command_id)
+        left = ~sent | (frames.stamp_ns >= 0)
+        self.unsent += int((~left).sum())
+        ids, counts = np.unique(frames.can_id[left] << 1 | sent[left], return_counts=True)
+        for key, n in zip(ids.tolist(), counts.tolist(), strict=True):
+            self._count[key >> 1, bool(key & 1)] += n
+        received = frames.can_id[~sent]
+        errors = received & CAN_ERR_FLAG != 0
+        self.error_frames += int(errors.sum())
+        self.foreign += int(np.isin(received[~errors], (sync_id, command_id)).sum())
+        for source in self.sources:
+            source.add(block.ticks["t_ns"], frames, sync_ns, command_ns, self._sync)
+        self._emergencies(frames)
+        return self._jitter(block, sync_ns)
+
+    def _emergencies(self, frames: FrameColumns) -> None:
+        emcy = (
+            (frames.part != SENT)
+            & (frames.can_id >= _EMCY[0])
+            & (frames.can_id <= _EMCY[-1])
+            & (frames.length >= 2)
+        )
+        for can_id, word in zip(frames.can_id[emcy].tolist(), frames.data[emcy].tolist(), strict=True):
+            self.emcy[can_id - 0x080] = word & 0xFFFF
+
+    def _jitter(self, block: Block, sync_sent_ns: Ints) -> Ints:
+        found = np.full(len(block.number), -1, dtype=np.int64)
+        known = np.flatnonzero(sync_sent_ns >= 0)
+        if not len(known):
+            return found
+        number, times = block.number[known], sync_sent_ns[known]
+        skipped = block.ticks["measurement.skipped"].astype(np.int64)[known]
+        first = self._last_sync or (-1, 0)
+        steps = np.diff(number, prepend=first[0])
+        off = np.abs(np.diff(times, prepend=first[1]) - (1 + skipped) * self._period_ns)
+        following = steps == 1  # across a gap nothing is known of the ticks that were skipped
+        found[known] = np.where(following, off, -1)
+        self.sync_jitter.add(found)
+        self._last_sync = (int(number[-1]), int(times[-1]))
+        return found
+
+    def rows(self) -> list[Row]:
+        """Identifiers in order, the error frames left out."""
+        return [
+            Row(can_id, self._name(can_id), "sent" if sent else "received", count)
+            for (can_id, sent), count in sorted(self._count.items())
+            if not can_id & CAN_ERR_FLAG
+        ]
+
+    def _name(self, can_id: int) -> str:
+        c = self._codecs
+        names = {
+            c.sync.can_id: "SYNC",
+            c.valve_command.can_id: "valve command",
+            **{s.codec.can_id: s.name.replace("_", " ") for s in self.sources},
+        }
+        if can_id in names:
+            return names[can_id]
+        if can_id in _EMCY:
+            return f"emergency of node {can_id - 0x080}"
+        if can_id in _HEARTBEAT:
+            return f"heartbeat of node {can_id - 0x700}"
+        return ""

@@ -1,0 +1,268 @@
+"""The rig's three nodes as one event-driven object: frames in, frames out, no clock and no I/O.
+
+Time is that of the frames' stamps. The same object serves the lock-step simulation and the plant's process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from pneud.bus.codec import Codec, Codecs
+from pneud.bus.wire import CAN_ERR_FLAG, wire_time_ns
+from pneud.physics.plant import PlantParameters
+from pneud.rig import dynamics
+from pneud.rig.dynamics import PlantState, initial_state, stroke_position
+from pneud.rig.sensors import Noise, PressureSensor, quantised
+from pneud.rig.transmission import Item, Wire
+from pneud.rig.valvenode import ValveNode
+from pneud.signals import EncoderStatus, Frame
+
+ENCODER_NODE, PRESSURE_NODE, VALVE_NODE = 0, 1, 2  # indices of the nodes
+PRESSURE_RANGE_PA = 1_310_700.0  # full scale of the pressure sensors, and of PRESSURE in pneud.dbc
+MAX_WAITING = 64  # frames from the bus that may wait for the wire; more are lost
+_START_NS = -(1 << 62)
+
+Hook = Callable[[Frame, bool], Sequence[Frame]]
+"""Stands between the nodes and the wire: (frame, outgoing) → the frames that take its place.
+
+An empty sequence loses the frame, a later stamp delays it. Incoming frames carry the time of sending,
+outgoing ones that of the end of their transmission.
+"""
+
+Advance = Callable[[PlantState, float, float, float, float, PlantParameters], PlantState]
+
+
+class Truth(NamedTuple):
+    """The rig at the instant a SYNC was sent; before the first one `t_ns` is negative."""
+
+    t_ns: int
+    position_m: float  # stroke coordinate
+    state: PlantState
+
+
+class _Answer(NamedTuple):
+    codec: Codec
+    node: int  # index of the node's counter
+    sync_ns: int  # send stamp of the SYNC it answers
+    values: tuple[float, ...]
+
+
+class _Foreign(NamedTuple):
+    frame: Frame  # neither the controller's nor a node's own; all of them hear it
+
+
+class PlantNode:
+    """Encoder, pressure and valve node with the cylinder between them.
+
+    `p` (the plant) and `force_ext_n` (external force against positive motion) may be changed between calls;
+    they hold for whatever is integrated from then on.
+
+    Args:
+        p: the true plant.
+        codecs: of the frames.
+        seed: of the sensors' noise.
+        hook: fault injection on frames.
+        advance: `dynamics.advance` or its compiled version.
+    """
+
+    def __init__(
+        self,
+        p: PlantParameters,
+        codecs: Codecs,
+        seed: int,
+        *,
+        hook: Hook | None = None,
+        advance: Advance = dynamics.advance,
+    ) -> None:
+        self.p = p
+        self.force_ext_n = 0.0
+        self.hook = hook
+        self.valve = ValveNode(codecs.valve_command, p.valve_timeout_s, p.dac_bits, p.valve.u_max_v)
+        self.unsendable = 0  # answers with a value that their frame cannot carry
+        self._codecs = codecs
+        self._advance = advance
+        noise = Noise(seed)
+        self._pressure = PressureSensor(
+            noise, p.pressure_noise_pa, p.pressure_resolution_pa, PRESSURE_RANGE_PA
+        )
+        self._delay_ns = round(p.node_delay_s * 1e9)
+        self._age_s = min(p.node_delay_s, codecs.older_s)
+        self._sync_id, self._command_id = codecs.sync.can_id, codecs.valve_command.can_id
+        answers = (codecs.encoder, codecs.pressure, codecs.valve_status)
+        self._durations = tuple(wire_time_ns(codec.length, p.bitrate_bit_s) for codec in answers)
+        self._answer_ids = frozenset(codec.can_id for codec in answers)
+        self._shortest_ns = min(self._durations)
+        self._counters = [0, 0, 0]
+        self._wire = Wire()
+        self._ended: list[tuple[int, _Answer]] = []  # transmitted, not yet polled
+        self._held: list[Frame] = []  # delayed by the hook
+        self._now_ns = _START_NS
+        self._epoch_ns = _START_NS
+        self._plant_ns = _START_NS
+        self._state = initial_state(p)
+        self._truth = Truth(-1, stroke_position(self._state, p), self._state)
+
+    @property
+    def started(self) -> bool:
+        """Whether time has begun to pass; until then the rig rests in its initial state."""
+        return self._epoch_ns != _START_NS
+
+    @property
+    def now_ns(self) -> int:
+        """Up to when events have been dealt with."""
+        return self._now_ns
+
+    @property
+    def state(self) -> PlantState:
+        """The rig, integrated as far as any event has asked for."""
+        return self._state
+
+    def truth(self) -> Truth:
+        """The rig at the send stamp of the last SYNC."""
+        return self._truth
+
+    def on_frame(self, frame: Frame) -> None:
+        """A frame was sent at its stamp; frames come in order of stamps, foreign ones are ignored."""
+        sync = frame.can_id == self._sync_id
+        if not sync and frame.can_id != self._command_id:
+            return
+        sent_ns = max(frame.stamp_ns, self._now_ns)
+        if not self.started:
+            self._epoch_ns = self._plant_ns = sent_ns
+        self._run(sent_ns)
+        if sync:
+            self._integrate(sent_ns)
+            self._truth = Truth(frame.stamp_ns, stroke_position(self._state, self.p), self._state)
+        for passed in (frame,) if self.hook is None else self.hook(frame, False):
+            if passed.can_id in (self._sync_id, self._command_id) and len(self._wire.waiting) < MAX_WAITING:
+                duration = wire_time_ns(len(passed.data), self.p.bitrate_bit_s)
+                self._wire.add(Item(max(passed.stamp_ns, sent_ns), passed.can_id, duration, passed))
+
+    def put(self, frame: Frame) -> None:
+        """A frame of somebody else waits for the wire from its stamp on, no earlier than now.
+
+        An error frame is the report of a CAN controller: it goes out at its stamp and takes no time.
+        """
+        if frame.can_id & CAN_ERR_FLAG:
+            self._held.append(frame)
+        else:
+            duration = wire_time_ns(len(frame.data), self.p.bitrate_bit_s)
+            ready_ns = max(frame.stamp_ns, self._now_ns)
+            self._wire.add(Item(ready_ns, frame.can_id, duration, _Foreign(frame)))
+
+    def reboot(self, node: int) -> None:
+        """One of the nodes starts anew: its counter from 0, the valve node's output centred."""
+        self._counters[node] = 0
+        if node == VALVE_NODE:
+            self.valve.reboot()
+
+    def due(self) -> int | None:
+        """Earliest time [ns] at which `poll` may have a frame; None as long as no frame comes in."""
+        times = [end for end, _ in self._ended] + [frame.stamp_ns for frame in self._held]
+        upcoming = self._wire.upcoming
+        if upcoming is not None:
+            end, item = upcoming
+            if isinstance(item.load, (_Answer, _Foreign)):
+                times.append(end)
+            else:
+                waiting = {other.can_id for other in self._wire.waiting}
+                if not waiting.isdisjoint(self._answer_ids):
+                    times.append(end + self._shortest_ns)
+                elif self._sync_id in waiting:
+                    times.append(end + self._delay_ns + self._shortest_ns)
+        return min(times) if times else None
+
+    def poll(self, t_ns: int, *, current_only: bool = False) -> list[Frame]:
+        """The nodes' frames whose transmission has ended by `t_ns`, stamped with its end.
+
+        Args:
+            t_ns: now; every frame sent until then must have been fed.
+            current_only: leave out answers to any but the last SYNC. For a runner that may be late: a node
+                that missed its turn stays silent, it does not pass old values off as new ones.
+        """
+        self._run(t_ns)
+        if not self._ended and not self._held:
+            return []
+        frames, later = self._held, []
+        for end_ns, answer in self._ended:
+            if end_ns > t_ns:
+                later.append((end_ns, answer))
+            elif not current_only or answer.sync_ns >= self._truth.t_ns:
+                frames.extend(self._sent(end_ns, answer))
+        self._ended = later
+        self._held = [frame for frame in frames if frame.stamp_ns > t_ns]
+        return sorted((frame for frame in frames if frame.stamp_ns <= t_ns), key=_stamp)
+
+    def advance(self, t_ns: int) -> None:
+        """Deal with all events until `t_ns` and integrate the plant to it; starts time if need be."""
+        if not self.started:
+            self._epoch_ns = self._plant_ns = t_ns
+        self._run(t_ns)
+        self._integrate(t_ns)
+
+    def _run(self, t_ns: int) -> None:
+        wire, valve = self._wire, self.valve
+        while True:
+            upcoming = wire.upcoming
+            if upcoming is not None and upcoming[0] <= t_ns and upcoming[0] <= valve.deadline_ns:
+                self._end_of(*wire.take())
+            elif valve.deadline_ns <= t_ns:
+                self._integrate(valve.deadline_ns)
+                valve.expire()
+            else:
+                break
+        self._now_ns = max(self._now_ns, t_ns)
+
+    def _end_of(self, end_ns: int, item: Item) -> None:
+        load = item.load
+        if isinstance(load, _Answer):
+            self._ended.append((end_ns, load))
+            return
+        if isinstance(load, _Foreign):
+            self._held.append(load.frame._replace(stamp_ns=end_ns))
+        frame: Frame = load.frame if isinstance(load, _Foreign) else load
+        self._integrate(end_ns)
+        if item.can_id == self._command_id:
+            self.valve.command(frame.data, end_ns)
+        elif item.can_id == self._sync_id and self._codecs.sync.valid(frame.data):
+            self._sample(end_ns, frame.stamp_ns)
+
+    def _sample(self, t_ns: int, sync_ns: int) -> None:
+        p, state, codecs, valve = self.p, self._state, self._codecs, self.valve
+        position = quantised(stroke_position(state, p) - p.encoder_zero_m, p.encoder_resolution_m)
+        status = int(EncoderStatus.REFERENCED) if p.encoder_referenced else 0
+        read = self._pressure.read
+        readings: tuple[tuple[Codec, tuple[float, ...]], ...] = (
+            (codecs.encoder, (position, status, self._age_s)),
+            (codecs.pressure, (read(state.p1), read(state.p2), read(p.gas.supply_pa))),
+            (codecs.valve_status, (valve.output_v, int(valve.state))),
+        )
+        valve.booted()
+        for node, (codec, values) in enumerate(readings):
+            answer = _Answer(codec, node, sync_ns, values)
+            self._wire.replace(Item(t_ns + self._delay_ns, codec.can_id, self._durations[node], answer))
+
+    def _sent(self, end_ns: int, answer: _Answer) -> Sequence[Frame]:
+        codec = answer.codec
+        try:
+            data = codec.encode(*answer.values, self._counters[answer.node])
+        except ValueError:
+            self.unsendable += 1
+            return ()
+        self._counters[answer.node] = (self._counters[answer.node] + 1) & codec.counter_mask
+        frame = Frame(end_ns, codec.can_id, data)
+        return (frame,) if self.hook is None else self.hook(frame, True)
+
+    def _integrate(self, t_ns: int) -> None:
+        if t_ns > self._plant_ns:
+            t0_s = (self._plant_ns - self._epoch_ns) * 1e-9
+            t1_s = (t_ns - self._epoch_ns) * 1e-9
+            self._state = self._advance(
+                self._state, self.valve.output_v, self.force_ext_n, t0_s, t1_s, self.p
+            )
+            self._plant_ns = t_ns
+
+
+def _stamp(frame: Frame) -> int:
+    return frame.stamp_ns

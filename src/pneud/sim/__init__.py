@@ -1,1 +1,0 @@
-"""The axis and the plant in simulated time."""

@@ -1,0 +1,104 @@
+"""The whole reproduction as one object, and as JSON."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from pneud.study import reproduction as r
+from pneud.study.claims import Bound, Claim, bounds, claims
+from pneud.study.convergence import Convergence, converge
+
+PICTURED = ((0.01, "implicit"), (0.001, "implicit"), (0.01, "explicit"))
+
+
+class Reproduction(NamedTuple):
+    """Everything `pneud reproduce` found out."""
+
+    start: str  # the initial state, in words
+    main: tuple[r.Row, ...]
+    ablation: tuple[r.Row, ...]
+    orifice: tuple[r.Row, ...]
+    convergence: Convergence
+    claims: tuple[Claim, ...]
+    bounds: tuple[Bound, ...]
+    traces: dict[r.Setting, r.Trace]  # of the runs with PICTURED sample times and forms, without reverse flow
+
+    @property
+    def good(self) -> bool:
+        """Whether every bound is met."""
+        return all(b.met for b in self.bounds)
+
+
+def reproduce() -> Reproduction:
+    """Run everything: half a minute with numba, some minutes without."""
+    known: dict[r.Setting, r.Run] = {}
+    main = tuple(r.run_all(r.main_settings(), known))
+    ablation = tuple(r.run_all(r.ablation_settings(), known))
+    orifice = tuple(r.run_all(r.orifice_settings(), known))
+    convergence = converge()
+    plant = r.paper_loop(1).plant
+    return Reproduction(
+        start=f"x1(0) = {plant.initial_x1:g} m, at rest, P2(0) = {plant.initial_p2_pa / 1e5:g} bar,"
+        " P1(0) by force balance",
+        main=main,
+        ablation=ablation,
+        orifice=orifice,
+        convergence=convergence,
+        claims=tuple(claims(main, ablation, convergence)),
+        bounds=tuple(bounds(main, convergence)),
+        traces={
+            row.setting: known[row.setting].trace
+            for row in main
+            if not row.setting.reverse_flow
+            and (row.setting.h_s, row.setting.form) in PICTURED
+            and row.setting.form == row.setting.observer
+        },
+    )
+
+
+def as_json(found: Reproduction) -> dict[str, Any]:
+    """One object with all tables and verdicts; what is no number is null."""
+    c = found.convergence
+    whole: dict[str, Any] = {
+        "schema": 1,
+        "start": found.start,
+        "duration_s": r.DURATION_S,
+        "steady_from_s": r.STEADY_FROM_S,
+        "plant_step_s": r.PLANT_STEP_S,
+        "bands": {
+            "coarse_m": r.COARSE_M,
+            "fine_m": r.FINE_M,
+            "e3_n": r.OBSERVER_N,
+            "e_d_n_s": r.OBSERVER_N_S,
+        },
+        "runs": [_row(x) for x in found.main],
+        "ablation": [_row(x) for x in found.ablation],
+        "orifice": [_row(x) for x in found.orifice],
+        "settling": [x._asdict() for x in c.settling],
+        "limit_cycles": [x._asdict() for x in c.limit_cycles],
+        "starts": [x._asdict() for x in c.starts],
+        "unmatched": [x._asdict() for x in c.unmatched],
+        "claims": [x._asdict() for x in found.claims],
+        "bounds": [x._asdict() | {"met": x.met} for x in found.bounds],
+        "good": found.good,
+    }
+    cleaned = _finite(whole)
+    assert isinstance(cleaned, dict)
+    return cleaned
+
+
+def _row(row: r.Row) -> dict[str, Any]:
+    values = row._asdict()
+    del values["setting"]
+    return row.setting._asdict() | values
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    return value

@@ -1,0 +1,164 @@
+"""The run as it goes, for Foxglove, Lichtblick and whoever speaks their WebSocket protocol.
+
+The same topics and schemas as in the log, but for the snapshots of the axis. A process of its own reads the
+ring and serves; it packs only what somebody has subscribed to. Clients may look at everything and change
+nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, cast
+
+from pneud.log.format.events import EventSource
+from pneud.log.format.frames import FramesPacker
+from pneud.log.format.header import LogHeader
+from pneud.log.format.records import Packer, pack_event
+from pneud.log.format.schema import EVENTS, FRAMES, TICK, topics
+from pneud.rt.setup import die_with_parent
+from pneud.signals import Record
+
+POLL_S = 0.02
+_NICE = 5
+TOPICS = (TICK, FRAMES, EVENTS)
+_BACKLOG = 8192  # messages for a client that is slow; then the oldest go
+
+
+class Listener:
+    """What clients ask for; called by threads of the server."""
+
+    def __init__(self, parameters: Mapping[str, Any], make: Callable[[str, Any], Any]) -> None:
+        self._parameters = {name: make(name, value) for name, value in parameters.items()}
+        self._wanted: dict[tuple[int, int], str] = {}
+        self.topics: frozenset[str] = frozenset()
+
+    def on_subscribe(self, client: Any, channel: Any) -> None:
+        """Somebody wants a topic."""
+        self._wanted[client.id, channel.id] = channel.topic
+        self.topics = frozenset(self._wanted.values())
+
+    def on_unsubscribe(self, client: Any, channel: Any) -> None:
+        """Somebody wants it no longer, or is gone."""
+        self._wanted.pop((client.id, channel.id), None)
+        self.topics = frozenset(self._wanted.values())
+
+    def on_get_parameters(self, _client: Any, names: list[str], _request_id: str | None = None) -> list[Any]:
+        """The configuration; no names ask for all of it."""
+        return [p for name, p in self._parameters.items() if not names or name in names]
+
+    def on_set_parameters(self, client: Any, wanted: list[Any], request_id: str | None = None) -> list[Any]:
+        """Nothing changes: the answer is what holds."""
+        return self.on_get_parameters(client, [p.name for p in wanted], request_id)
+
+    def on_parameters_subscribe(self, _names: list[str]) -> None:
+        """They never change."""
+
+    def on_parameters_unsubscribe(self, _names: list[str]) -> None:
+        """They never change."""
+
+
+def flat(value: Any, prefix: str = "") -> dict[str, Any]:
+    """Nested tables as names with dots between them."""
+    if not isinstance(value, Mapping):
+        return {prefix: value}
+    found: dict[str, Any] = {}
+    for key, inner in value.items():
+        found |= flat(inner, f"{prefix}.{key}" if prefix else str(key))
+    return found
+
+
+class _Publisher:
+    def __init__(self, header: LogHeader, context: Any, foxglove: Any) -> None:
+        self._packer = Packer(header.detail)
+        self._frames = FramesPacker()
+        self._events = EventSource(header.fault_names, header.realtime_offset_ns)
+        self._offset_ns = header.realtime_offset_ns
+        self._channels = {
+            topic: foxglove.Channel(
+                topic,
+                schema=foxglove.Schema(name=schema, encoding="protobuf", data=descriptors),
+                message_encoding="protobuf",
+                context=context,
+            )
+            for topic, schema, descriptors, *_ in topics(header.detail)
+            if topic in TOPICS
+        }
+
+    def publish(self, records: list[Record], wanted: frozenset[str]) -> None:
+        for record in records:
+            if TICK in wanted:
+                log_time_ns = record.tick.t_ns + self._offset_ns
+                self._channels[TICK].log(self._packer.tick(record), log_time=log_time_ns)
+            if FRAMES in wanted:
+                self._frames.add(record)
+            for event in self._events.after(record):  # which has to see every record
+                if EVENTS in wanted:
+                    self._channels[EVENTS].log(pack_event(event), log_time=event.log_time_ns)
+        if len(self._frames):
+            first_ns = records[0].tick.t_ns + self._offset_ns
+            self._channels[FRAMES].log(self._frames.take(), log_time=first_ns)
+
+
+def serve(
+    poll: Callable[[], list[Record]],
+    header: LogHeader,
+    parameters: Mapping[str, Any],
+    host: str,
+    port: int,
+    stop: Callable[[], bool],
+    parent_pid: int,
+) -> None:
+    """Serve as the whole life of a forked process, until told to stop.
+
+    Args:
+        poll: yields the records that are new.
+        header: what the log says about its run.
+        parameters: the configuration, for show.
+        host: address to listen on.
+        port: port to listen on.
+        stop: whether the run is over.
+        parent_pid: os.getpid() of the parent, taken before the fork.
+    """
+    import foxglove  # noqa: PLC0415  (an extra, loaded beside the loop's own start)
+    from foxglove.websocket import Capability, Parameter  # noqa: PLC0415
+
+    leaving = False
+
+    def leave(*_: object) -> None:
+        nonlocal leaving
+        leaving = True
+
+    for signum in (signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP):
+        signal.signal(signum, signal.SIG_IGN)
+    for signum in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(signum, leave)
+    die_with_parent(parent_pid, signal.SIGTERM)
+    os.nice(_NICE)
+    foxglove.set_log_level("CRITICAL")  # a client that goes is no event
+    listener = Listener(flat(parameters), lambda name, value: Parameter(name, value=value))
+    context = foxglove.Context()
+    publisher = _Publisher(header, context, foxglove)
+    try:
+        server = foxglove.start_server(
+            name=f"pneud {header.name}",
+            host=host,
+            port=port,
+            capabilities=[Capability.Parameters],
+            server_listener=cast(Any, listener),
+            context=context,
+            message_backlog_size=_BACKLOG,
+        )
+    except Exception as e:
+        print(f"pneud: --live: cannot serve on {host}:{port}: {e}", file=sys.stderr)
+        return
+    try:
+        while not leaving and not stop():
+            wanted = listener.topics
+            publisher.publish(poll(), wanted)
+            time.sleep(POLL_S)
+    finally:
+        server.stop()
