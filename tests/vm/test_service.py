@@ -24,7 +24,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from pneud.loop.loop import END_TICKS
+from pneud.loop.turn import END_TICKS
 from pneud.signals import ValveState
 
 pytestmark = pytest.mark.systemd

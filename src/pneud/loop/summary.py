@@ -1,4 +1,4 @@
-"""What a run comes to: tracking, command and timing figures, for scripts and for people."""
+"""What a run has come to, for scripts and for people."""
 
 from __future__ import annotations
 
@@ -6,76 +6,10 @@ import math
 from typing import Any
 
 from pneud.bus.inbox import Counts
+from pneud.loop.tally import Tally
 from pneud.rt.histogram import Histogram
 from pneud.safety.faults import names
-from pneud.signals import State, Tick
-
-AFTER_S = 5.0
-
-
-class Tracking:
-    """Sums over the ticks from AFTER_S past the join on; keeps no tick."""
-
-    def __init__(self, has_truth: bool) -> None:
-        """Sums of nothing.
-
-        Args:
-            has_truth: the error is taken against a software plant's true position, else against the encoder.
-        """
-        self.has_truth = has_truth
-        self.count = 0
-        self.saturated = 0
-        self._square = 0.0
-        self._max_m = 0.0
-        self._max_v = 0.0
-        self._step_v = 0.0
-        self._steps = 0
-        self._last_v = math.nan
-
-    def add(self, tick: Tick, join_ns: int, truth_m: float) -> None:
-        """One tick that follows the reference.
-
-        Args:
-            tick: the tick.
-            join_ns: the reference's t = 0.
-            truth_m: true position at SYNC, NaN where unknown.
-        """
-        if tick.t_ns - join_ns < AFTER_S * 1e9:
-            return
-        r, m = tick.reference, tick.measurement
-        if self.has_truth:
-            # the reference of the sampling instant, taken back to the instant of SYNC
-            error = r.position_m - r.velocity_m_s * m.encoder_offset_ns * 1e-9 - truth_m
-        else:
-            error = r.position_m - m.position_m
-        if math.isfinite(error):
-            self.count += 1
-            self._square += error * error
-            self._max_m = max(self._max_m, abs(error))
-        v = tick.command.voltage_v
-        self.saturated += tick.command.saturated
-        self._max_v = max(self._max_v, abs(v))
-        if math.isfinite(self._last_v):
-            self._step_v += abs(v - self._last_v)
-            self._steps += 1
-        self._last_v = v
-
-    def tracking_mm(self) -> dict[str, Any] | None:
-        """RMS and greatest error; None if the run was too short."""
-        if self.count == 0:
-            return None
-        return {
-            "rms": 1e3 * math.sqrt(self._square / self.count),
-            "max": 1e3 * self._max_m,
-            "after_s": AFTER_S,
-            "against": "plant" if self.has_truth else "encoder",
-        }
-
-    def command_v(self) -> dict[str, Any] | None:
-        """Greatest command and mean step from tick to tick; None if the run was too short."""
-        if self._steps == 0:
-            return None
-        return {"max": self._max_v, "mean_step": self._step_v / self._steps}
+from pneud.signals import State
 
 
 def percentiles_us(h: Histogram) -> dict[str, float] | None:
@@ -98,35 +32,29 @@ def finite(value: Any) -> Any:
 
 
 def summarise(
+    tally: Tally,
     *,
-    state: int,
     bus: str,
     rate_hz: float,
-    ticks: int,
-    skipped: int,
-    lateness: Histogram | None,
-    latency: Histogram | None,
-    tracking: Tracking,
     counts: Counts,
     tx: int,
     rx_dropped: int,
     log: str | None,
     log_dropped: int,
-    faults: int,
 ) -> dict[str, Any]:
     """The object that `--json` prints."""
     result = {
         "schema": 1,
-        "state": State(state).label,
+        "state": State(tally.state).label,
         "bus": bus,
         "rate_hz": int(rate_hz) if rate_hz == int(rate_hz) else rate_hz,
-        "ticks": ticks,
-        "skipped": skipped,
-        "lateness_us": percentiles_us(lateness) if lateness is not None else None,
-        "sensor_to_command_us": percentiles_us(latency) if latency is not None else None,
-        "tracking_mm": tracking.tracking_mm(),
-        "command_v": tracking.command_v(),
-        "saturated_ticks": tracking.saturated,
+        "ticks": tally.ticks,
+        "skipped": tally.skipped,
+        "lateness_us": percentiles_us(tally.lateness),
+        "sensor_to_command_us": percentiles_us(tally.latency),
+        "tracking_mm": tally.tracking.tracking_mm(),
+        "command_v": tally.tracking.command_v(),
+        "saturated_ticks": tally.tracking.saturated,
         "frames": {
             "rx": counts.rx,
             "tx": tx,
@@ -137,7 +65,7 @@ def summarise(
         },
         "log": log,
         "log_dropped": log_dropped,
-        "faults": names(faults),
+        "faults": names(tally.ever_latched),
     }
     cleaned: dict[str, Any] = finite(result)
     return cleaned

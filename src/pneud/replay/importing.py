@@ -22,6 +22,7 @@ from pneud.config import conversions
 from pneud.config.models import Config
 from pneud.log.files.naming import LogError
 from pneud.log.files.writer import LogWriter
+from pneud.loop.turn import Turn
 from pneud.replay import traffic
 from pneud.replay.sidecar import Sidecar
 from pneud.replay.traffic import Passing
@@ -138,7 +139,7 @@ def rebuild(
     """
     p = conversions.axis_of(config, codecs.command_lsb_v)
     axis = law(config.loop.compiled, p).axis(p)
-    inbox = Inbox(codecs, config.bus)
+    turn = Turn(axis, Inbox(codecs, config.bus), codecs)
     command = codecs.valve_command
     period_ns = 1e9 / config.loop.rate_hz
     ticks = Ticks(traffic.read(path), codecs, offset_ns)
@@ -147,11 +148,9 @@ def rebuild(
     for heard, following in pairwise(chain(ticks, (None,))):
         assert heard is not None  # only the last one is
         t_ns = heard.sync.stamp_ns
-        for frame in heard.before:
-            inbox.feed(frame)
-        inbox.begin(t_ns)
-        for frame in heard.after:
-            inbox.feed(frame)
+        turn.open(heard.before)
+        turn.begin(t_ns)
+        turn.feed(heard.after)
         if known is None:
             passed = 1 if last_ns is None else round((t_ns - last_ns) / period_ns)
             skipped = max(0, passed - 1)
@@ -159,11 +158,11 @@ def rebuild(
         else:
             skipped, host = known.skipped.get(count, 0), known.host.get(count, host)
             request = known.requests.get(count)
-        tick = axis.cycle(inbox.measurement(skipped, host), request, t_ns)
+        tick = turn.decide(skipped, host, request)
         sent: tuple[Frame, ...] = (heard.sync,)
         # where the recording stamps the ends of frames, a SYNC close behind a command is taken to be heard
         # later, by less than it takes itself; a replay of the new log does the same
-        inbox.commanded_ns = -1 if heard.command is None else heard.command.stamp_ns
+        turn.sent(-1 if heard.command is None else heard.command.stamp_ns)
         if heard.command is None:
             silent += 1
         else:
@@ -172,8 +171,7 @@ def rebuild(
             if not _same(tick.command, voltage_v, enable, codecs.command_lsb_v):
                 differing += 1
                 tick = tick._replace(command=tick.command._replace(voltage_v=voltage_v, enable=enable))
-        frames = (*heard.before, *heard.after)
-        writer.write(Record(tick, UNTIMED, frames, len(heard.before), sent, _NAN))
+        writer.write(Record(tick, UNTIMED, tuple(turn.frames), turn.before, sent, _NAN))
         last_ns = t_ns
         count += 1
     if not count:

@@ -12,20 +12,19 @@ from pathlib import Path
 from pneud.bus.inbox import Inbox
 from pneud.compiled.backend import INTERPRETED, Law, law
 from pneud.config import conversions
-from pneud.loading import Loaded, load
+from pneud.loading import SYNC_COUNTERS, Loaded, load
+from pneud.loop.conditions import Conditions
+from pneud.loop.turn import END_TICKS, Turn
 from pneud.replay.simulated_machine import DOWN, HEALTHY, SimulatedMachine
 from pneud.rig.node import PlantNode
 from pneud.safety.faults import BLOCKS_ARM
 from pneud.safety.supervisor import is_engaged
 from pneud.scenario.engine import Engine
 from pneud.scenario.format import Scenario
-from pneud.signals import Frame, Host, Record, Request, RequestKind, State, Timing
+from pneud.signals import Frame, Record, Request, RequestKind, State, Timing
 
 START_NS = 1_000_000_000
 COMPUTING_NS = 100_000  # from the last answer to the command's send()
-SYNC_COUNTERS = 240
-END_TICKS = 20
-
 
 Operator = Callable[[int, int], Request | None]
 """Asked in every tick: (state, faults present) of the last one → request."""
@@ -71,90 +70,68 @@ class Simulation:
         self._operator = operator
         self.shut = False  # the run is over and the axis is coming to rest
         self.tx = 0
-        self._codecs = loaded.codecs
+        self.turn = Turn(self.axis, self.inbox, loaded.codecs)
+        self._conditions = Conditions(self.inbox, self._machine)
+        self._sync = loaded.codecs.sync
+        self._armed = False
         self._period_ns = round(1e9 / loaded.config.loop.rate_hz)
         self._wait_ns = round(self._period_ns * loaded.config.loop.set_deadline)
         self._total = max(1, round(duration_s * loaded.config.loop.rate_hz))
 
     def records(self) -> Iterator[Record]:
         """The ticks, as the loop hands them to the recorder."""
-        sync, command = self._codecs.sync, self._codecs.valve_command
-        armed, idle, count = False, 0, 0
+        turn, machine, node = self.turn, self._machine, self.node
+        idle, count, stalled = 0, 0, 0
         last_state, last_present = int(State.STARTING), 0
-        left_over: list[Frame] = []
-        machine, stalled, foreign = self._machine, 0, 0
         while idle < END_TICKS:
             skipped = machine.skip(START_NS + (count + stalled) * self._period_ns)
             stalled += skipped
             t_ns = START_NS + (count + stalled) * self._period_ns
             link = machine.link(t_ns)
-            frames = self.node.poll(t_ns)
-            if link != DOWN and not machine.plant_stands(t_ns):
-                left_over.extend(frames)
-            before = len(left_over)
-            for frame in left_over:
-                self.inbox.feed(frame)
-            sync_frame = Frame(t_ns, sync.can_id, sync.encode(counter=count % SYNC_COUNTERS + 1))
+            left_over = node.poll(t_ns)
+            turn.open([] if link == DOWN or machine.plant_stands(t_ns) else left_over)
+            sequence = count % SYNC_COUNTERS + 1
+            sync = Frame(t_ns, self._sync.can_id, self._sync.encode(counter=sequence))
             if link == HEALTHY:
-                self.node.on_frame(sync_frame)
-            self.inbox.begin(t_ns)
-            answers = self.node.poll(t_ns + self._wait_ns)
-            if link == DOWN or machine.plant_stands(t_ns):
+                node.on_frame(sync)
+            turn.begin(t_ns)
+            answers = node.poll(t_ns + self._wait_ns)
+            if link == DOWN or machine.plant_stands(t_ns):  # it may have come to a stand since SYNC
                 answers = []
-            for frame in answers:
-                self.inbox.feed(frame)
+            turn.feed(answers)
             done_ns = answers[-1].stamp_ns if self.inbox.complete else t_ns + self._wait_ns
-            foreign, known = self.inbox.foreign, foreign
-            host = self.inbox.conditions | machine.host(link)
-            if foreign != known:
-                host |= int(Host.OTHER_CONTROLLER)
-            measurement = self.inbox.measurement(skipped, host)
-
-            request = None
-            if not self.shut and count >= self._total:
-                self.shut = True
-                request = Request(RequestKind.SHUTDOWN)
-            elif self._requests is not None:
-                request = self._requests.get(count)
-            elif self._operator is not None:
-                request = self._operator(last_state, last_present)
-            elif not armed and last_state == State.DISARMED and not last_present & BLOCKS_ARM:
-                armed = True
-                request = Request(RequestKind.ARM, (1.0,))
-            tick = self.axis.cycle(measurement, request, t_ns)
+            request = self._request(count, last_state, last_present)
+            tick = turn.decide(skipped, self._conditions.host(t_ns, 0), request)
             last_state, last_present = tick.state, tick.present
 
             sent_ns = done_ns + COMPUTING_NS
-            data = command.encode(
-                tick.command.voltage_v,
-                tick.command.enable,
-                sync_frame.data[0],
-                counter=count & command.counter_mask,
-            )
-            command_frame = Frame(sent_ns, command.can_id, data)
+            data = turn.command(sequence, count)
+            turn.sent(sent_ns if link == HEALTHY else -1)
             if link == HEALTHY:
-                self.node.on_frame(command_frame)
+                node.on_frame(Frame(sent_ns, turn.command_id, data))
                 self.tx += 2
-            self.inbox.commanded_ns = sent_ns if link == HEALTHY else -1
-            yield Record(
-                tick,
+            yield turn.record(
                 Timing(0, done_ns - t_ns, 0, COMPUTING_NS, COMPUTING_NS, -1),
-                (*left_over, *answers),
-                before,
-                (sync_frame, command_frame)
-                if link == HEALTHY
-                else (unsent(sync_frame), unsent(command_frame)),
-                self.node.truth().position_m,
+                sync if link == HEALTHY else sync._replace(stamp_ns=-1),
+                node.truth().position_m,
             )
-            left_over = []
             count += 1
             over = self.shut or (tick.state == State.FAULT and self._operator is None)
             idle = idle + 1 if over and not is_engaged(tick.state) else 0
 
-
-def unsent(frame: Frame) -> Frame:
-    """The frame as it stands in the log where it could not be sent."""
-    return frame._replace(stamp_ns=-1)
+    def _request(self, count: int, last_state: int, last_present: int) -> Request | None:
+        """What is asked of the axis in this tick."""
+        if not self.shut and count >= self._total:
+            self.shut = True
+            return Request(RequestKind.SHUTDOWN)
+        if self._requests is not None:
+            return self._requests.get(count)
+        if self._operator is not None:
+            return self._operator(last_state, last_present)
+        if not self._armed and last_state == State.DISARMED and not last_present & BLOCKS_ARM:
+            self._armed = True
+            return Request(RequestKind.ARM, (1.0,))
+        return None
 
 
 def simulate(config_file: str | Path, duration_s: float = 10.0, seed: int = 0) -> Iterator[Record]:

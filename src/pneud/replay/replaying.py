@@ -19,6 +19,7 @@ from pneud.log.files.reader import LoggedState, LogReader
 from pneud.log.format.fingerprint import numeric_fingerprint
 from pneud.log.format.records import COARSE, COARSE_ERROR, FLOAT_ERROR, LoggedTick, crc_of
 from pneud.log.format.snapshot import SnapshotError, from_json
+from pneud.loop.turn import Turn
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Request, RequestKind, State, Tick
 
@@ -99,8 +100,7 @@ def replay(
         chosen = at_rate(chosen, log.rate_hz)
     codecs = codecs_of(chosen.bus, log.dbc_name, log.dbc)
     p = conversions.axis_of(chosen, codecs.command_lsb_v)
-    axis = law(chosen.loop.compiled, p).axis(p)
-    inbox = Inbox(codecs, chosen.bus)
+    turn = Turn(law(chosen.loop.compiled, p).axis(p), Inbox(codecs, chosen.bus), codecs)
     command = codecs.valve_command
 
     ticks = commands = mismatches = engaged = worst_lsb = 0
@@ -117,22 +117,18 @@ def replay(
                 state = _thawed(log, logged)
                 if expected > 1 or not (from_ns or log.records_before):
                     gap = gap or f"records {expected} to {logged.number} are missing"
-                axis.thaw(state.axis._replace(law=gains.of(state.axis.law)))
-                inbox.thaw(state.inbox)
+                turn.thaw(state.axis._replace(law=gains.of(state.axis.law)), state.inbox)
                 expected = logged.number + 1
             continue
         if logged.number != expected:
             gap = gap or f"records {expected} to {logged.number - 1} are missing"
             continue
         expected += 1
-        for frame in logged.frames[: logged.before]:
-            inbox.feed(frame)
-        inbox.begin(logged.t_ns)
-        for frame in logged.frames[logged.before :]:
-            inbox.feed(frame)
-        measurement = inbox.measurement(logged.skipped, logged.host)
-        tick = axis.cycle(measurement, gains.asked(logged.request), logged.t_ns)
-        inbox.commanded_ns = next((f.stamp_ns for f in logged.sent if f.can_id == command.can_id), -1)
+        turn.open(logged.frames[: logged.before])
+        turn.begin(logged.t_ns)
+        turn.feed(logged.frames[logged.before :])
+        tick = turn.decide(logged.skipped, logged.host, gains.asked(logged.request))
+        turn.sent(next((f.stamp_ns for f in logged.sent if f.can_id == command.can_id), -1))
         if logged.log_time_ns < from_ns:
             continue
         states_differ = _states(tick) != _states(logged)
@@ -143,12 +139,7 @@ def replay(
         whole = len(logged.sent) == 2 and codecs.sync.valid(sync) and command.valid(data)
         if whole:
             commands += 1
-            again = command.encode(
-                tick.command.voltage_v,
-                tick.command.enable,
-                codecs.sync.counter(sync),
-                counter=command.counter(data),
-            )
+            again = turn.command(codecs.sync.counter(sync), command.counter(data))
             if again != data:
                 different = True
                 apart = abs(command.decode(data)[0] - command.decode(again)[0])

@@ -5,13 +5,20 @@ from __future__ import annotations
 from typing import Any
 
 from pneud.scenario.format import Interface, Overload, Scenario, Stop
-from pneud.signals import Host
 
 HEALTHY, FULL, DOWN = 0, 1, 2  # the controller's way to the bus
 
 
 class SimulatedMachine:
-    """Asked in every tick of a simulation."""
+    """Asked in every tick of a simulation.
+
+    Attributes:
+        down: the interface is down in this tick.
+        tx_failed: ticks in which nothing could be sent, so far.
+        rx_dropped: frames that were lost on their way in; there are none.
+    """
+
+    rx_dropped = 0
 
     def __init__(self, scenario: Scenario | None, period_ns: int) -> None:
         self._faults: tuple[Any, ...] = scenario.fault if scenario is not None else ()
@@ -21,6 +28,8 @@ class SimulatedMachine:
         self._plant_until_ns = 0
         self._stall_ticks = 0
         self._overload_ticks, self._overload_until_ns = 0, 0
+        self.down = False
+        self.tx_failed = 0
 
     def begin(self, number: int) -> None:
         """A fault of the machine begins in this tick."""
@@ -48,16 +57,12 @@ class SimulatedMachine:
         return skipped
 
     def link(self, t_ns: int) -> int:
-        """The controller's way to the bus."""
-        return self._link if t_ns < self._link_until_ns else HEALTHY
+        """The controller's way to the bus; to be asked once a tick."""
+        link = self._link if t_ns < self._link_until_ns else HEALTHY
+        self.down = link == DOWN
+        self.tx_failed += link != HEALTHY
+        return link
 
     def plant_stands(self, t_ns: int) -> bool:
         """Whether the plant's process stands still."""
         return t_ns < self._plant_until_ns
-
-    @staticmethod
-    def host(link: int) -> int:
-        """Bits of `signals.Host` that a way to the bus gives."""
-        if link == DOWN:
-            return int(Host.LINK_DOWN | Host.SEND_FAILED)
-        return int(Host.SEND_FAILED) if link == FULL else 0

@@ -26,8 +26,13 @@ from pneud.log.format.header import LogHeader, Rotation
 from pneud.log.live import notes
 from pneud.log.live.recorder import start_recorder
 from pneud.log.live.ring import Ring
-from pneud.loop.loop import Loop, options_of
+from pneud.loop.lane import Lane
+from pneud.loop.loop import Loop
+from pneud.loop.options import options_of
+from pneud.loop.recorder_watch import RecorderWatch
+from pneud.loop.stopping import stop_on_signals
 from pneud.loop.summary import in_words, summarise
+from pneud.loop.turn import Turn
 from pneud.rig.truth import TruthReader, truth_memory
 from pneud.rt import setup
 from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES, names
@@ -222,24 +227,18 @@ def _run(
         reports += setup.apply(wanted.priority, cpu, wanted.lock_memory)
         ring.set_notes(setup.as_text(reports))
         fifo = next(r for r in reports if r.name == "fifo")
-        loop = Loop(
-            axis,
-            codecs,
-            Inbox(codecs, config.bus),
-            link,
-            ring,
-            options_of(
-                config,
-                auto_arm=o.virtual or o.arm,
-                duration_s=o.duration_s,
-                end_on_fault=o.virtual,
-                no_realtime=config.realtime.required and not fifo.ok,
-            ),
-            truth,
-            recorder,
-            handoff.LoopEnd(taking),
+        options = options_of(
+            config,
+            auto_arm=o.virtual or o.arm,
+            duration_s=o.duration_s,
+            end_on_fault=o.virtual,
+            no_realtime=config.realtime.required and not fifo.ok,
         )
-        loop.handle_signals(console)
+        turn = Turn(axis, Inbox(codecs, config.bus), codecs)
+        watch = RecorderWatch(ring, recorder)
+        lane = Lane(turn, link, watch, options, truth, handoff.LoopEnd(taking))
+        loop = Loop([lane], codecs, link, options)
+        stop_on_signals(loop.stop, console)
         loop.run()
     finally:
         ring.set_closed()
@@ -259,9 +258,10 @@ def _run(
         finished = wait(recorder, RECORDER_PATIENCE_S) if recorder else True
     result = None
     if scenario is not None and effects is not None:
-        seen = verdict.Seen(loop.ever_present, loop.ever_latched, loop.state, effects["engaged"])
+        tally = lane.tally
+        seen = verdict.Seen(tally.ever_present, tally.ever_latched, tally.state, effects["engaged"])
         result = verdict.judge(scenario, config, seen, effects)
-    return _report(o, config, loop, ring, log_file, reports, finished, result)
+    return _report(o, config, lane, link, log_file, reports, finished, result)
 
 
 def _rotation(c: LogConfig, option: str | None, log_file: Path) -> Rotation:
@@ -279,41 +279,37 @@ def _rotation(c: LogConfig, option: str | None, log_file: Path) -> Rotation:
 def _report(
     o: RunOptions,
     config: Config,
-    loop: Loop,
-    ring: Ring,
+    lane: Lane,
+    link: Link,
     log_file: Path,
     reports: list[setup.Report],
     finished: bool,
     result: dict[str, Any] | None,
 ) -> int:
+    tally, ring = lane.tally, lane.recorder.ring
     status = ring.status()
     # what a recorder that is still at work holds is not lost
     missing = max(0, ring.put_count - status.written) if finished else status.lost
     if not finished:
         print(f"pneud: {log_file} is still being written", file=sys.stderr)
     summary = summarise(
-        state=loop.state,
-        bus=loop.link.name,
+        tally,
+        bus=link.name,
         rate_hz=config.loop.rate_hz,
-        ticks=loop.ticks,
-        skipped=loop.skipped,
-        lateness=loop.lateness,
-        latency=loop.latency,
-        tracking=loop.tracking,
-        counts=loop.inbox.counts(),
-        tx=loop.link.tx,
-        rx_dropped=loop.link.rx_dropped,
+        counts=lane.turn.inbox.counts(),
+        tx=link.tx,
+        rx_dropped=link.rx_dropped,
         log=str(log_file),
         log_dropped=missing,
-        faults=loop.ever_latched,
     )
     for report in reports:
         if report.asked and not report.ok:
             print(f"pneud: {report.name}: {report.reason}", file=sys.stderr)
-    if loop.axis.failure is not None:
-        print(f"pneud: exception in the cycle: {loop.axis.failure!r}", file=sys.stderr)
+    failure = lane.turn.axis.failure
+    if failure is not None:
+        print(f"pneud: exception in the cycle: {failure!r}", file=sys.stderr)
     if missing:
-        why = status.error_text or ("the recorder was lost" if loop.recorder_lost else "it could not keep up")
+        why = status.error_text or ("the recorder was lost" if lane.recorder.lost else "it could not keep up")
         print(f"pneud: the log lacks {missing} records: {why}", file=sys.stderr)
     if result is not None:
         summary["scenario"] = result
@@ -323,12 +319,12 @@ def _report(
     else:
         print(in_words(summary))
     wanted = o.virtual or o.arm
-    if loop.ever_latched:
+    if tally.ever_latched:
         if not o.json:
-            print(f"pneud: stopped by {', '.join(names(loop.ever_latched))}", file=sys.stderr)
+            print(f"pneud: stopped by {', '.join(names(tally.ever_latched))}", file=sys.stderr)
         return 1
-    if not wanted or loop.operated or loop.state == State.TRACKING:
+    if not wanted or lane.operated or tally.state == State.TRACKING:
         return 0
-    reasons = names(loop.refused | (loop.present & BLOCKS_ARM))
+    reasons = names(tally.refused | (tally.present & BLOCKS_ARM))
     print(f"pneud: never armed: {', '.join(reasons) or 'the run was too short'}", file=sys.stderr)
     return 1

@@ -7,13 +7,13 @@ import os
 import sys
 from pathlib import Path
 
-from pneud.axis.cycle import FOLLOWING
 from pneud.config.models import ConfigError
 from pneud.loading import load_axis, load_scenario
 from pneud.log.files.naming import create_log, log_path
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import SNAPSHOT_S, LogHeader
-from pneud.loop.summary import Tracking, in_words, summarise
+from pneud.loop.summary import in_words, summarise
+from pneud.loop.tally import Tally
 from pneud.replay.lockstep import Simulation, law_of
 from pneud.safety.faults import FAULT_NAMES
 from pneud.scenario import verdict
@@ -80,23 +80,18 @@ def simulate(
                 extra={"seed": str(seed), "law": how.name},
             ),
         )
-    tracking = Tracking(True)
-    state, ticks, faults = int(State.STARTING), 0, 0
+    tally = Tally(truth=True, timed=False)
     seen = verdict.Seen()
     snapshot_ticks, written = max(1, round(SNAPSHOT_S * loaded.config.loop.rate_hz)), 0
     for record in run.records():
-        tick = record.tick
-        faults |= tick.latched
+        tally.add(record, run.axis.state.plan, ending=run.shut)
         if not run.shut:
-            state, ticks = tick.state, ticks + 1
-            seen = seen.then(tick)
-            if run.axis.state.phase == FOLLOWING:
-                tracking.add(tick, run.axis.state.phase_ns, record.truth_m)
+            seen = seen.then(record.tick)
         if writer is not None:
             writer.write(record)
             written += 1
             if written % snapshot_ticks == 0:
-                writer.snapshot({"axis": run.axis.freeze(), "inbox": run.inbox.freeze()})
+                writer.snapshot(run.turn.freeze())
     lost = 0
     if writer is not None and not writer.close():
         lost = writer.unwritten
@@ -104,20 +99,14 @@ def simulate(
     if run.axis.failure is not None:
         print(f"pneud: exception in the cycle: {run.axis.failure!r}", file=sys.stderr)
     summary = summarise(
-        state=state,
+        tally,
         bus="simulated",
         rate_hz=loaded.config.loop.rate_hz,
-        ticks=ticks,
-        skipped=0,
-        lateness=None,
-        latency=None,
-        tracking=tracking,
         counts=run.inbox.counts(),
         tx=run.tx,
         rx_dropped=0,
         log=str(path) if path is not None else None,
         log_dropped=lost,
-        faults=faults,
     )
     if run.engine is not None and scenario is not None:
         run.engine.settle()
@@ -125,4 +114,4 @@ def simulate(
     print(json_.dumps(summary) if json else in_words(summary))
     if scenario is not None and not json:
         print(verdict.in_words(summary["scenario"]))
-    return 0 if state == State.TRACKING and not faults and not lost else 1
+    return 0 if tally.state == State.TRACKING and not tally.ever_latched and not lost else 1

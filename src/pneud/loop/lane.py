@@ -1,0 +1,163 @@
+"""One axis in the running loop: what is asked of it, what is recorded of it, when its run is over."""
+
+from __future__ import annotations
+
+import math
+import time
+
+from pneud.bus.link import Link
+from pneud.console.handoff import LoopEnd
+from pneud.loop.conditions import Conditions
+from pneud.loop.options import Options
+from pneud.loop.recorder_watch import RecorderWatch
+from pneud.loop.tally import Tally
+from pneud.loop.turn import END_TICKS, Turn
+from pneud.rig.truth import TruthReader
+from pneud.safety.faults import BLOCKS_ARM, F
+from pneud.safety.supervisor import is_engaged
+from pneud.signals import Frame, Request, RequestKind, State, Timing
+
+FAULT_S = 0.1  # how long a run that ends on a fault goes on telling the valve to centre
+SNAPSHOT_PIECES = 128  # of a profile; the state with a longer one would take too long to hand over
+ARM, DISARMED, FAULT = int(RequestKind.ARM), int(State.DISARMED), int(State.FAULT)
+
+
+class Lane:
+    """All that the loop has to do for one axis alone.
+
+    Attributes:
+        turn: the exchange.
+        conditions: of the host.
+        recorder: takes the records.
+        tally: of the run.
+        request: of this tick.
+        operated: an operator has asked something of the axis.
+    """
+
+    __slots__ = (
+        *("_armed", "_asked", "_console", "_end_on_fault", "_fault_ticks", "_idle", "_record_ns", "_shut"),
+        *("_truth", "_truth_m", "conditions", "decided_ns", "operated", "recorder", "request", "tally"),
+        "turn",
+    )
+
+    def __init__(
+        self,
+        turn: Turn,
+        link: Link,
+        recorder: RecorderWatch,
+        options: Options,
+        truth: TruthReader | None = None,
+        console: LoopEnd | None = None,
+    ) -> None:
+        """An axis whose run has not begun.
+
+        Args:
+            turn: its exchange.
+            link: its way to the bus.
+            recorder: takes its records.
+            options: how the run goes.
+            truth: true positions of a software plant.
+            console: where operators' requests come from.
+        """
+        self.turn = turn
+        self.conditions = Conditions(turn.inbox, link)
+        self.recorder = recorder
+        self.tally = Tally(truth=truth is not None, timed=True)
+        self.request: Request | None = None
+        self.operated = False
+        self.decided_ns = 0
+        """When the axis had decided, to be set after that."""
+        self._truth = truth
+        self._truth_m = math.nan
+        self._console = console
+        self._asked = False  # the request is an operator's
+        self._armed = not options.auto_arm
+        self._shut = False  # shutdown has been requested of the axis
+        self._end_on_fault = options.end_on_fault
+        self._fault_ticks = options.ticks(FAULT_S, END_TICKS)
+        self._idle = 0  # ticks since it was engaged
+        self._record_ns = -1  # that the last record took to hand over
+
+    def ask(self, ending: bool) -> None:
+        """Find what is asked of the axis in this tick, by the run itself or else by an operator.
+
+        Args:
+            ending: the run has been told to end.
+        """
+        request, self._asked = self._own_request(ending), False
+        if request is None and self._console is not None:
+            request = self._console.take()
+            if request is not None:
+                self._asked = self.operated = True
+        self.request = request
+
+    def _own_request(self, ending: bool) -> Request | None:
+        if ending and not self._shut:
+            self._shut = True
+            return Request(RequestKind.SHUTDOWN)
+        if self._armed or not self.tally.ticks:
+            return None
+        last = self.turn.tick
+        if last.state != DISARMED or last.present & BLOCKS_ARM or not self.recorder.begun:
+            return None
+        return Request(RequestKind.ARM, (1.0,))
+
+    def see_truth(self, sync_ns: int) -> None:
+        """Look for the true position at this tick's SYNC.
+
+        Args:
+            sync_ns: when SYNC had been sent.
+        """
+        if self._truth is not None:
+            self._truth_m = self._truth.get(self.turn.t_ns, sync_ns)
+
+    def record(self, sync: Frame, lateness_ns: int, set_ns: int, *, freeze: bool) -> None:
+        """Hand the tick over, after its command was sent.
+
+        Args:
+            sync: as it was sent.
+            lateness_ns: of the wake-up, after the first of the grid points that it missed.
+            set_ns: when the set was complete or given up.
+            freeze: hand the state over, too.
+        """
+        turn, ring = self.turn, self.recorder.ring
+        newest_ns, sent_ns = turn.newest_ns, turn.sent_ns
+        latency_ns = sent_ns - newest_ns if newest_ns and sent_ns > 0 else -1
+        if self._truth is not None and math.isnan(self._truth_m):  # the plant had not seen SYNC before
+            self.see_truth(sync.stamp_ns)
+        end_ns = time.monotonic_ns()
+        timing = Timing(
+            lateness_ns,
+            set_ns - turn.t_ns,
+            self.decided_ns - set_ns,
+            end_ns - self.decided_ns,
+            latency_ns,
+            self._record_ns,
+        )
+        record = turn.record(timing, sync, self._truth_m)
+        ring.put(record)
+        if freeze:
+            ring.put_state(
+                turn.t_ns, turn.freeze() if len(turn.axis.state.profile) <= SNAPSHOT_PIECES else None
+            )
+        self._record_ns = time.monotonic_ns() - end_ns
+        if self._asked and self._console is not None:
+            self._console.answer(turn.tick)
+        self.tally.add(record, turn.axis.state.plan, ending=self._shut)
+
+    def over(self) -> bool:
+        """Whether nothing is left to do for the axis after this tick; to be asked once in each."""
+        tick, request = self.turn.tick, self.request
+        if request is not None and not self._asked and request.kind == ARM:
+            # what shows only now would show again; anything else may pass, and arming is tried again
+            self.tally.refused = 0 if is_engaged(tick.state) else tick.present & BLOCKS_ARM
+            self._armed = is_engaged(tick.state) or bool(tick.present & 1 << F.UNREACHABLE)
+        if is_engaged(tick.state):
+            self._idle = 0
+            return False
+        self._idle += 1
+        if self._shut:
+            return self._idle >= END_TICKS
+        # an operator is there to clear a fault
+        ends = self._end_on_fault and not self.operated and tick.state == FAULT
+        return ends and self._idle >= self._fault_ticks

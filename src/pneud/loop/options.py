@@ -1,0 +1,37 @@
+"""How a run goes, from the configuration and the command line."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from pneud.config.models import Config
+
+
+class Options(NamedTuple):
+    """How a run goes."""
+
+    rate_hz: float
+    set_deadline: float  # part of the period to wait for a complete set
+    spin_us: float
+    auto_arm: bool  # arm once, as soon as everything allows it
+    duration_s: float | None  # None runs until it is told to stop
+    end_on_fault: bool
+    no_realtime: bool  # real-time scheduling is required and was refused
+
+    def ticks(self, seconds: float, least: int = 1) -> int:
+        """So much time, in ticks."""
+        return max(least, round(seconds * self.rate_hz))
+
+
+def options_of(
+    c: Config,
+    *,
+    auto_arm: bool,
+    duration_s: float | None,
+    end_on_fault: bool,
+    no_realtime: bool,
+) -> Options:
+    """Options from a configuration and the command line."""
+    return Options(
+        c.loop.rate_hz, c.loop.set_deadline, c.loop.spin_us, auto_arm, duration_s, end_on_fault, no_realtime
+    )

@@ -1,0 +1,122 @@
+"""One axis's exchange: frames in, a command out.
+
+Rig, virtual run, simulation, replay and import go through the same steps in every tick, and differ in where
+the frames come from and in who tells the time: `open`, `begin`, `feed` as often as frames come, `decide`,
+`command`, `sent`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from pneud.axis.cycle import Axis, AxisState
+from pneud.bus.codec import Codecs
+from pneud.bus.inbox import Inbox, InboxState
+from pneud.signals import Frame, Record, Request, Tick, Timing
+
+END_TICKS = 20  # times that the valve is told to centre before a run ends
+
+
+class Turn:
+    """An axis, what it hears and what it says.
+
+    Attributes:
+        axis: decides.
+        inbox: judges what comes.
+        frames: that have come for this tick.
+        before: how many of them had come when SYNC left.
+        command_id: identifier of the commands.
+        t_ns: this tick's SYNC.
+        tick: what has been decided; there is none before the first `decide`.
+        data: of the command.
+        sent_ns: when it was sent; −1 where it could not be.
+    """
+
+    __slots__ = (
+        *("_cycle", "_encode", "_mask", "_take", "axis", "before", "command_id", "data", "frames", "inbox"),
+        *("sent_ns", "t_ns", "tick"),
+    )
+    tick: Tick
+
+    def __init__(self, axis: Axis, inbox: Inbox, codecs: Codecs) -> None:
+        """An exchange that has not begun."""
+        self.axis = axis
+        self.inbox = inbox
+        self.frames: list[Frame] = []
+        self.before = 0
+        self.t_ns = 0
+        self.data = b""
+        self.sent_ns = -1
+        self.command_id = codecs.valve_command.can_id
+        self._mask = codecs.valve_command.counter_mask
+        self._encode = codecs.valve_command.encode
+        self._take = inbox.feed
+        self._cycle = axis.cycle
+
+    @property
+    def newest_ns(self) -> int:
+        """Stamp of the last frame since SYNC, 0 without one."""
+        return self.frames[-1].stamp_ns if len(self.frames) > self.before else 0
+
+    def open(self, left_over: Sequence[Frame]) -> None:
+        """A tick, with the frames that have come since the last one's set was taken."""
+        self.frames.clear()
+        self.feed(left_over)
+        self.before = len(self.frames)
+
+    def begin(self, t_ns: int) -> None:
+        """SYNC leaves at `t_ns`."""
+        self.t_ns = t_ns
+        self.inbox.begin(t_ns)
+
+    def feed(self, frames: Sequence[Frame]) -> None:
+        """Frames that have come, in order of their stamps."""
+        self.frames.extend(frames)
+        take = self._take
+        for frame in frames:
+            take(frame)
+
+    def decide(self, skipped: int, host: int, request: Request | None) -> Tick:
+        """What the axis makes of all that has come.
+
+        Args:
+            skipped: ticks skipped just before this one.
+            host: bits of `signals.Host`.
+            request: at most one request of the operator.
+        """
+        self.tick = tick = self._cycle(self.inbox.measurement(skipped, host), request, self.t_ns)
+        return tick
+
+    def command(self, sequence: int, counter: int) -> bytes:
+        """What to send to the valve.
+
+        Args:
+            sequence: counter of this tick's SYNC.
+            counter: of the command, as far as it fits.
+        """
+        voltage_v, enable = self.tick.command[:2]
+        self.data = data = self._encode(voltage_v, enable, sequence, counter=counter & self._mask)
+        return data
+
+    def centre(self, counter: int) -> bytes:
+        """The command for a valve whose axis decides nothing any more."""
+        return self._encode(0.0, 0, 1, counter=counter & self._mask)
+
+    def sent(self, stamp_ns: int) -> None:
+        """The command was sent at `stamp_ns`; −1 where it could not be."""
+        self.sent_ns = self.inbox.commanded_ns = stamp_ns
+
+    def record(self, timing: Timing, sync: Frame, truth_m: float) -> Record:
+        """The tick as it is recorded."""
+        sent = (sync, Frame(self.sent_ns, self.command_id, self.data))
+        return Record(self.tick, timing, tuple(self.frames), self.before, sent, truth_m)
+
+    def freeze(self) -> dict[str, Any]:
+        """All that the next ticks depend on, after `sent`."""
+        return {"axis": self.axis.freeze(), "inbox": self.inbox.freeze()}
+
+    def thaw(self, axis: AxisState, inbox: InboxState) -> None:
+        """Go on from a frozen state."""
+        self.axis.thaw(axis)
+        self.inbox.thaw(inbox)
