@@ -32,13 +32,9 @@ class Lane:
         tally: of the run.
         request: of this tick.
         operated: an operator has asked something of the axis.
+        decided_ns: when the axis had decided; like the next one, for the loop to set.
+        done_ns: when its command had been sent.
     """
-
-    __slots__ = (
-        *("_armed", "_asked", "_console", "_end_on_fault", "_fault_ticks", "_idle", "_record_ns", "_shut"),
-        *("_truth", "_truth_m", "conditions", "decided_ns", "operated", "recorder", "request", "tally"),
-        "turn",
-    )
 
     def __init__(
         self,
@@ -65,8 +61,7 @@ class Lane:
         self.tally = Tally(truth=truth is not None, timed=True)
         self.request: Request | None = None
         self.operated = False
-        self.decided_ns = 0
-        """When the axis had decided, to be set after that."""
+        self.decided_ns = self.done_ns = 0
         self._truth = truth
         self._truth_m = math.nan
         self._console = console
@@ -121,26 +116,23 @@ class Lane:
             freeze: hand the state over, too.
         """
         turn, ring = self.turn, self.recorder.ring
-        newest_ns, sent_ns = turn.newest_ns, turn.sent_ns
-        latency_ns = sent_ns - newest_ns if newest_ns and sent_ns > 0 else -1
+        newest_ns, sent_ns, begun_ns = turn.newest_ns, turn.sent_ns, time.monotonic_ns()
         if self._truth is not None and math.isnan(self._truth_m):  # the plant had not seen SYNC before
             self.see_truth(sync.stamp_ns)
-        end_ns = time.monotonic_ns()
         timing = Timing(
             lateness_ns,
             set_ns - turn.t_ns,
             self.decided_ns - set_ns,
-            end_ns - self.decided_ns,
-            latency_ns,
+            self.done_ns - self.decided_ns,
+            sent_ns - newest_ns if newest_ns and sent_ns > 0 else -1,
             self._record_ns,
         )
         record = turn.record(timing, sync, self._truth_m)
         ring.put(record)
         if freeze:
-            ring.put_state(
-                turn.t_ns, turn.freeze() if len(turn.axis.state.profile) <= SNAPSHOT_PIECES else None
-            )
-        self._record_ns = time.monotonic_ns() - end_ns
+            short = len(turn.axis.state.profile) <= SNAPSHOT_PIECES
+            ring.put_state(turn.t_ns, turn.freeze() if short else None)
+        self._record_ns = time.monotonic_ns() - begun_ns
         if self._asked and self._console is not None:
             self._console.answer(turn.tick)
         self.tally.add(record, turn.axis.state.plan, ending=self._shut)

@@ -82,13 +82,15 @@ class Loop:
         """One tick; whether it was the last one."""
         link, lanes, turns = self._link, self.lanes, self._turns
         count, clock = self._count, time.monotonic_ns
+        # wake
         _, late_ns, skipped = self._pacer.next()
         host = self._host if link.watch_clock() == 0 else self._host | CLOCK_STEP
+        # drain
         link.drain(self._came)
         for turn in turns:
             turn.open(self._came)
         self._came.clear()
-
+        # SYNC, and wait
         index = count % SYNC_COUNTERS
         sync_data = self._syncs[index]
         t_ns = clock()
@@ -96,7 +98,7 @@ class Loop:
             turn.begin(t_ns)
         sync = Frame(link.send(self._sync_id, sync_data), self._sync_id, sync_data)
         set_ns = self._wait(t_ns, sync.stamp_ns)
-
+        # decide and send
         if link.down and count % self._check_ticks == 0:
             link.reopen()
         for lane in lanes:
@@ -104,12 +106,13 @@ class Loop:
             turn.decide(skipped, lane.conditions.host(t_ns, host | lane.recorder.host), lane.request)
             lane.decided_ns = clock()
             turn.sent(link.send(turn.command_id, turn.command(index + 1, count)))
-
-        # since the first of the grid points that were missed
-        lateness_ns = late_ns + skipped * self._period_ns
+            lane.done_ns = clock()
+        # record
+        lateness_ns = late_ns + skipped * self._period_ns  # since the first of the grid points missed
         freeze = count % self._snapshot_ticks == self._snapshot_ticks - 1
         for lane in lanes:
             lane.record(sync, lateness_ns, set_ns, freeze=freeze)
+        # account
         return self._account(t_ns, skipped)
 
     def _wait(self, t_ns: int, sync_ns: int) -> int:

@@ -95,8 +95,8 @@ class Turn:
             sequence: counter of this tick's SYNC.
             counter: of the command, as far as it fits.
         """
-        voltage_v, enable = self.tick.command[:2]
-        self.data = data = self._encode(voltage_v, enable, sequence, counter=counter & self._mask)
+        c = self.tick.command
+        self.data = data = self._encode(c.voltage_v, c.enable, sequence, counter=counter & self._mask)
         return data
 
     def centre(self, counter: int) -> bytes:

@@ -1,0 +1,130 @@
+"""The loop over several axes: one SYNC, one wait for all answers, a command and a record for each."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import pytest
+
+from pneud.axis.cycle import Axis
+from pneud.bus.inbox import Inbox
+from pneud.bus.link import Link
+from pneud.config import conversions
+from pneud.loading import load
+from pneud.log.live.ring import Ring
+from pneud.loop.lane import Lane
+from pneud.loop.loop import Loop
+from pneud.loop.options import Options
+from pneud.loop.recorder_watch import RecorderWatch
+from pneud.loop.turn import END_TICKS, Turn
+from pneud.rig.node import PlantNode
+from pneud.signals import Frame, Record, State
+
+RATE_HZ = 100.0
+LOADED = load("virtual.toml", None, {"loop": {"rate_hz": RATE_HZ}})
+SYNC, COMMAND = LOADED.codecs.sync, LOADED.codecs.valve_command
+OPTIONS = Options(RATE_HZ, 0.8, 0.0, auto_arm=True, duration_s=0.8, end_on_fault=True, no_realtime=False)
+
+
+class Carrier:
+    """The software rig in this process; of several commands in a tick it takes the first."""
+
+    dropped = 0
+
+    def __init__(self) -> None:
+        self.node = PlantNode(conversions.plant_of(LOADED.config), LOADED.codecs, 0)
+        self.sent: list[Frame] = []
+
+    def fileno(self) -> int:
+        return 0
+
+    def drain(self, _: int, into: list[Frame], wait_ns: int = 0) -> int:
+        if wait_ns:
+            time.sleep(min(wait_ns, 100_000) * 1e-9)
+        frames = self.node.poll(time.monotonic_ns())
+        into.extend(frames)
+        return len(frames)
+
+    def send(self, can_id: int, data: bytes) -> None:
+        frame = Frame(time.monotonic_ns(), can_id, data)
+        if can_id == SYNC.can_id or self.sent[-1].can_id == SYNC.can_id:
+            self.node.on_frame(frame)
+        self.sent.append(frame)
+
+    def close(self) -> None:
+        pass
+
+
+class Kept(Ring):
+    """Keeps what is put."""
+
+    records: list[Record]
+    fails_at = -1
+
+    def put(self, record: Record) -> None:
+        self.records.append(record)
+        if len(self.records) == self.fails_at:
+            raise RuntimeError("no more")
+
+
+def lane(link: Link, options: Options = OPTIONS) -> Lane:
+    axis = Axis(conversions.axis_of(LOADED.config, LOADED.codecs.command_lsb_v))
+    ring = Kept.create(slots=8)
+    ring.records = []  # type: ignore[attr-defined]
+    turn = Turn(axis, Inbox(LOADED.codecs, LOADED.config.bus), LOADED.codecs)
+    return Lane(turn, link, RecorderWatch(ring, 0), options)
+
+
+def records(of: Lane) -> list[Record]:
+    kept: Any = of.recorder.ring
+    return list(kept.records)
+
+
+@pytest.mark.parametrize("axes", [1, 2, 3])
+def test_one_sync_and_a_command_for_each_axis_in_every_tick(axes: int) -> None:
+    carrier = Carrier()
+    link = Link("here", carrier)
+    lanes = [lane(link) for _ in range(axes)]
+    Loop(lanes, LOADED.codecs, link, OPTIONS).run()
+    ticks = len(records(lanes[0]))
+    assert [frame.can_id for frame in carrier.sent] == [SYNC.can_id, *[COMMAND.can_id] * axes] * ticks
+    # all have heard the same, so all say the same
+    for other in lanes[1:]:
+        assert [r.tick for r in records(other)] == [r.tick for r in records(lanes[0])]
+        assert [r.frames for r in records(other)] == [r.frames for r in records(lanes[0])]
+    for n in range(ticks):
+        now = carrier.sent[n * (axes + 1) : (n + 1) * (axes + 1)]
+        assert len({frame.data for frame in now[1:]}) == 1
+        assert COMMAND.decode(now[1].data)[2] == SYNC.counter(now[0].data)
+    tally = lanes[0].tally
+    assert tally.ticks + tally.skipped == pytest.approx(RATE_HZ * 0.8, abs=1)
+    assert any(r.tick.state == State.TRACKING for r in records(lanes[0]))
+
+
+def test_an_axis_with_a_fault_does_not_end_the_run_of_another() -> None:
+    carrier = Carrier()
+    link = Link("here", carrier)
+    lanes = [lane(link), lane(link)]
+    lanes[1].turn.axis.parameters = None  # type: ignore[assignment]  # every cycle fails
+    Loop(lanes, LOADED.codecs, link, OPTIONS).run()
+    assert lanes[0].tally.ticks + lanes[0].tally.skipped == pytest.approx(RATE_HZ * 0.8, abs=1)
+    assert lanes[1].tally.state == State.FAULT
+    alone = [lane(link)]
+    alone[0].turn.axis.parameters = None  # type: ignore[assignment]
+    Loop(alone, LOADED.codecs, link, OPTIONS).run()
+    assert END_TICKS <= len(records(alone[0])) < END_TICKS + 10
+
+
+def test_an_exception_in_the_loop_centres_every_valve() -> None:
+    carrier = Carrier()
+    link = Link("here", carrier)
+    lanes = [lane(link), lane(link)]
+    failing: Any = lanes[1].recorder.ring
+    failing.fails_at = 60
+    with pytest.raises(RuntimeError, match="no more"):
+        Loop(lanes, LOADED.codecs, link, OPTIONS).run()
+    last = carrier.sent[-2 * END_TICKS :]
+    assert all(frame.can_id == COMMAND.can_id for frame in last)
+    assert {COMMAND.decode(frame.data)[:2] for frame in last} == {(0.0, 0)}
+    assert len({frame.data for frame in last}) == END_TICKS
