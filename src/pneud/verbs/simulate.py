@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from pneud.config.models import ConfigError
-from pneud.loading import load_axis, load_scenario
+from pneud.loading import Loaded, load_axis, load_scenario
 from pneud.log.files.naming import create_log, log_path
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import SNAPSHOT_S, LogHeader
@@ -64,22 +64,7 @@ def simulate(
     writer, path = None, None
     if output is not None:
         path = log_path(str(output), loaded.config.name)
-        writer = LogWriter(
-            create_log(path),
-            LogHeader(
-                name=loaded.config.name,
-                bus="simulated",
-                rate_hz=loaded.config.loop.rate_hz,
-                detail=loaded.config.log.detail,
-                config_name=loaded.path.name,
-                config_text=loaded.text,
-                dbc_name=loaded.dbc.name,
-                dbc=loaded.dbc.read_bytes(),
-                fault_names=FAULT_NAMES,
-                realtime_offset_ns=0,
-                extra={"seed": str(seed), "law": how.name},
-            ),
-        )
+        writer = _writer(path, loaded, seed, how.name)
     tally = Tally(truth=True, timed=False)
     seen = verdict.Seen()
     snapshot_ticks, written = max(1, round(SNAPSHOT_S * loaded.config.loop.rate_hz)), 0
@@ -115,3 +100,22 @@ def simulate(
     if scenario is not None and not json:
         print(verdict.in_words(summary["scenario"]))
     return 0 if tally.state == State.TRACKING and not tally.ever_latched and not lost else 1
+
+
+def _writer(path: Path, loaded: Loaded, seed: int, law: str) -> LogWriter:
+    return LogWriter(
+        create_log(path),
+        LogHeader(
+            name=loaded.config.name,
+            bus="simulated",
+            rate_hz=loaded.config.loop.rate_hz,
+            detail=loaded.config.log.detail,
+            config_name=loaded.path.name,
+            config_text=loaded.text,
+            dbc_name=loaded.dbc.name,
+            dbc=loaded.dbc.read_bytes(),
+            fault_names=FAULT_NAMES,
+            realtime_offset_ns=0,
+            extra={"seed": str(seed), "law": law},
+        ),
+    )
