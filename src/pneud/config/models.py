@@ -6,6 +6,7 @@ Unknown keys are errors; units are part of the names. Nothing here is read insid
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -47,10 +48,13 @@ def check_channel(text: str) -> None:
     """
     kind, _, name = text.partition(":")
     ok = text == "auto" or (
-        kind in ("socketcan", "unixcan") and name != "" and "/" not in name and len(name) <= 64
+        kind in ("socketcan", "unixcan") and re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.:@+-]{0,63}", name)
     )
     if not ok:
-        raise ValueError(f"bus {text!r} is none of auto, socketcan:IF, unixcan:NAME")
+        raise ValueError(
+            f"bus {text!r} is none of auto, socketcan:IF, unixcan:NAME; names are up to 64 letters, digits"
+            " and signs such as _ . -"
+        )
 
 
 class CylinderConfig(Section):
