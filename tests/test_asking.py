@@ -475,3 +475,13 @@ def test_the_soft_limits_lie_inside_the_travel() -> None:
 def test_the_end_of_a_piece_is_where_the_next_begins() -> None:
     for before, after in pairwise(profiles.steps([0.3, 0.4], 0.1, Bounds(0.5, 5.0, 100.0))):
         assert at(before.T, before) == pytest.approx(at(0.0, after), abs=1e-6)
+
+
+@pytest.mark.parametrize("values", [(0.5, 1e-15), (0.5, 0.1, 5e-324), (0.5, 0.1, 1.0, 5e-324), (0.5, -0.1)])
+def test_a_way_that_would_take_for_ever_is_refused(values: tuple[float, ...]) -> None:
+    assert holding().tick(GOTO, *values).answer == Answer.MALFORMED
+
+
+@pytest.mark.parametrize("velocity", [1e-15, -5e-324])
+def test_a_jog_that_does_not_move_is_refused(velocity: float) -> None:
+    assert holding().tick(JOG, velocity, 100.0).answer == Answer.MALFORMED

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from commands import pneud_here as pneud
 from pneud import resources
 from pneud.bus.codec import DatabaseError
-from pneud.config.models import ConfigError, load_config, parse
+from pneud.bus.load import longest_s
+from pneud.config.models import Config, ConfigError, load_config, parse
+from pneud.config.places import keys_of, line_of
 from pneud.loading import load
 
 GOOD = (resources.configs() / "virtual.toml").read_text()
+ROOT = Path(__file__).parent.parent
 DBC = (resources.configs() / "pneud.dbc").read_text()
 
 BROKEN = [
@@ -60,6 +68,178 @@ def test_a_broken_configuration_gets_one_line(
     assert says in text
     assert str(file) in text
     assert "\n" not in text
+
+
+def written(folder: Path, *changes: tuple[str, str]) -> Path:
+    text = GOOD
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    file = folder / "axis.toml"
+    file.write_text(text)
+    return file
+
+
+IMPLAUSIBLE = [
+    (
+        "orifice",
+        "orifice_area_m2 = 2.8274e-5",
+        "orifice_area_m2 = 6.9",
+        "line 21: valve.orifice_area_m2 = 6.9",
+    ),
+    (
+        "encoder step",
+        "encoder_resolution_m = 1.0e-6",
+        "encoder_resolution_m = 5.0",
+        "encoder_resolution_m = 5.0",
+    ),
+    ("dead zone", "dead_zone_v = 0.1", "dead_zone_v = 2.0", "valve.dead_zone_v: a dead zone of 2 of 5 V"),
+    ("friction", "static_n = 60.0", "static_n = 6000.0", "N of friction against"),
+    ("no room to run up", "frequency_hz = 0.5", "frequency_hz = 5.0", "limits.transfer: the run-up to"),
+    (
+        "light",
+        "moving_mass_kg = 15.0",
+        "moving_mass_kg = 0.01",
+        "cylinder.moving_mass_kg: 0.01 kg on a piston",
+    ),
+    (
+        "beyond the valve",
+        "orifice_area_m2 = 2.8274e-5",
+        "orifice_area_m2 = 5e-7",
+        "V of the valve's 5 V",
+    ),
+]
+
+
+@pytest.mark.parametrize(("_name", "old", "new", "says"), IMPLAUSIBLE, ids=[b[0] for b in IMPLAUSIBLE])
+def test_what_no_rig_has_is_refused_with_its_line(
+    tmp_path: Path, _name: str, old: str, new: str, says: str
+) -> None:
+    done = pneud("check", written(tmp_path, (old, new)))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1
+    assert says in done.stderr
+    assert "line " in done.stderr
+
+
+def test_a_reference_beyond_the_piston_is_refused(tmp_path: Path) -> None:
+    done = pneud("check", written(tmp_path, ("moving_mass_kg = 15.0", "moving_mass_kg = 1500.0")))
+    assert done.returncode == 2
+    assert "% of the piston's force" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (
+            "dead_zone_v = 0.1",
+            "dead_zone_v = 1.0",
+            "warning: line 25: valve.dead_zone_v: a dead zone of 1 of 5 V",
+        ),
+        ("static_n = 60.0", "static_n = 300.0", "N of friction against"),
+        ("moving_mass_kg = 15.0", "moving_mass_kg = 0.3", "cylinder.moving_mass_kg"),
+    ],
+)
+def test_what_few_rigs_have_is_a_warning(tmp_path: Path, old: str, new: str, says: str) -> None:
+    done = pneud("check", written(tmp_path, (old, new)))
+    assert done.returncode == 0, done.stderr
+    assert says in done.stdout
+    assert "fine" not in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("rate", "bitrate", "fits"),
+    [
+        *((1000, "1_000_000.0", True), (1400, "1_000_000.0", True), (1500, "1_000_000.0", False)),
+        *((2000, "1_000_000.0", False), (2000, "inf", True), (5000, "inf", True)),
+        *((500, "250_000.0", False), (390, "250_000.0", True), (250, "125_000.0", False)),
+    ],
+)
+def test_the_bus_has_to_carry_the_rate(tmp_path: Path, rate: int, bitrate: str, fits: bool) -> None:
+    file = written(
+        tmp_path,
+        ("rate_hz = 1000.0", f"rate_hz = {rate}.0"),
+        ("bitrate_bit_s = 1_000_000.0", f"bitrate_bit_s = {bitrate}"),
+    )
+    if fits:
+        assert load(file).config.loop.rate_hz == rate
+        return
+    with pytest.raises(ConfigError) as e:
+        load(file)
+    assert f"loop.rate_hz = {rate}" in str(e.value)
+    assert "take at most" in str(e.value)
+
+
+def test_the_rate_that_it_names_can_be_had(tmp_path: Path) -> None:
+    changes = ("bitrate_bit_s = 1_000_000.0", "bitrate_bit_s = 250_000.0")
+    with pytest.raises(ConfigError) as e:
+        load(written(tmp_path, changes))
+    most = re.search(r"at most (\d+) Hz", str(e.value))
+    assert most is not None
+    assert load(written(tmp_path, changes), float(most.group(1)))
+    with pytest.raises(ConfigError):
+        load(written(tmp_path, changes), float(most.group(1)) + 1.0)
+
+
+@given(st.binary(max_size=8))
+def test_no_frame_is_longer_than_the_longest(data: bytes) -> None:
+    """Bits as ISO 11898 has them, stuffed one by one."""
+    bits = [0, *(1 for _ in range(11)), 0, 0, 0, *(len(data) >> i & 1 for i in (3, 2, 1, 0))]
+    bits += [byte >> i & 1 for byte in data for i in range(7, -1, -1)]
+    crc = 0
+    for bit in bits:
+        crc = (crc << 1 ^ (0x4599 if (crc >> 14 & 1) != bit else 0)) & 0x7FFF
+    bits += [crc >> i & 1 for i in range(14, -1, -1)]
+    length, run, last = 0, 0, -1
+    for bit in bits:
+        run = run + 1 if bit == last else 1
+        last = bit
+        length += 1
+        if run == 5:
+            length, run, last = length + 1, 1, 1 - bit
+    assert (length + 13) / 1e6 <= longest_s(len(data), 1e6)
+
+
+def test_an_unknown_key_is_told_from_a_known_one(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"line 26: valve.dead_zon_v: unknown key; is dead_zone_v meant\?"):
+        load(
+            written(
+                tmp_path, ("dead_zone_v = 0.1\n\n[loop]", "dead_zone_v = 0.1\ndead_zon_v = 0.1\n\n[loop]")
+            )
+        )
+    with pytest.raises(ConfigError, match=r"gas.stroke_m: unknown key; is cylinder.stroke_m meant\?"):
+        load(written(tmp_path, ("[gas]\n", "[gas]\nstroke_m = 1.0\n")))
+
+
+@given(st.data())
+def test_a_key_is_found_on_the_line_it_stands_on(data: st.DataObject) -> None:
+    known = set(keys_of(Config))
+    keys = sorted(known - {key[:-1] for key in known} - {key for key in known if len(key) == 1})
+    some = data.draw(st.lists(st.sampled_from(keys), unique=True, min_size=1, max_size=8))
+    lines: list[str] = []
+    places = {}
+    for key in some:
+        if data.draw(st.booleans()):
+            lines += ["", f"[{'.'.join(key[:-1])}]  # of it", f"{key[-1]} = 1"]
+        else:
+            lines += [f"[ {' . '.join(key[:1])} ]", f"{' . '.join(key[1:])} = 1"]
+        places[key] = len(lines)
+    text = "\n".join(lines)
+    for key, line in places.items():
+        assert line_of(text, key) == line
+
+
+def test_the_page_of_all_keys_is_what_the_models_say() -> None:
+    made = subprocess.run(
+        [sys.executable, "docs/generators/configuration.py"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert (ROOT / "docs" / "configuration.md").read_text() == made.stdout
+    for *_, key in keys_of(Config):
+        assert key in made.stdout
 
 
 def test_the_answers_differ(tmp_path: Path) -> None:

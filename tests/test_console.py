@@ -89,7 +89,9 @@ def test_a_stop_goes_before_all_that_waits(desk: Bench) -> None:
     desk.turn()
     assert desk.replies(two)[0]["ok"]
     assert [r["error"]["type"] for r in desk.replies(one)] == ["displaced", "displaced"]
-    assert [r.kind for r in desk.requests] == [RequestKind.PIECE, RequestKind.STOP]
+    assert [r.kind for r in desk.requests] == [RequestKind.PIECE, RequestKind.STOP, RequestKind.PIECE], (
+        "what had been uploaded is undone, behind the stop"
+    )
 
 
 def test_a_jog_ends_when_its_client_has_gone(desk: Bench) -> None:
@@ -259,7 +261,33 @@ def test_a_refused_piece_ends_the_upload(desk: Bench) -> None:
     pieces = [PIECE, [0.7, *PIECE[1:]], PIECE]
     reply = desk.ask(desk.connect(), "upload", first=True, pieces=pieces)
     assert reply["error"]["type"] == "malformed"
-    assert len(desk.requests) == 3
+    desk.turn()
+    assert [r.values for r in desk.requests[3:]] == [()], "what was uploaded before it is gone"
+
+
+def test_an_upload_whose_client_goes_leaves_nothing(desk: Bench) -> None:
+    client = desk.connect()
+    assert desk.ask(client, "upload", first=True, last=False, pieces=[PIECE])["ok"]
+    client.close()
+    desk.turn()
+    desk.turn()
+    assert [r.values for r in desk.requests] == [(), tuple(PIECE), ()]
+
+
+def test_an_upload_of_several_messages_is_whole_with_its_last(desk: Bench) -> None:
+    client = desk.connect()
+    assert desk.ask(client, "upload", first=True, last=False, pieces=[PIECE])["ok"]
+    assert desk.ask(client, "upload", first=False, last=True, pieces=[PIECE])["ok"]
+    client.close()
+    desk.turn()
+    desk.turn()
+    assert [r.values for r in desk.requests] == [(), tuple(PIECE), tuple(PIECE)]
+
+
+def test_every_reply_and_refusal_names_its_axis(desk: Bench) -> None:
+    client = desk.connect()
+    for verb, fields in (("status", {}), ("hold", {}), ("goto", {"x_mm": -5.0}), ("nonsense", {})):
+        assert desk.ask(client, verb, **fields)["axis"] == "virtual"
 
 
 def test_a_silent_loop_is_reported_and_what_it_missed_does_not_happen_later(desk: Bench) -> None:

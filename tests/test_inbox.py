@@ -156,6 +156,30 @@ def test_gaps_in_the_counter_are_lost_frames() -> None:
     assert inbox.counts().lost == 2 + 9
 
 
+def test_two_counters_under_one_identifier_lose_nothing() -> None:
+    inbox = Inbox(CODECS, BUS)
+    for i in range(1, 400):
+        t = i * MS
+        one, other = encoder(t + 1, i), encoder(t + 2, i + 100)
+        tick(inbox, t, one, other, pressure(t + 3, i), valve(t + 4, i))
+    assert inbox.counts().lost <= 256, "only those of the tick under way are in doubt"
+    for i in range(400, 500):
+        t = i * MS
+        tick(inbox, t, *a_set(t, i))
+    assert inbox.counts().lost <= 1
+
+
+def test_a_frame_lost_after_a_clash_is_counted_again() -> None:
+    inbox = Inbox(CODECS, BUS)
+    for i in range(1, 40):
+        tick(inbox, i * MS, encoder(i * MS + 1, i), encoder(i * MS + 2, i + 100))
+    for i in range(40, 400):
+        tick(inbox, i * MS, encoder(i * MS + 1, i))
+    before = inbox.counts().lost
+    tick(inbox, 400 * MS, encoder(400 * MS + 1, 403))
+    assert inbox.counts().lost == before + 3
+
+
 def test_corrupt_frames_are_not_lost_ones() -> None:
     inbox = Inbox(CODECS, BUS)
     frames = [encoder(MS + i, i) for i in range(6)]

@@ -7,6 +7,7 @@ import socket
 import stat
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -120,6 +121,89 @@ def test_several_daemons_are_listed_and_dead_ones_are_not(runtime: Path) -> None
         os.close(it.lock)
 
 
+def test_all_folders_are_looked_through(
+    runtime: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    system = tmp_path / "run"
+    system.mkdir()
+    monkeypatch.setattr(endpoint, "SYSTEM_FOLDER", system)
+    service = endpoint.bind("service", str(system / "service.sock"), virtual=False)
+    endpoint.find(None).close()
+    own = endpoint.bind("own", None, virtual=False)
+    with pytest.raises(PlaceError, match=r"service\.sock, .*own\.sock; choose one") as several:
+        endpoint.find(None)
+    assert several.value.exit_code == 2
+    service.listener.close()
+    os.close(service.lock)
+    endpoint.find(None).close()
+    own.listener.close()
+    os.close(own.lock)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="another user takes root")
+def test_a_folder_that_may_not_be_entered_hides_no_daemon_of_ones_own(
+    runtime: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    system = tmp_path / "run"
+    system.mkdir(mode=0o700)
+    monkeypatch.setattr(endpoint, "SYSTEM_FOLDER", system)
+
+    def found_by_nobody() -> str:
+        reading, writing = os.pipe()
+        child = os.fork()
+        if not child:
+            try:
+                os.setgroups([])
+                os.setresgid(65534, 65534, 65534)
+                os.setresuid(65534, 65534, 65534)
+                os.environ["RUNTIME_DIRECTORY"] = str(own)
+                mine = endpoint.bind("mine", None, virtual=True) if with_daemon else None
+                endpoint.find(None).close()
+                os.write(writing, b"found" if mine is not None else b"found another's")
+            except Exception as e:
+                os.write(writing, str(e).encode())
+            finally:
+                os._exit(0)
+        os.waitpid(child, 0)
+        os.close(writing)
+        said = os.read(reading, 4096).decode()
+        os.close(reading)
+        return said
+
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder:  # all above pytest's own is shut
+        os.chown(folder, 65534, 65534)
+        own = Path(folder)
+        with_daemon = True
+        assert found_by_nobody() == "found"
+        with_daemon = False
+        said = found_by_nobody()
+    assert said.startswith("no daemon of yours runs (pneud --virtual starts one)")
+    assert str(system) in said
+
+
+def test_a_daemon_whose_console_is_gone_is_told_from_none(runtime: Path) -> None:
+    place = endpoint.bind("axis", None, virtual=False)
+    place.listener.close()
+    for given in (None, str(place.path)):
+        with pytest.raises(
+            PlaceError, match=f"process {os.getpid()}.* runs, but .* its console is gone"
+        ) as e:
+            endpoint.find(given)
+        assert e.value.exit_code == 3
+    os.close(place.lock)
+    with pytest.raises(PlaceError, match="no running daemon"):
+        endpoint.find(None)
+
+
+def test_a_lock_that_is_a_link_is_not_followed(runtime: Path, tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    (runtime / "axis.sock.lock").symlink_to(victim)
+    with pytest.raises(PlaceError, match="no socket for the console"):
+        endpoint.bind("axis", None, virtual=False)
+    assert victim.read_text() == "precious"
+
+
 def test_a_living_daemon_keeps_its_socket_and_a_dead_ones_is_replaced(runtime: Path) -> None:
     first = endpoint.bind("axis", None, virtual=False)
     assert stat.S_IMODE(first.path.stat().st_mode) in (0o660, 0o600)
@@ -149,6 +233,7 @@ def test_results_and_refusals_as_objects(tmp_path: Path) -> None:
         assert object_of(pneud_here("goto", 120, "--accel", 500, *at)) == {
             "schema": 1,
             "ok": True,
+            "axis": "virtual",
             "state": "holding",
         }
         assert object_of(pneud_here("status", *at))["name"] == "virtual"

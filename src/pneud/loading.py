@@ -12,6 +12,7 @@ from pydantic import ValidationError
 
 from pneud import resources
 from pneud.bus.codec import Codecs, DatabaseError, load_codecs
+from pneud.bus.load import overload
 from pneud.config.models import (
     BusConfig,
     Config,
@@ -64,6 +65,8 @@ def load(
         raise ConfigError(f"{path}: bus.dbc: {e}") from None
     codecs = load_codecs(config.bus, dbc, keep=True)
     _check_ranges(config, codecs, dbc)
+    if why := overload(config, codecs):
+        raise ConfigError(f"{path}: {why}")
     return Loaded(config, path, text, dbc, codecs)
 
 

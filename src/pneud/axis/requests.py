@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from itertools import zip_longest
-from operator import gt
+from operator import gt, lt
 from typing import NamedTuple
 
 from pneud.control.homing import HomingParameters
@@ -61,6 +61,7 @@ CONFIGURED, UPLOADED = 0.0, 1.0  # what TRACK asks for
 ARRIVED_M = 1e-9  # no way is shorter
 LONGEST_LEASE = 1e9  # ticks
 HARDENINGS = 3
+SLOWEST = Bounds(1e-6, 1e-6, 1e-6)  # m/s, m/s², m/s³: with less, a way would take hours, or overflow
 UNREFERENCED = 1 << F.ENCODER_UNREFERENCED
 
 # how many values each request has
@@ -247,9 +248,9 @@ def _configure(wanted: Sine, plan: Plan, now: Reference, now_ns: int, p: AxisPar
 def _bounds(wanted: tuple[float, ...], most: Bounds) -> Bounds | int:
     """Bounds of a way: those asked for, the configured ones for 0; or why not."""
     chosen = [value or bound for value, bound in zip_longest(wanted, most, fillvalue=0.0)]
-    if min(chosen) <= 0.0:
-        return MALFORMED
     bounds = Bounds(*chosen)
+    if any(map(lt, bounds, SLOWEST)):
+        return MALFORMED
     return BEYOND_LIMITS if any(map(gt, bounds, most)) else bounds
 
 
@@ -279,6 +280,8 @@ def _goto(values: tuple[float, ...], now: Reference, now_ns: int, p: AxisParamet
 def _jog(velocity: float, lease: float, plan: Plan, now: Reference, now_ns: int, p: AxisParameters) -> Asked:
     """A jog is a way to the end of the travel at its speed: it brakes in time by itself."""
     if not 1.0 <= lease <= LONGEST_LEASE:
+        return Asked(MALFORMED)
+    if abs(velocity) < SLOWEST.speed_m_s:
         return Asked(MALFORMED)
     if plan.jog_m_s == velocity:
         return Asked(TAKEN, JOG, plan._replace(lease=int(lease)))

@@ -45,7 +45,7 @@ class Counts(NamedTuple):
     """
 
     rx: int  # every frame but error frames
-    lost: int  # missing according to the counters; corrupt ones are not missing
+    lost: int  # missing according to the counters; corrupt ones are not, nor where two nodes clash
     crc: int  # wrong checksum or length
     stale: int  # counter standing still
     late: int  # sampled before this tick's SYNC, or older than can be told
@@ -76,7 +76,10 @@ class InboxState(NamedTuple):
 class _Origin:
     """What is known of one source."""
 
-    __slots__ = ("bit", "codec", "corrupt", "counter", "defects", "has_age", "sample_ns", "surplus", "values")
+    __slots__ = (
+        *("bit", "codec", "corrupt", "counter", "defects", "doubted", "has_age", "lost", "sample_ns"),
+        *("surplus", "values"),
+    )
 
     def __init__(self, bit: int, codec: Codec, unknown: tuple[float, ...], *, has_age: bool = False) -> None:
         self.bit = bit
@@ -86,8 +89,16 @@ class _Origin:
         self.corrupt = 0  # frames since then whose counter could not be believed
         self.defects = 0
         self.surplus = 0  # frames beyond those that SYNC asked for
+        self.lost = 0
+        self.doubted = 0  # lost ones, unless there turn out to be two counters
         self.sample_ns = -NEVER_NS
         self.values: tuple[Any, ...] = unknown
+
+    def settle(self) -> None:
+        """Count what is missing, but not where two nodes count under one identifier."""
+        if self.surplus <= 0:
+            self.lost += self.doubted
+        self.doubted = 0
 
     def freeze(self) -> OriginState:
         return OriginState(self.counter, self.corrupt, self.defects, self.sample_ns, self.values)
@@ -132,7 +143,7 @@ class Inbox:
         """When the last command was sent, to be set after `measurement`; −1 where it could not be."""
         self._syncs = 0
         self._fresh = 0
-        self._rx = self._lost = self._crc = self._stale = self._late = self._foreign = self._errors = 0
+        self._rx = self._crc = self._stale = self._late = self._foreign = self._errors = 0
         self._emcy: dict[int, int] = {}
         frames = (bus.frames.encoder, bus.frames.pressure, bus.frames.valve_status)
         self._nodes = frozenset(f.node for f in frames if f.node is not None)
@@ -166,6 +177,8 @@ class Inbox:
             self._syncs += 1
             forget = self._syncs % _FORGET_TICKS == 0
             for origin in self._sources:
+                if origin.doubted and (origin.surplus <= 0 or origin.surplus > _SURPLUS):
+                    origin.settle()
                 if origin.surplus > -_SURPLUS:
                     origin.surplus -= 2 if forget and origin.surplus > 1 else 1
                     if origin.surplus > _SURPLUS:
@@ -203,7 +216,7 @@ class Inbox:
                     origin.defects |= _FROZEN
                     return
                 if step != 1:
-                    self._lost += max(0, step - 1 - origin.corrupt)
+                    origin.doubted += max(0, step - 1 - origin.corrupt)
             origin.counter = counter
             origin.corrupt = 0
         values = codec.decode(data)
@@ -283,7 +296,7 @@ class Inbox:
         """What has come in since the start."""
         return Counts(
             self._rx,
-            self._lost,
+            sum(o.lost + o.doubted for o in self._sources),
             self._crc,
             self._stale,
             self._late,

@@ -6,6 +6,7 @@ Unknown keys are errors; units are part of the names. Nothing here is read insid
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from pneud import resources
+from pneud.config.places import line_of, meant
 from pneud.physics import cylinder as cyl
 from pneud.physics import gas as gas_
 from pneud.physics.friction import Friction
@@ -24,6 +26,7 @@ Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
 Pressure = Annotated[float, Field(gt=0, le=2.0e6)]
+Resolution = Annotated[float, Field(ge=0, le=1e-3)]
 MaybeInfinite = Annotated[float, Field(gt=0, allow_inf_nan=True)]
 
 
@@ -45,21 +48,24 @@ def check_channel(text: str) -> None:
     """
     kind, _, name = text.partition(":")
     ok = text == "auto" or (
-        kind in ("socketcan", "unixcan") and name != "" and "/" not in name and len(name) <= 64
+        kind in ("socketcan", "unixcan") and re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.:@+-]{0,63}", name)
     )
     if not ok:
-        raise ValueError(f"bus {text!r} is none of auto, socketcan:IF, unixcan:NAME")
+        raise ValueError(
+            f"bus {text!r} is none of auto, socketcan:IF, unixcan:NAME; names are up to 64 letters, digits"
+            " and signs such as _ . -"
+        )
 
 
 class CylinderConfig(Section):
     """Geometry and load."""
 
-    piston_area_1_m2: Annotated[float, Field(gt=0, le=0.2)]
-    piston_area_2_m2: Annotated[float, Field(gt=0, le=0.2)]
+    piston_area_1_m2: Annotated[float, Field(gt=0, le=0.2)]  # cap end
+    piston_area_2_m2: Annotated[float, Field(gt=0, le=0.2)]  # rod end: without the rod
     stroke_m: Annotated[float, Field(gt=0, le=20)]
-    dead_length_1_m: Positive
-    dead_length_2_m: Positive
-    moving_mass_kg: Annotated[float, Field(gt=0, le=10_000)]
+    dead_length_1_m: Positive  # volume before the piston at its end, with its hose, as a length
+    dead_length_2_m: Positive  # likewise
+    moving_mass_kg: Annotated[float, Field(gt=0, le=10_000)]  # piston, rod and load
 
 
 class GasConfig(Section):
@@ -67,9 +73,9 @@ class GasConfig(Section):
 
     heat_capacity_ratio: Annotated[float, Field(gt=1, lt=2)] = 1.4
     gas_constant_j_kg_k: Positive = 286.987
-    temperature_k: Annotated[float, Field(ge=200, le=400)] = 293.0
+    temperature_k: Annotated[float, Field(ge=200, le=400)] = 293.0  # of the supply and of what flows
     atmosphere_pa: Pressure = 101_000.0
-    supply_pa: Pressure
+    supply_pa: Pressure  # absolute, as is everything here
 
     @model_validator(mode="after")
     def _supply_above_atmosphere(self) -> GasConfig:
@@ -81,20 +87,20 @@ class GasConfig(Section):
 class ValveConfig(Section):
     """The proportional valve as the controller knows it."""
 
-    orifice_area_m2: Positive
-    u_max_v: Annotated[float, Field(gt=0, le=5)] = 5.0
-    bandwidth_hz: NonNegative = 0.0
-    damping: Annotated[float, Field(gt=0, le=5)] = 0.7
-    dead_zone_v: Annotated[float, Field(ge=0, lt=2.5)] = 0.0
+    orifice_area_m2: Annotated[float, Field(gt=0, le=1e-3)]  # open to the end
+    u_max_v: Annotated[float, Field(gt=0, le=5)] = 5.0  # signed about the centre; the DAC saturates here
+    bandwidth_hz: NonNegative = 0.0  # natural frequency of the spool; 0: none
+    damping: Annotated[float, Field(gt=0, le=5)] = 0.7  # of the spool
+    dead_zone_v: Annotated[float, Field(ge=0, lt=2.5)] = 0.0  # half width about the centre
 
 
 class LoopConfig(Section):
     """The tick."""
 
-    rate_hz: Annotated[float, Field(ge=10, le=5_000)] = 1000.0
-    set_deadline: Annotated[float, Field(ge=0.1, le=0.95)] = 0.8
-    spin_us: Annotated[float, Field(ge=0, le=500)] = 0.0
-    compiled: Literal["off", "auto", "required"] = "auto"
+    rate_hz: Annotated[float, Field(ge=10, le=5_000)] = 1000.0  # ticks per second
+    set_deadline: Annotated[float, Field(ge=0.1, le=0.95)] = 0.8  # part of the period to wait for answers
+    spin_us: Annotated[float, Field(ge=0, le=500)] = 0.0  # awake before each tick instead of asleep
+    compiled: Literal["off", "auto", "required"] = "auto"  # the law in C: as can be had, or not without
 
 
 class RealtimeConfig(Section):
@@ -104,13 +110,13 @@ class RealtimeConfig(Section):
     one where none are given. "auto" is the last isolated CPU, else the last of several.
     """
 
-    priority: Annotated[int, Field(ge=0, le=98)] = 80
+    priority: Annotated[int, Field(ge=0, le=98)] = 80  # SCHED_FIFO of the loop; 0: ordinary
     cpu: Annotated[int, Field(ge=0)] | Literal["auto"] | None = None
     other_cpus: tuple[Annotated[int, Field(ge=0)], ...] = ()
-    plant_priority: Annotated[int, Field(ge=0, le=98)] | None = None
-    recorder_nice: Annotated[int, Field(ge=0, le=19)] = 0
-    lock_memory: bool = True
-    required: bool = False
+    plant_priority: Annotated[int, Field(ge=0, le=98)] | None = None  # 10 below the loop's if none
+    recorder_nice: Annotated[int, Field(ge=0, le=19)] = 0  # niceness of the recorder
+    lock_memory: bool = True  # mlockall
+    required: bool = False  # refuse to arm without real-time scheduling
 
 
 class FrameConfig(Section):
@@ -120,10 +126,10 @@ class FrameConfig(Section):
     loss of its heartbeat where `heartbeat_timeout_ms` is given.
     """
 
-    message: str
-    signals: dict[str, str] = Field(default_factory=dict)
-    counter: str | None = "Counter"
-    crc: str | None = "Crc"
+    message: str  # name in the DBC
+    signals: dict[str, str] = Field(default_factory=dict)  # role = "name in the DBC"
+    counter: str | None = "Counter"  # signal that counts the frames
+    crc: str | None = "Crc"  # signal with the checksum
     node: Annotated[int, Field(ge=1, le=127)] | None = None
     heartbeat_timeout_ms: Annotated[float, Field(ge=1, le=60_000)] | None = None
 
@@ -155,13 +161,13 @@ class FramesConfig(Section):
 class BusConfig(Section):
     """The CAN bus and its time-outs."""
 
-    channel: str = "auto"
-    dbc: str = "pneud.dbc"
-    sync: bool = True
-    bitrate_bit_s: MaybeInfinite = 1.0e6
-    sensor_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0
-    valve_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0
-    deadline_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0
+    channel: str = "auto"  # `auto`, `socketcan:IF` or `unixcan:NAME`
+    dbc: str = "pneud.dbc"  # beside this file, or one of pneud's
+    sync: bool = True  # the sensors answer SYNC; else they run free
+    bitrate_bit_s: MaybeInfinite = 1.0e6  # `inf` where frames go over no wire
+    sensor_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0  # without a valid frame
+    valve_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0  # likewise
+    deadline_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0  # without a complete set in time
     overload_timeout_ms: Annotated[float, Field(ge=1, le=10_000)] = 1000.0  # every tick after skipped ones
     command_delay_us: Annotated[float, Field(ge=0, le=10_000)] | None = None  # sampling → command acts
     frames: FramesConfig = FramesConfig()
@@ -198,7 +204,7 @@ class MotionConfig(Section):
     bandwidth_rad_s: Annotated[float, Field(gt=0, le=5_000)] | None = None
     encoder_noise_m: Positive | None = None
     force_walk_n_rs: Positive | None = None  # what the unmatched force gains in a second [N/√s]
-    encoder_resolution_m: NonNegative = 0.0  # readings within half a step of the prediction change nothing
+    encoder_resolution_m: Resolution = 0.0  # readings within half a step of the prediction change nothing
     push_bandwidth_rad_s: Annotated[float, Field(gt=0, le=5_000)] | None = None  # for innovations
     push_beyond_m: NonNegative = 0.0  # that exceed half a step by more than this
 
@@ -277,16 +283,16 @@ class ControlConfig(Section):
 class HomingConfig(Section):
     """How the zero of an incremental encoder is found: against an end stop, slowly, with bounded force."""
 
-    stop: Literal["rear", "front"] = "rear"
+    stop: Literal["rear", "front"] = "rear"  # end stop that is the zero
     speed_m_s: Annotated[float, Field(gt=0, le=0.1)] = 0.02
     force_n: Positive = 120.0  # above friction, below what harms
-    back_off_m: Positive = 0.03
+    back_off_m: Positive = 0.03  # away from the stop, when it has been found
 
 
 class EncoderConfig(Section):
     """What the encoder knows when it is switched on."""
 
-    kind: Literal["absolute", "incremental"] = "absolute"
+    kind: Literal["absolute", "incremental"] = "absolute"  # an incremental one has to be homed
     homing: HomingConfig = HomingConfig()
 
 
@@ -294,10 +300,10 @@ class ReferenceConfig(Section):
     """The motion tracked after arming; positions in the paper's effective coordinate."""
 
     kind: Literal["sine"] = "sine"
-    effective_centre_m: Positive
+    effective_centre_m: Positive  # stroke coordinate and dead_length_1_m
     amplitude_m: NonNegative
     frequency_hz: Annotated[float, Field(ge=0, le=20)]
-    join: Literal["transfer", "at_once"] = "transfer"
+    join: Literal["transfer", "at_once"] = "transfer"  # by a jerk-limited way, or where it begins
 
 
 class TransferConfig(Section):
@@ -322,17 +328,17 @@ class LimitsConfig(Section):
 
     travel_min_m: float
     travel_max_m: float
-    speed_m_s: Positive
-    tracking_error_m: Positive
+    speed_m_s: Positive  # faster centres the valve
+    tracking_error_m: Positive  # farther centres the valve
     chamber_min_pa: NonNegative
-    chamber_max_pa: Pressure
-    supply_min_pa: Pressure
+    chamber_max_pa: Pressure  # more centres the valve
+    supply_min_pa: Pressure  # less is no air
     supply_max_pa: Pressure
-    slew_v_s: Annotated[float, Field(gt=0, le=1e6)]
+    slew_v_s: Annotated[float, Field(gt=0, le=1e6)]  # of the command
     innovation_m: Positive = 2e-3  # encoder against prediction; further is a jump of the encoder
     braking_m_s2: Positive = 10.0  # the deceleration that the axis can be relied on for
     disagreement_n: Positive = 800.0  # force that pressures and acceleration may leave unexplained
-    saturation_s: Positive = 2.0
+    saturation_s: Positive = 2.0  # held back for so long stops the axis
     stuck_force_n: Positive = 200.0  # change of force that a load cannot bear without moving at all
     stuck_travel_m: Positive = 0.03  # travel that changes every chamber pressure
     stop_then: Literal["hold", "centre"] = "hold"  # after a stop that was asked for
@@ -362,12 +368,12 @@ class LimitsConfig(Section):
 class LogConfig(Section):
     """The record."""
 
-    detail: Literal["compact", "full"] = "compact"
+    detail: Literal["compact", "full"] = "compact"  # reals with 32 bits, or as they are
     part_mb: Annotated[float, Field(ge=0, le=100_000)] = 256.0  # another file after so much; 0: never
     part_s: Annotated[float, Field(ge=0, le=1e7)] = 3600.0  # or after so long; 0: never
     quota_mb: Annotated[float, Field(ge=0, le=1e8)] = 20_000.0  # of all logs of the axis; 0: no bound
     keep_before_s: Annotated[float, Field(ge=0, le=1e6)] = 60.0  # what goes last around a fault
-    keep_after_s: Annotated[float, Field(ge=0, le=1e6)] = 30.0
+    keep_after_s: Annotated[float, Field(ge=0, le=1e6)] = 30.0  # and behind it
 
     @model_validator(mode="after")
     def _quota_of_several_parts(self) -> LogConfig:
@@ -382,16 +388,16 @@ class LogConfig(Section):
 class PlantValveConfig(Section):
     """The true valve."""
 
-    bandwidth_hz: NonNegative = 0.0
+    bandwidth_hz: NonNegative = 0.0  # 0: none
     damping: Annotated[float, Field(gt=0, le=5)] = 0.7
     dead_zone_v: Annotated[float, Field(ge=0, lt=2.5)] = 0.0
-    dac_bits: Annotated[int, Field(ge=0, le=24)] = 0
+    dac_bits: Annotated[int, Field(ge=0, le=24)] = 0  # 0: any voltage
 
 
 class PlantSensorsConfig(Section):
     """The true sensors; zero for exact ones."""
 
-    encoder_resolution_m: NonNegative = 0.0
+    encoder_resolution_m: Resolution = 0.0
     pressure_resolution_pa: NonNegative = 0.0
     pressure_noise_pa: NonNegative = 0.0
 
@@ -399,15 +405,15 @@ class PlantSensorsConfig(Section):
 class PlantConfig(Section):
     """The software rig: what really happens, apart from what the controller's sections above believe."""
 
-    step_us: Annotated[float, Field(gt=0, le=100)] = 100.0
-    initial_x1_m: Positive = 0.45
+    step_us: Annotated[float, Field(gt=0, le=100)] = 100.0  # of the integration
+    initial_x1_m: Positive = 0.45  # effective coordinate
     initial_p2_pa: Pressure = 300_000.0
     rod_force: bool = True
     reverse_flow: bool = True
-    polytropic_exponent: Annotated[float, Field(ge=1, lt=2)] | None = None
-    disturbance: Literal["none", "case1", "case2"] = "none"
-    bitrate_bit_s: MaybeInfinite = 1.0e6
-    node_delay_us: Annotated[float, Field(ge=0, le=500)] = 20.0
+    polytropic_exponent: Annotated[float, Field(ge=1, lt=2)] | None = None  # none: adiabatic
+    disturbance: Literal["none", "case1", "case2"] = "none"  # force of the paper's cases
+    bitrate_bit_s: MaybeInfinite = 1.0e6  # of the wire that the frames keep busy
+    node_delay_us: Annotated[float, Field(ge=0, le=500)] = 20.0  # from SYNC to an answer
     valve: PlantValveConfig = PlantValveConfig()
     friction: FrictionConfig = FrictionConfig()
     sensors: PlantSensorsConfig = PlantSensorsConfig()
@@ -573,7 +579,7 @@ def parse(text: str, name: str) -> Config:
     try:
         return Config.model_validate(data)
     except ValidationError as e:
-        raise ConfigError(f"{name}: {explain(e)}") from None
+        raise ConfigError(f"{name}: {explain(e, text, Config)}") from None
 
 
 def with_settings(text: str, name: str, settings: Sequence[str]) -> Config:
@@ -632,18 +638,27 @@ def load_with_text(file: str | Path) -> tuple[Config, str, Path]:
     return parse(text, str(path)), text, path
 
 
-def explain(e: ValidationError) -> str:
-    """What is wrong, in one line: key, value and bound of each error."""
-    return "; ".join(_sentence(error) for error in e.errors())
+def explain(e: ValidationError, text: str = "", model: type[BaseModel] | None = None) -> str:
+    """What is wrong, in one line: where, key, value and bound of each error.
+
+    Args:
+        e: the errors.
+        text: of the file, to say on which line each is.
+        model: of the file, to say what an unknown key may have meant.
+    """
+    return "; ".join(_sentence(error, text, model) for error in e.errors())
 
 
-def _sentence(error: Any) -> str:
-    where = ".".join(str(part) for part in error["loc"])
+def _sentence(error: Any, text: str, model: type[BaseModel] | None) -> str:
+    path = [str(part) for part in error["loc"]]
+    line, where = line_of(text, path), ".".join(path)
+    prefix = f"line {line}: " if line else ""
     if error["type"] == "extra_forbidden":
-        return f"{where}: unknown key"
+        near = meant(model, path) if model is not None else ""
+        return f"{prefix}{where}: unknown key" + (f"; is {near} meant?" if near else "")
     if error["type"] == "missing":
-        return f"{where}: missing"
+        return f"{prefix}{where}: missing"
     message = error["msg"].removeprefix("Value error, ")
     value = error["input"]
     shown = f" = {value!r}" if isinstance(value, (int, float, str, bool)) else ""
-    return f"{where}{shown}: {message}" if where else str(message)
+    return f"{prefix}{where}{shown}: {message}" if where else str(message)

@@ -17,10 +17,11 @@ _PATIENCE_S = 5.0
 
 
 class RefusedError(Exception):
-    """The answer is no; the text is one line for a person, `error` what the console said."""
+    """The answer is no; the text is one line for a person, `error` what the console of `axis` said."""
 
-    def __init__(self, error: dict[str, Any]) -> None:
+    def __init__(self, error: dict[str, Any], axis: str = "") -> None:
         super().__init__(str(error.get("message", error)))
+        self.axis = axis
         self.error = error
         self.kind = str(error.get("type"))
 
@@ -76,7 +77,7 @@ class Client:
                     del reply[key]
                 return reply
             if reply.get("id") in (number, None):
-                raise RefusedError(reply["error"])
+                raise RefusedError(reply["error"], str(reply.get("axis", "")))
 
     def send(self, verb: str, **fields: Any) -> int:
         """Ask without waiting.

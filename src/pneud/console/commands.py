@@ -38,6 +38,7 @@ class AxisDesk:
             ring: where its records are.
             watch: follows them.
         """
+        self.name = run.config.name
         self._run = run
         self._ring = ring
         self._watch = watch
@@ -119,10 +120,12 @@ class AxisDesk:
                 return Plan(f"jog {v:g} mm/s", (Request(RequestKind.JOG, (v * _MM, float(ticks))),))
             case protocol.Track(what=what):
                 return Plan(f"track {what}", (Request(RequestKind.TRACK, (float(what == "profile"),)),))
-            case protocol.Upload(first=first, pieces=pieces):
-                requests = [Request(RequestKind.PIECE)] if first else []
+            case protocol.Upload(first=first, last=last, pieces=pieces):
+                empty = Request(RequestKind.PIECE)
+                requests = [empty] if first else []
                 requests += [Request(RequestKind.PIECE, tuple(piece)) for piece in pieces]
-                return Plan(f"upload of {len(pieces)} pieces", tuple(requests))
+                words = f"upload of {len(pieces)} pieces"
+                return Plan(words, tuple(requests), undo=empty, unfinished=not last)
             case protocol.TuneSet(gains=values):
                 return self._tuning.set(values)
             case protocol.TuneReload():

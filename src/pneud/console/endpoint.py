@@ -72,14 +72,44 @@ def bind(name: str, given: str | None, *, virtual: bool) -> Place:
 
 
 def _lock(path: Path) -> int | None:
-    """Lock a socket's name; None where a living daemon has it."""
-    descriptor = os.open(path.with_name(path.name + ".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    """Lock a socket's name, and leave this process's number there; None where a living daemon has it."""
+    flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
+    descriptor = os.open(_lock_of(path), flags, 0o640)  # who finds the socket dead may ask whose it was
     try:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise OSError(errno.EINVAL, f"{_lock_of(path)}: is no file")
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(descriptor)
         return None
+    except OSError:
+        os.close(descriptor)
+        raise
+    os.truncate(descriptor, 0)
+    os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
     return descriptor
+
+
+def _lock_of(path: Path) -> Path:
+    return path.with_name(path.name + ".lock")
+
+
+def _holder(path: Path) -> str | None:
+    """The process that holds a socket's lock, "?" where it does not say; None where nobody does."""
+    try:
+        descriptor = os.open(_lock_of(path), os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        said = os.pread(descriptor, 16, 0).decode("ascii", "replace").strip()
+        return said if said.isdecimal() else "?"
+    except OSError:
+        return None
+    finally:
+        os.close(descriptor)
+    return None
 
 
 def _give_to_group(path: Path) -> bool:
@@ -107,27 +137,43 @@ def find(given: str | None) -> socket.socket:
     named = given or os.environ.get("PNEUD_SOCKET")
     if named:
         return _connect(Path(named))
-    for folder in _folders():
+    living: list[tuple[Path, socket.socket]] = []
+    shut: list[Path] = []
+    mute: list[str] = []
+    for folder in dict.fromkeys(_folders()):
         try:
             paths = sorted(p for p in folder.iterdir() if p.suffix == _SUFFIX)
         except OSError as e:
             if e.errno in (errno.EACCES, errno.EPERM):
-                raise PlaceError(_forbidden(folder)) from None
+                shut.append(folder)
             continue
-        living = []
         for path in paths:
             try:
                 living.append((path, _connect(path)))
             except _DeadError:
-                continue
-        if len(living) > 1:
-            for _, connection in living:
-                connection.close()
-            names = ", ".join(str(path) for path, _ in living)
-            raise PlaceError(f"several daemons run: {names}; choose one with --socket", 2)
-        if living:
-            return living[0][1]
+                if (pid := _holder(path)) is not None:
+                    mute.append(_mute(path, pid))
+            except PlaceError:
+                shut.append(path)
+    if len(living) == 1:
+        return living[0][1]
+    for _, connection in living:
+        connection.close()
+    if living:
+        names = ", ".join(str(path) for path, _ in living)
+        raise PlaceError(f"several daemons run: {names}; choose one with --socket", 2)
+    if mute:
+        raise PlaceError("; ".join(mute))
+    if shut:
+        raise PlaceError(f"no daemon of yours runs (pneud --virtual starts one); {_forbidden(shut[0])}")
     raise PlaceError("no running daemon found; start one (pneud --virtual), or give its --socket")
+
+
+def _mute(path: Path, pid: str) -> str:
+    return (
+        f"{path}: the daemon (process {pid}) runs, but nobody listens there: its console is gone, and what"
+        f" was engaged comes to rest by itself; restart the daemon, or end it: kill {pid}"
+    )
 
 
 class _DeadError(PlaceError):
@@ -150,7 +196,8 @@ def _connect(path: Path) -> socket.socket:
         if e.errno in (errno.EACCES, errno.EPERM):
             raise PlaceError(_forbidden(path)) from None
         if e.errno in (errno.ECONNREFUSED, errno.ENOENT):
-            raise _DeadError(f"{path}: no daemon serves it") from None
+            pid = _holder(path)
+            raise _DeadError(f"{path}: no daemon serves it" if pid is None else _mute(path, pid)) from None
         raise PlaceError(_words(e, str(path))) from None
     return connection
 

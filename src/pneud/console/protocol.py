@@ -49,7 +49,7 @@ class ProtocolError(Exception):
 
 Number = Annotated[int, Field(ge=0, le=2**31 - 1)]
 Millimetres = Annotated[float, Field(ge=-1e6, le=1e6)]
-Rate = Annotated[float, Field(gt=0, le=1e9)]
+Rate = Annotated[float, Field(ge=1e-3, le=1e9)]
 
 
 class Message(BaseModel):
@@ -141,10 +141,14 @@ class Track(Message):
 
 
 class Upload(Message):
-    """Pieces of a profile: duration [s], then eight coefficients of powers of time, metres."""
+    """Pieces of a profile: duration [s], then eight coefficients of powers of time, metres.
+
+    Whole or nothing: where a piece is refused, or the client goes before its last one, no profile is left.
+    """
 
     verb: Literal["upload"]
     first: bool  # empties the profile that is there
+    last: bool = True  # False where more are to follow
     pieces: Annotated[
         list[Annotated[list[float], Field(min_length=9, max_length=9)]],
         Field(min_length=1, max_length=MAX_PIECES),
@@ -221,15 +225,15 @@ def parse(line: bytes) -> Request:
         raise ProtocolError(Error.INVALID, _one_line(f"{where}: {first['msg']}"), number) from None
 
 
-def reply(number: int | None, **fields: Any) -> bytes:
-    """The line that says that a request was done."""
-    return line({"v": VERSION, "id": number, "ok": True, **fields})
+def reply(number: int | None, axis: str, **fields: Any) -> bytes:
+    """The line that says that a request was done, by which axis."""
+    return line({"v": VERSION, "id": number, "ok": True, "axis": axis, **fields})
 
 
-def refusal(error: ProtocolError) -> bytes:
-    """The line that says that a request was not done, and why."""
+def refusal(error: ProtocolError, axis: str) -> bytes:
+    """The line that says that a request was not done by an axis, and why."""
     told = {"type": error.kind, "message": error.message, **error.more}
-    return line({"v": VERSION, "id": error.number, "ok": False, "error": told})
+    return line({"v": VERSION, "id": error.number, "ok": False, "axis": axis, "error": told})
 
 
 def _one_line(text: str) -> str:

@@ -10,8 +10,9 @@ from pneud.console.client import RefusedError
 
 
 def show(reply: dict[str, Any], json: bool, words: str) -> None:
-    """Print a result."""
-    print(json_.dumps({"schema": 1, "ok": True, **reply}) if json else words)
+    """Print a result, with the axis that it is of."""
+    axis = f"{reply['axis']}: " if "axis" in reply else ""
+    print(json_.dumps({"schema": 1, "ok": True, **reply}) if json else f"{axis}{words}")
 
 
 def refused(e: RefusedError, json: bool) -> int:
@@ -21,7 +22,8 @@ def refused(e: RefusedError, json: bool) -> int:
         Exit status: 1.
     """
     if json:
-        print(json_.dumps({"schema": 1, "ok": False, "error": e.error}))
+        axis = {"axis": e.axis} if e.axis else {}
+        print(json_.dumps({"schema": 1, "ok": False, **axis, "error": e.error}))
     else:
-        print(f"pneud: {e}", file=sys.stderr)
+        print(f"pneud: {e.axis}: {e}" if e.axis else f"pneud: {e}", file=sys.stderr)
     return 1

@@ -57,10 +57,15 @@ class Plan(NamedTuple):
     urgent: bool = False  # needs no lease, goes first and takes the lease
     free: bool = False  # needs no lease
     done: Callable[[], dict[str, Any]] | None = None  # called when all are taken; fields for the reply
+    undo: Request | None = None  # asked for where not all are taken
+    unfinished: bool = False  # another message of the same client is to follow
 
 
 class Desk(Protocol):
     """What the server asks about the axis."""
+
+    name: str
+    """Of the axis; every reply has it."""
 
     def status(self) -> dict[str, Any]:
         """The fields of the reply to `status`."""
@@ -170,6 +175,7 @@ class Server:
         self._flight: tuple[int, _Job, float] | None = None  # number, whose, given up at
         self._number = 0
         self._jogging: _Client | None = None
+        self._unfinished: tuple[_Client | None, Plan] | None = None
         self._jog_words = ""
         self._selector = selectors.DefaultSelector()
         listener.setblocking(False)
@@ -250,7 +256,7 @@ class Server:
     def _displace_one(self) -> None:
         holder = self._lease.holder(self._clock())
         idle = min((c for c in self._clients if c is not holder), key=lambda c: c.active_s)
-        self._send(idle, protocol.refusal(ProtocolError(Error.DISPLACED, "too many clients; yours was idle")))
+        self._send(idle, self._refusal(ProtocolError(Error.DISPLACED, "too many clients; yours was idle")))
         self._drop(idle)
 
     def _drop(self, client: _Client) -> None:
@@ -267,6 +273,8 @@ class Server:
                 job.client = None
         # what is still to come of a client that has gone is not done, but for a stop
         self._jobs = deque(j for j in self._jobs if j.client is not None or j.plan.urgent or j.number is None)
+        if self._unfinished is not None and self._unfinished[0] is client:
+            self._undo(self._unfinished[1], client.peer.label)
         if self._jogging is client:
             self._stop_jog(f"{client.peer.label} has gone while jogging")
 
@@ -357,12 +365,18 @@ class Server:
                 client.quiet_until_s = now_s + _QUIET_S
                 client.mistakes -= 1
                 self._say(WARNING, f"{client.peer.label}: refused: {error.kind}: {error.message}")
-        self._send(client, protocol.refusal(error))
+        self._send(client, self._refusal(error))
 
     def _report_mistakes(self, client: _Client) -> None:
         if client.mistakes:
             self._say(WARNING, f"{client.peer.label}: refused {client.mistakes} more")
             client.mistakes = 0
+
+    def _reply(self, number: int | None, **fields: Any) -> bytes:
+        return protocol.reply(number, self._desk.name, **fields)
+
+    def _refusal(self, error: ProtocolError) -> bytes:
+        return protocol.refusal(error, self._desk.name)
 
     # requests
 
@@ -376,12 +390,12 @@ class Server:
         match message:
             case protocol.Status():
                 lease = self._lease_fields()
-                self._send(client, protocol.reply(number, **self._desk.status(), lease=lease))
+                self._send(client, self._reply(number, **self._desk.status(), lease=lease))
             case protocol.TuneGet():
-                self._send(client, protocol.reply(number, **self._desk.gains()))
+                self._send(client, self._reply(number, **self._desk.gains()))
             case protocol.Observe():
                 client.read_only = True
-                self._send(client, protocol.reply(number))
+                self._send(client, self._reply(number))
             case protocol.Attach():
                 self._attach(client, number)
             case _:
@@ -403,7 +417,7 @@ class Server:
             error = ProtocolError(Error.FULL, f"no descriptor to give: {e.strerror}", number)
             self._refuse(client, error)
             return
-        line = protocol.reply(number, **fields)
+        line = self._reply(number, **fields)
         try:
             sent = socket.send_fds(client.connection, [line], [descriptor])
         except OSError:
@@ -435,7 +449,7 @@ class Server:
             if plan.urgent:
                 self._displace_jobs()
             if not plan.requests:  # nothing changes
-                self._send(client, protocol.reply(number, **(plan.done() if plan.done is not None else {})))
+                self._send(client, self._reply(number, **(plan.done() if plan.done is not None else {})))
                 return
             if len(self._jobs) >= self._bounds.jobs:
                 raise ProtocolError(Error.FULL, "too many requests wait for the loop")
@@ -459,6 +473,12 @@ class Server:
                 self._jobs.append(job)
             else:
                 self._end(job, ProtocolError(Error.DISPLACED, "a stop came first"))
+
+    def _undo(self, plan: Plan, label: str) -> None:
+        """What is not done whole is not done in part."""
+        self._unfinished = None
+        if plan.undo is not None:
+            self._jobs.append(_Job(None, None, Plan(f"undo {plan.words}", (plan.undo,)), label))
 
     def _stop_jog(self, label: str) -> None:
         self._jogging = None
@@ -514,6 +534,10 @@ class Server:
     def _done(self, job: _Job, outcome: handoff.Outcome) -> None:
         more = job.plan.done() if job.plan.done is not None else {}
         kind = job.plan.requests[0].kind
+        if job.plan.undo is not None:
+            self._unfinished = (job.client, job.plan) if job.plan.unfinished else None
+            if job.plan.unfinished and job.client is None:
+                self._undo(job.plan, job.label)
         if kind != RequestKind.JOG or job.plan.words != self._jog_words:
             self._say(INFO, f"{job.label}: {job.plan.words} → taken")
         if kind == RequestKind.JOG:
@@ -522,13 +546,14 @@ class Server:
                 self._stop_jog(f"{job.label} has gone while jogging")
         elif kind in _MOTION:
             self._jogging, self._jog_words = None, ""
-        self._send(job.client, protocol.reply(job.number, **more, state=State(outcome.state).label))
+        self._send(job.client, self._reply(job.number, **more, state=State(outcome.state).label))
 
     def _end(self, job: _Job, error: ProtocolError) -> None:
         job.ended = True
+        self._undo(job.plan, job.label)
         error.number = job.number
         self._say(WARNING, f"{job.label}: {job.plan.words} → {error.kind}")
-        self._send(job.client, protocol.refusal(error))
+        self._send(job.client, self._refusal(error))
         if job.refused is not None:
             job.refused(error)
 

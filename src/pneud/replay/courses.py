@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pneud.replay.differences import Point
+from pneud.rt.outputs import replacing
 
 DPI = 120
 SIZE = (10.0, 10.0)
@@ -38,4 +39,5 @@ def write(points: Sequence[Point], names: tuple[str, str], path: Path) -> None:
     axes[-1].set_ylabel("difference of the commands [V]")
     axes[-1].set_xlabel("time [s]")
     axes[-1].grid(alpha=0.3)
-    figure.savefig(path, dpi=DPI, metadata={"Software": "pneud"})
+    with replacing(path) as beside:
+        figure.savefig(beside, dpi=DPI, metadata={"Software": "pneud"})

@@ -12,6 +12,7 @@ from pneud.log.files.columns import Block, blocks
 from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LogReader
 from pneud.replay import sidecar, traffic
+from pneud.rt.outputs import replacing
 from pneud.signals import Frame
 
 TABLES = (".csv", ".parquet")
@@ -87,7 +88,8 @@ def table(log: LogReader, path: Path) -> Exported:
         LogError: pyarrow is missing.
         OSError: the file cannot be written.
     """
-    rows = _write_csv(log, path) if path.suffix == ".csv" else _write_parquet(log, path)
+    with replacing(path) as beside:
+        rows = _write_csv(log, beside) if path.suffix == ".csv" else _write_parquet(log, beside)
     return Exported(rows, (path,), 0)
 
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from pneud.bus.wire import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_FLAGS, CAN_RTR_FLAG
 from pneud.log.files.naming import LogError
+from pneud.rt.outputs import replacing
 from pneud.signals import Frame
 
 CANDUMP = ".log"
@@ -46,7 +47,8 @@ def write(path: Path, frames: Iterable[tuple[Frame, bool]]) -> int:
     Raises:
         OSError: the file cannot be written.
     """
-    return _write_candump(path, frames) if path.suffix == CANDUMP else _write_other(path, frames)
+    with replacing(path) as beside:
+        return _write_candump(beside, frames) if path.suffix == CANDUMP else _write_other(beside, frames)
 
 
 def _write_candump(path: Path, frames: Iterable[tuple[Frame, bool]]) -> int:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from pneud.report.figures import COLOURS, FIGURES, STATE_COLOURS, line, offsets_s
 from pneud.report.gather import Run
+from pneud.rt.outputs import replacing
 from pneud.signals import State
 
 if TYPE_CHECKING:
@@ -53,7 +54,8 @@ def write(runs: Sequence[Run], stem: Path) -> list[Path]:
 
     def save(figure: New, name: str) -> None:
         path = stem.with_name(f"{stem.name}-{name}.png")
-        figure.savefig(path, dpi=DPI, metadata={"Software": "pneud"})
+        with replacing(path) as beside:
+            figure.savefig(beside, dpi=DPI, metadata={"Software": "pneud"})
         written.append(path)
 
     for f in FIGURES:

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from pneud import resources
 from pneud.config.models import Config, ConfigError
+from pneud.rt.outputs import write_whole
 from pneud.service.probe import Finding, Level
 
 USER = "pneud"
@@ -168,7 +169,7 @@ def put(root: Path, contents: dict[Path, str]) -> list[Path]:
             if path.is_file() and path.read_text() == text:
                 continue
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text)
+            write_whole(path, text)
             path.chmod(0o644)
         except OSError as e:
             raise InstallError(

@@ -20,6 +20,7 @@ from pneud.bus.link import open_link
 from pneud.config.models import ConfigError
 from pneud.loading import Loaded, bus_name, load
 from pneud.loop.summary import finite
+from pneud.rt.outputs import write_whole
 from pneud.rt.setup import own_cpu
 from pneud.service import machine
 
@@ -119,7 +120,7 @@ def bench(o: BenchOptions, field: Mapping[str, Contestant] = CONTESTANTS) -> int
     report = as_object(series, missing, facts._asdict(), setting)
     words = in_words(report)
     if o.output is not None:
-        o.output.write_text(page(report, words))
+        write_whole(o.output, page(report, words))
     print(json_.dumps(report) if o.json else words)
     return 0 if OURS in series else 1
 

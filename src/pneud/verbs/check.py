@@ -7,9 +7,12 @@ import json as json_
 from pneud import resources
 from pneud.axis.cycle import Axis
 from pneud.config import conversions
-from pneud.loading import is_scenario, load, load_axis, load_scenario
+from pneud.config.models import ConfigError
+from pneud.config.places import line_of
+from pneud.loading import Loaded, is_scenario, load, load_axis, load_scenario
 from pneud.scenario import verdict
 from pneud.study.gains import predict, warnings
+from pneud.study.plausibility import Finding, findings
 
 
 def check(config_file: str, json: bool) -> int:
@@ -25,7 +28,11 @@ def check(config_file: str, json: bool) -> int:
     c, codecs = loaded.config, loaded.codecs
     Axis(conversions.axis_of(c, codecs.command_lsb_v))
     conversions.plant_of(c)
-    doubts = warnings(c, predict(c))
+    prediction = predict(c)
+    found = findings(c, codecs.command_lsb_v, prediction.bandwidth_rad_s)
+    if wrong := [_placed(loaded, finding) for finding in found if finding.is_error]:
+        raise ConfigError(f"{loaded.path}: {'; '.join(wrong)}")
+    doubts = [_placed(loaded, finding) for finding in found] + warnings(c, prediction)
     if json:
         print(
             json_.dumps(
@@ -33,13 +40,18 @@ def check(config_file: str, json: bool) -> int:
             )
         )
         return 0
-    print(f"{loaded.path}: fine")
+    print(f"{loaded.path}: {'fine' if not doubts else f'usable, {len(doubts)} to look at'}")
     stroke, mass = c.cylinder.stroke_m, c.cylinder.moving_mass_kg
     print(f"axis {c.name}: {stroke:g} m stroke, {mass:g} kg, {c.loop.rate_hz:g} Hz")
     print(f"law {c.control.law}, {c.control.discretisation}, on {c.bus.channel} with {loaded.dbc.name}")
     for doubt in doubts:
         print(f"warning: {doubt}")
     return 0
+
+
+def _placed(loaded: Loaded, finding: Finding) -> str:
+    line = line_of(loaded.text, finding.key.split("."))
+    return f"{f'line {line}: ' if line else ''}{finding.key}: {finding.words}"
 
 
 def _check_scenario(file: str, json: bool) -> int:

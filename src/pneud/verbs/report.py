@@ -14,6 +14,7 @@ from pneud.report import pictures
 from pneud.report.gather import EmptyError, Window, gather
 from pneud.report.page import is_reference, page
 from pneud.report.pictures import PicturesError
+from pneud.rt.outputs import write_whole
 
 _BUCKETS = 8192  # of a page, shared by its logs
 _FEWEST = 1024
@@ -58,7 +59,7 @@ def report(o: ReportOptions) -> int:
     except EmptyError as e:
         raise LogError(str(e)) from None
     try:
-        o.output.write_text(page(runs, reference), encoding="utf-8")
+        write_whole(o.output, page(runs, reference))
         written = [o.output]
         if o.png:
             written += pictures.write(runs, o.output.with_suffix(""))

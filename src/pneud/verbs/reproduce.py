@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 from pneud.config.models import ConfigError
+from pneud.rt.outputs import write_whole
 from pneud.study.paper import as_json, reproduce
 from pneud.study.paper_figures import FiguresError, pictures, require
 from pneud.study.paper_page import page, words
@@ -43,8 +44,8 @@ def reproduce_paper(output: Path | None, json: bool) -> int:
         drawn = pictures(found)
         try:
             for picture in drawn:
-                (output / f"{picture.name}.png").write_bytes(picture.png)
-            (output / PAGE).write_text(page(found, drawn), encoding="utf-8")
+                write_whole(output / f"{picture.name}.png", picture.png)
+            write_whole(output / PAGE, page(found, drawn))
         except OSError as e:
             raise ConfigError(f"{output}: cannot be written to: {e.strerror}") from None
     if json:

@@ -67,7 +67,7 @@ def track(o: TrackOptions) -> int:
                 raise RefusedError({"type": "beyond_limits", "message": f"track {o.name}: {e}"}) from None
             for at in range(0, len(pieces), MAX_PIECES):
                 some = [list(piece) for piece in pieces[at : at + MAX_PIECES]]
-                client.ask("upload", first=at == 0, pieces=some)
+                client.ask("upload", first=at == 0, last=at + MAX_PIECES >= len(pieces), pieces=some)
             reply = client.ask("track", what="profile")
         except RefusedError as e:
             return refused(e, o.json)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from pneud.console.client import Client, RefusedError
 from pneud.console.endpoint import PlaceError
 from pneud.console.results import refused, show
 from pneud.console.tuning import NAMES, Values, difference, keys, values_of
+from pneud.rt.outputs import replacing
 
 
 def get(socket: str | None, json: bool) -> int:
@@ -151,17 +151,9 @@ def _with(text: str, old: Values, new: Values) -> str:
 
 def _replace(path: Path, text: str) -> None:
     """Write a file at once or not at all; what could not be loaded is not written."""
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
-    try:
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        load_config(name)
-        before = path.stat()
-        Path(name).chmod(before.st_mode & 0o7777)
+    before = path.stat()
+    with replacing(path) as beside:
+        beside.write_text(text, encoding="utf-8")
+        load_config(beside)
         with contextlib.suppress(PermissionError):
-            os.chown(name, before.st_uid, before.st_gid)
-        Path(name).replace(path)
-    finally:
-        Path(name).unlink(missing_ok=True)
+            os.chown(beside, before.st_uid, before.st_gid)

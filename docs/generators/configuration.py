@@ -1,0 +1,162 @@
+"""docs/configuration.md: every key of a configuration with its unit, bounds, default and meaning.
+
+    python docs/generators/configuration.py > docs/configuration.md
+
+Units are the ends of the names, bounds and defaults those of the models, meanings the comments behind
+the keys.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterator
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from pneud.config.models import Config, FrameConfig, FramesConfig
+
+HEAD = """\
+# Keys of a configuration
+
+<!-- Made by docs/generators/configuration.py; do not edit. To make it anew:
+python docs/generators/configuration.py > docs/configuration.md -->
+
+A configuration is one TOML file. Unknown keys are errors; `pneud check FILE` names the line. Units are part
+of the names, all SI; pressures are absolute. A key that is required has to be given where its table is.
+"""
+UNITS = (
+    *(("_n_s_m", "N s/m"), ("_n_s2", "N/s²"), ("_n_rs", "N/√s"), ("_j_kg_k", "J/(kg K)"), ("_n_m", "N/m")),
+    *(("_rad_s", "rad/s"), ("_bit_s", "bit/s"), ("_m_s3", "m/s³"), ("_m_s2", "m/s²"), ("_m_s", "m/s")),
+    *(
+        ("_v_s", "V/s"),
+        ("_m2", "m²"),
+        ("_m", "m"),
+        ("_kg", "kg"),
+        ("_pa", "Pa"),
+        ("_hz", "Hz"),
+        ("_ms", "ms"),
+    ),
+    *(("_us", "µs"), ("_s", "s"), ("_n", "N"), ("_v", "V"), ("_k", "K"), ("_mb", "MB")),
+)
+SIGNS = {Gt: ">", Ge: "≥", Lt: "<", Le: "≤"}
+KEY = re.compile(r"    (\w+): .*?(?:  # (.+))?$")
+
+
+def meanings(model: type[BaseModel]) -> dict[str, str]:
+    """The comment behind each key in the source of its table, or on the line that ends it."""
+    found: dict[str, str] = {}
+    key = ""
+    for line in inspect.getsource(model).splitlines():
+        if match := KEY.match(line):
+            key = match.group(1)
+            found[key] = match.group(2) or ""
+        elif key and line.startswith("    )") and "  # " in line:
+            found[key] = line.partition("  # ")[2]
+        elif line.startswith("    @"):
+            break
+    return found
+
+
+def bounds(metadata: Any) -> str:
+    """The bounds among what is said of a type."""
+    parts: list[str] = []
+    for item in metadata:
+        inner = item.metadata if isinstance(item, FieldInfo) else [item]
+        parts += [
+            f"{SIGNS[type(one)]} {getattr(one, type(one).__name__.lower()):g}"
+            for one in inner
+            if type(one) in SIGNS
+        ]
+    return ", ".join(parts)
+
+
+def kind(annotation: Any, metadata: Any = ()) -> str:
+    """What a value may be."""
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        base, *more = get_args(annotation)
+        return kind(base, more)
+    if origin is Literal:
+        return ", ".join(
+            f'`"{value}"`' if isinstance(value, str) else f"`{value}`" for value in get_args(annotation)
+        )
+    if origin in (Union, UnionType):
+        return " or ".join(kind(one, metadata) for one in get_args(annotation) if one is not NoneType)
+    if origin is tuple:
+        return f"list of: {kind(get_args(annotation)[0])}"
+    if origin is dict:
+        return "table of texts"
+    if annotation is bool:
+        return "`true`, `false`"
+    if annotation is str:
+        return "text"
+    limits = bounds(metadata)
+    return limits or ("whole number" if annotation is int else "number")
+
+
+def unit(name: str) -> str:
+    """The unit that a name ends with."""
+    return next((text for end, text in UNITS if name.endswith(end)), "")
+
+
+def default(field: FieldInfo) -> str:
+    """The default as it would stand in the file; empty for none."""
+    if field.is_required():
+        return "**required**"
+    value = field.get_default(call_default_factory=True)
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
+    if isinstance(value, str):
+        return f'`"{value}"`'
+    return f"`{value:g}`" if isinstance(value, float) else f"`{value}`".replace("()", "[]")
+
+
+def tables(model: type[BaseModel], path: str = "") -> Iterator[str]:
+    """A section for each table, in the order of the models."""
+    said = meanings(model)
+    plain = [(n, f) for n, f in model.model_fields.items() if not is_table(f)]
+    if plain:
+        yield f"\n## {f'`[{path}]`' if path else 'At the top'}\n"
+        yield f"{inspect.getdoc(model)}\n"
+        yield "| key | value | unit | default | |\n|---|---|---|---|---|"
+        for name, field in plain:
+            cells = (kind(field.annotation, field.metadata), unit(name), default(field), said.get(name, ""))
+            yield f"| `{field.alias or name}` | {' | '.join(cells)} |"
+    for name, field in model.model_fields.items():
+        if field.annotation is FrameConfig:
+            continue
+        if is_table(field):
+            assert isinstance(field.annotation, type)
+            yield from tables(field.annotation, f"{path}.{name}" if path else name)
+            if field.annotation is FramesConfig:
+                yield from frames()
+
+
+def frames() -> Iterator[str]:
+    """One section for the roles that messages play, and what each is by default."""
+    yield from tables(FrameConfig, "bus.frames.ROLE")
+    yield "\n| role | default message | default signals |\n|---|---|---|"
+    for role, frame in FramesConfig():
+        signals = ", ".join(f"{name} = `{signal}`" for name, signal in frame.signals.items())
+        yield f"| `{role}` | `{frame.message}` | {signals or '–'} |"
+
+
+def is_table(field: FieldInfo) -> bool:
+    """Whether a key has a table of its own."""
+    return isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)
+
+
+def text() -> str:
+    """The page."""
+    return HEAD + "\n".join(tables(Config)) + "\n"
+
+
+if __name__ == "__main__":
+    print(text(), end="")

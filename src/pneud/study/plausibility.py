@@ -1,0 +1,152 @@
+"""Whether a configuration can be that of a rig: what valve and piston give along the reference, and bounds.
+
+Nothing is simulated. What no rig has is an error; what few have is worth a second look. Each finding names
+the key that it hangs on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from pneud.axis.cycle import AxisParameters
+from pneud.config.conversions import axis_of
+from pneud.config.models import Config, friction_of, plant_of
+from pneud.control.reference import rest, sine, stays, transfer
+from pneud.physics.cylinder import F0, F1_exhaust, F1_fill
+from pneud.physics.friction import stribeck
+from pneud.physics.plant import PlantParameters
+from pneud.physics.valve import dead_zone_inverse
+
+STEPS = 200  # of one period of the reference
+MUCH = 0.7  # of what there is: disturbances need the rest
+LIGHT_M_S2, LIGHTEST_M_S2 = 1000.0, 10_000.0  # acceleration by the piston's whole force
+WIDE, WIDEST = 0.15, 0.35  # dead zone over the greatest command
+SLOW_RAD_S = 2.0  # bandwidth; disturbances would be left to themselves
+RUBBING = 0.4  # friction over the piston's force
+PLACES = 20  # from which the way to the reference is tried
+
+
+class Finding(NamedTuple):
+    """What cannot be, or seldom is."""
+
+    key: str  # of the configuration
+    words: str
+    is_error: bool
+
+
+class Demand(NamedTuple):
+    """What the reference asks for at most."""
+
+    command_v: float
+    pressure_share: float  # force over what the piston has with supply on one side, atmosphere on the other
+    force_n: float
+    speed_m_s: float
+    acceleration_m_s2: float
+
+
+def piston_force_n(p: PlantParameters) -> float:
+    """The lesser of the forces [N] by which the piston can push and pull."""
+    c, g = p.cylinder, p.gas
+    push = (g.supply_pa - g.atmosphere_pa) * c.A1
+    return min(push, (g.supply_pa - g.atmosphere_pa) * c.A2)
+
+
+def demand(p: PlantParameters, axis: AxisParameters, dead_length_m: float) -> Demand:
+    """What the configured sine asks of valve and piston at most, chambers about half the supply pressure.
+
+    x3 = M a + rod force + friction; u = (M ȧ − F0 v)/F1, across the dead zone. The rate of friction and all
+    dynamics of the valve are left out.
+
+    Args:
+        p: the axis as the controller believes in it.
+        axis: with its reference.
+        dead_length_m: of chamber 1.
+    """
+    c, g, r = p.cylinder, p.gas, axis.reference
+    middle_pa = 0.5 * g.supply_pa
+    volts = share = most_n = 0.0
+    for i in range(STEPS if r.omega_rad_s > 0.0 and r.amplitude_m > 0.0 else 1):
+        at = sine(2.0 * math.pi * i / (STEPS * r.omega_rad_s) if r.omega_rad_s > 0.0 else 0.0, r)
+        v = at.velocity_m_s
+        rubbing = math.copysign(stribeck(v, p.friction), v) + p.friction.viscous_n_s_m * v if v else 0.0
+        force = c.M * at.acceleration_m_s2 + rubbing
+        above = (force + c.rod_force_n - middle_pa * (c.A1 - c.A2)) / (c.A1 + c.A2)
+        p1, p2 = middle_pa + above, middle_pa - above
+        reach = (g.supply_pa - g.atmosphere_pa) * (c.A1 if force >= 0.0 else c.A2)
+        share, most_n = max(share, abs(force) / reach), max(most_n, abs(force))
+        if not g.atmosphere_pa < min(p1, p2) or not max(p1, p2) < g.supply_pa:
+            continue
+        x1 = at.position_m + dead_length_m
+        rate = c.M * at.jerk_m_s3 - F0(x1, p1, p2, c, g) * v
+        gain = F1_fill if rate >= 0.0 else F1_exhaust
+        opened = rate / gain(x1, p1, p2, g.supply_pa, c, g)
+        volts = max(volts, abs(dead_zone_inverse(opened, p.valve, 0.0)))
+    w, a = r.omega_rad_s, r.amplitude_m
+    return Demand(volts, share, most_n, w * a, w * w * a)
+
+
+def _motion(c: Config, axis: AxisParameters, p: PlantParameters) -> Iterator[Finding]:
+    need = demand(p, axis, c.cylinder.dead_length_1_m)
+    what = f"{need.speed_m_s:.2g} m/s and {need.acceleration_m_s2:.2g} m/s²"
+    u_max = c.valve.u_max_v
+    if need.command_v > MUCH * u_max:
+        beyond = need.command_v > u_max
+        words = f"{what} take {need.command_v:.2g} V of the valve's {u_max:g} V"
+        yield Finding("reference.frequency_hz", words, beyond)
+    if need.pressure_share > MUCH:
+        words = f"{what} take {need.force_n:.3g} N, {100.0 * need.pressure_share:.0f} % of the piston's force"
+        yield Finding("reference.frequency_hz", words, need.pressure_share > 1.0)
+    if not axis.join_at_once:
+        yield from _joining(axis)
+
+
+def _joining(axis: AxisParameters) -> Iterator[Finding]:
+    """From where no way within the travel leads onto the reference, so that arming is refused there."""
+    limits, first = axis.limits, sine(0.0, axis.reference)
+    low_m, high_m = limits.travel_min_m, limits.travel_max_m
+    places = [low_m + i * (high_m - low_m) / PLACES for i in range(PLACES + 1)]
+    shut = [x for x in places if not stays(transfer(rest(x), first, axis.transfer), low_m, high_m)]
+    if not shut:
+        return
+    words = (
+        f"the run-up to {first.velocity_m_s:.2g} m/s leaves limits.travel from {len(shut)} of {len(places)}"
+        " places, where arming would be refused; take more limits.transfer.acceleration_m_s2, or a slower or"
+        " smaller reference"
+    )
+    yield Finding("limits.transfer", words, len(shut) == len(places))
+
+
+def _rig(c: Config, p: PlantParameters, bandwidth_rad_s: float) -> Iterator[Finding]:
+    force_n, mass_kg = piston_force_n(p), c.cylinder.moving_mass_kg
+    light = force_n / mass_kg
+    if light > LIGHT_M_S2:
+        words = f"{mass_kg:g} kg on a piston of {force_n:.3g} N: {light:.0f} m/s²"
+        yield Finding("cylinder.moving_mass_kg", words, light > LIGHTEST_M_S2)
+    wide = c.valve.dead_zone_v / c.valve.u_max_v
+    if wide > WIDE:
+        words = f"a dead zone of {c.valve.dead_zone_v:g} of {c.valve.u_max_v:g} V"
+        yield Finding("valve.dead_zone_v", words, wide > WIDEST)
+    for key, friction in (("control.friction", c.control.friction), ("plant.friction", c.plant.friction)):
+        rubbing_n = max(friction.static_n, friction.coulomb_n)
+        if rubbing_n > RUBBING * force_n:
+            words = f"{rubbing_n:.3g} N of friction against {force_n:.3g} N of the piston"
+            yield Finding(f"{key}.static_n", words, rubbing_n >= force_n)
+    if bandwidth_rad_s < SLOW_RAD_S:
+        words = f"{bandwidth_rad_s:.2g} rad/s: the load would take seconds to come back from a push"
+        yield Finding("control.k1", words, False)
+
+
+def findings(c: Config, command_lsb_v: float, bandwidth_rad_s: float) -> list[Finding]:
+    """All that is implausible, errors first.
+
+    Args:
+        c: the configuration.
+        command_lsb_v: step of the command on the wire [V].
+        bandwidth_rad_s: of the law, as predicted.
+    """
+    axis = axis_of(c, command_lsb_v)
+    believed = plant_of(c)._replace(friction=friction_of(c.control.friction), valve=axis.controller.valve)
+    found = [*_rig(c, believed, bandwidth_rad_s), *_motion(c, axis, believed)]
+    return sorted(found, key=lambda finding: not finding.is_error)
