@@ -20,6 +20,7 @@ from pneud.bus.inbox import Inbox
 from pneud.bus.link import Link
 from pneud.config.models import Config
 from pneud.console.handoff import LoopEnd
+from pneud.crew import gone
 from pneud.log.format.header import SNAPSHOT_S
 from pneud.log.live.ring import Ring
 from pneud.loop.answers import Answers
@@ -353,7 +354,7 @@ class Loop:
         if self._recorder and not self._recorder_gone:
             status = self.ring.status()
             disk_full = status.failing != 0 and status.error == errno.ENOSPC
-            self._recorder_gone = _gone(self._recorder)
+            self._recorder_gone = gone(self._recorder)
             self.recorder_lost = (status.failing != 0 and not disk_full) or self._recorder_gone
             self._recorder_flags = (
                 (RECORDER_LOST if self.recorder_lost else 0)
@@ -368,13 +369,6 @@ def _has_terminal() -> bool:
     except OSError:
         return False
     return True
-
-
-def _gone(pid: int) -> bool:
-    try:
-        return os.waitpid(pid, os.WNOHANG)[0] != 0
-    except ChildProcessError:
-        return True
 
 
 def options_of(

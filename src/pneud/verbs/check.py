@@ -7,8 +7,9 @@ import json as json_
 from pneud import resources
 from pneud.axis.cycle import Axis
 from pneud.config import conversions
-from pneud.loading import is_scenario, load, load_axis, load_scenario
+from pneud.loading import load
 from pneud.scenario import verdict
+from pneud.scenario.files import is_scenario, load_axis, load_scenario
 from pneud.study.gains import predict, warnings
 
 

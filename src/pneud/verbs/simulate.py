@@ -9,7 +9,6 @@ from pathlib import Path
 
 from pneud.axis.cycle import FOLLOWING
 from pneud.config.models import ConfigError
-from pneud.loading import load_axis, load_scenario
 from pneud.log.files.naming import create_log, log_path
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import SNAPSHOT_S, LogHeader
@@ -17,6 +16,7 @@ from pneud.loop.summary import Tracking, in_words, summarise
 from pneud.replay.lockstep import Simulation, law_of
 from pneud.safety.faults import FAULT_NAMES
 from pneud.scenario import verdict
+from pneud.scenario.files import load_axis, load_scenario
 from pneud.signals import State
 
 DURATION_S = 10.0
