@@ -75,8 +75,7 @@ class Session:
         Args:
             ends: takes how each is ended, the last one first.
         """
-        ready, config = self.ready, self.ready.config
-        o, wanted = ready.options, config.realtime
+        ready, o, wanted = self.ready, self.ready.options, self.ready.config.realtime
         cpu = setup.own_cpu(wanted.cpu)
         words, heard = notes.pair()
         asking, taking = handoff.pair()
@@ -93,27 +92,23 @@ class Session:
             self._start_screen(ends)
         self.reports += setup.apply(wanted.priority, cpu, wanted.lock_memory)
         self.ring.set_notes(setup.as_text(self.reports))
-        fifo = next(r for r in self.reports if r.name == "fifo")
-        codecs = ready.loaded.codecs
-        loop = Loop(
-            ready.axis,
-            codecs,
-            Inbox(codecs, config.bus),
-            ready.link,
-            self.ring,
-            options_of(
-                config,
-                auto_arm=o.virtual or o.arm,
-                duration_s=o.duration_s,
-                end_on_fault=o.virtual,
-                no_realtime=wanted.required and not fifo.ok,
-            ),
-            truth,
-            recorder,
-            handoff.LoopEnd(taking),
-        )
+        loop = self._loop(recorder, truth, handoff.LoopEnd(taking))
         loop.handle_signals(console)
         return loop
+
+    def _loop(self, recorder: int, truth: TruthReader | None, requests: handoff.LoopEnd) -> Loop:
+        ready, config, o = self.ready, self.ready.config, self.ready.options
+        codecs = ready.loaded.codecs
+        fifo = next(r for r in self.reports if r.name == "fifo")
+        options = options_of(
+            config,
+            auto_arm=o.virtual or o.arm,
+            duration_s=o.duration_s,
+            end_on_fault=o.virtual,
+            no_realtime=config.realtime.required and not fifo.ok,
+        )
+        inbox = Inbox(codecs, config.bus)
+        return Loop(ready.axis, codecs, inbox, ready.link, self.ring, options, truth, recorder, requests)
 
     def _start_recorder(self, ends: ExitStack, heard: socket.socket) -> int:
         ready = self.ready
