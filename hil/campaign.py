@@ -27,8 +27,8 @@ from pneud import resources
 from pneud.bus.link import open_link
 from pneud.console.client import Client
 from pneud.console.endpoint import PlaceError
-from pneud.loading import load_scenario
 from pneud.log.files.reader import LogReader
+from pneud.scenario.files import load_scenario
 
 PNEUD = [sys.executable, "-m", "pneud.cli"]
 PATIENCE_S = 90.0

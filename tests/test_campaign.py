@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from pneud import resources
-from pneud.loading import load_axis, load_scenario
+from pneud.scenario.files import load_axis, load_scenario
 
 HIL = Path(__file__).parent.parent / "hil"
 

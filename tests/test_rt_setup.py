@@ -5,8 +5,6 @@ from __future__ import annotations
 import gc
 import os
 import resource
-import signal
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -170,40 +168,3 @@ def test_what_is_not_asked_for_is_left_alone_and_said() -> None:
 def test_reports_as_text_tell_yes_from_no() -> None:
     text = setup.as_text([Report("a", True, "fine"), Report("b", False, "no right")])
     assert text == {"a": "yes: fine", "b": "no: no right"}
-
-
-@pytest.mark.parametrize("dead_already", [False, True])
-def test_a_child_dies_with_its_parent(dead_already: bool) -> None:
-    readable, writable = os.pipe()
-    parent = os.fork()
-    if parent == 0:
-        me = os.getpid()
-        if os.fork() == 0:
-            if dead_already:
-                while os.getppid() == me:
-                    time.sleep(0.001)
-            setup.die_with_parent(me)
-            os.write(writable, b"A")  # only a child whose parent lives gets here
-            while True:
-                signal.pause()
-        if not dead_already:
-            time.sleep(0.2)
-        os._exit(0)
-    os.close(writable)
-    os.waitpid(parent, 0)
-    with os.fdopen(readable, "rb") as pipe:
-        said = pipe.read()  # ends when the grandchild is dead
-    assert said == (b"" if dead_already else b"A")
-
-
-def test_terminal_signals_are_ignored() -> None:
-    def receive_all() -> str:
-        setup.ignore_terminal_signals()
-        for signum in (
-            *(signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP),
-            *(signal.SIGTERM, signal.SIGHUP, signal.SIGABRT),
-        ):
-            os.kill(os.getpid(), signum)
-        return "alive"
-
-    assert in_child(receive_all) == "'alive'"

@@ -16,13 +16,14 @@ from pneud import resources
 from pneud.bus.codec import Codecs, load_codecs
 from pneud.bus.wire import CAN_ERR_FLAG
 from pneud.config.models import BusConfig, ConfigError, parse
-from pneud.loading import load, load_scenario, toml_text
+from pneud.loading import load, toml_text
 from pneud.replay.lockstep import Simulation, law_of
 from pneud.rig.damage import UNDAMAGED, advance_damaged
 from pneud.rig.dynamics import PlantState, advance, initial_state
 from pneud.safety.faults import FAULT_NAMES, TABLE, Reaction
 from pneud.scenario import verdict
 from pneud.scenario.engine import Engine
+from pneud.scenario.files import load_scenario
 from pneud.scenario.format import KINDS, Scenario
 from pneud.signals import Frame, State, ValveState
 

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from rich.cells import cell_len
 from rich.console import Console
 
+from pneud import crew
 from pneud.signals import (
     ALL_SOURCES,
     Command,
@@ -34,8 +35,11 @@ from pneud.signals import (
     Tick,
     Timing,
 )
-from pneud.view import LEAVE_SCREEN, History, ScreenInfo, Snapshot, render, run, run_child, status_line
-from pneud.view.history import BUCKET_NS, SPAN_S, Series, span_s, sparkline
+from pneud.view.history import BUCKET_NS, SPAN_S, History, Series, span_s, sparkline
+from pneud.view.info import ScreenInfo
+from pneud.view.processes import LEAVE_SCREEN
+from pneud.view.screen import Snapshot, render, status_line
+from pneud.view.terminal import run, run_child
 
 MS = 1_000_000
 T0 = 10**15
@@ -305,12 +309,12 @@ class Screen:
         if through and self.between:
             self.child = int(os.read(names_r, 20))
         else:
-            parent = os.getpid()
-            self.child = os.fork()
-            if self.child == 0:
-                os.close(self.stop_w)
-                os.close(self.master)
-                self._be_the_view(slave, told_r, parent, environment)
+            self.child = crew.fork(
+                lambda: self._be_the_view(slave, told_r, environment),
+                keep=(slave, told_r),
+                terminal=True,
+                orphaned=signal.SIGTERM,
+            )
             if through:
                 os.write(names_w, str(self.child).encode())
                 while True:
@@ -320,27 +324,21 @@ class Screen:
         self.seen = ""
 
     @staticmethod
-    def _be_the_view(slave: int, told: int, parent: int, environment: dict[str, str]) -> None:
-        status = 1
-        try:
-            for descriptor in (0, 1, 2):
-                os.dup2(slave, descriptor)
-            os.close(slave)
-            for name in ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):
-                os.environ.pop(name, None)
-            os.environ.update({"TERM": "xterm-256color", **environment})
-            sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
-            ticks = iter(range(10**9))
-            run_child(
-                lambda: [at(next(ticks)) for _ in range(50)],
-                INFO,
-                lambda: bool(select.select([told], [], [], 0)[0]),
-                parent,
-                log_counts=lambda: (1, 0),
-            )
-            status = 0
-        finally:
-            os._exit(status)
+    def _be_the_view(slave: int, told: int, environment: dict[str, str]) -> None:
+        for descriptor in (0, 1, 2):
+            os.dup2(slave, descriptor)
+        os.close(slave)
+        for name in ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):
+            os.environ.pop(name, None)
+        os.environ.update({"TERM": "xterm-256color", **environment})
+        sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+        ticks = iter(range(10**9))
+        run_child(
+            lambda: [at(next(ticks)) for _ in range(50)],
+            INFO,
+            lambda: bool(select.select([told], [], [], 0)[0]),
+            log_counts=lambda: (1, 0),
+        )
 
     def read_until(self, ends: Callable[[str], object]) -> None:
         """Read what the view writes until a condition holds for all of it, or the view is gone."""

@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pneud.loading import load, load_scenario
+from pneud.loading import load
 from pneud.log.files.naming import create_log
 from pneud.log.files.reader import read_log
 from pneud.log.files.writer import LogWriter
@@ -16,6 +16,7 @@ from pneud.log.format.header import LogHeader
 from pneud.replay.lockstep import Simulation
 from pneud.replay.replaying import replay
 from pneud.safety.faults import FAULT_NAMES, names
+from pneud.scenario.files import load_scenario
 from pneud.signals import Request, RequestKind
 
 FOLDER = Path(__file__).parent

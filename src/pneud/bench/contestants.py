@@ -14,7 +14,7 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import NamedTuple
 
-from pneud import resources
+from pneud import crew, resources
 from pneud.bench.disturbances import Disturb, Run
 from pneud.bench.law_cost import header
 from pneud.bench.sample import QUANTITIES, ProcessState, Sample, from_object, process_state
@@ -29,6 +29,8 @@ PATIENCE_S = 30.0
 DRAIN_NS = 60_000  # longest that the look for left-over frames before SYNC usually takes
 CHILDREN = ("recorder", "console", "plant")
 CYCLICTEST_MOST_US = 100_000
+_PNEUD = (sys.executable, "-m", "pneud.cli")
+_PIPE = subprocess.PIPE
 
 
 class AbsentError(Exception):
@@ -147,39 +149,19 @@ def pneud(track: Track, rate_hz: float, seconds: float, disturb: Disturb | None 
     """
     log = track.scratch / f"{secrets.token_hex(3)}.mcap"
     socket = log.with_suffix(".sock")
-    words = ["--config", str(track.config_file), "--rate", f"{rate_hz:g}", "--bus", _bus_of(track)]
-    duration = ["--duration", str(seconds + SETTLE_S + 0.2)]
+    words = ["--virtual", "--headless", "--json", "--config", str(track.config_file)]
+    words += ["--bus", _bus_of(track), "--rate", f"{rate_hz:g}", "--duration", str(seconds + SETTLE_S + 0.2)]
+    words += ["--log", str(log), "--socket", str(socket)]
     began_ns = time.monotonic_ns()
-    process = subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "pneud.cli",
-            "--virtual",
-            *words,
-            *duration,
-            "--headless",
-            "--json",
-            "--log",
-            log,
-            "--socket",
-            socket,
-        ],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
     try:
-        members = _members(process)
-        time.sleep(SETTLE_S)
-        with nullcontext() if disturb is None else disturb(Run(members, socket, track.scratch)):
-            used = _usage(members, seconds)
-        out, err = process.communicate(timeout=PATIENCE_S)
+        with crew.program(*_PNEUD, *words, out=_PIPE, err=_PIPE) as process:
+            members = _members(process)
+            time.sleep(SETTLE_S)
+            with nullcontext() if disturb is None else disturb(Run(members, socket, track.scratch)):
+                used = _usage(members, seconds)
+            out, err = process.communicate(timeout=PATIENCE_S)
     except (OSError, subprocess.TimeoutExpired) as e:
         raise AbsentError(f"pneud ended early or never: {e}") from None
-    finally:
-        process.kill()
-        process.wait()
     if not out:
         raise AbsentError((err.splitlines() or ["pneud said nothing"])[-1])
     summary = json.loads(out)
@@ -288,21 +270,13 @@ def _bus_of(track: Track) -> str:
 def _plant(track: Track) -> Iterator[str]:
     """The software plant on a bus, for those who bring none; yields the bus."""
     bus = _bus_of(track)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "pneud.cli", "plant", "--config", str(track.config_file), "--bus", bus],
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stderr is not None
-    try:
+    with crew.program(*_PNEUD, "plant", "--config", track.config_file, "--bus", bus, err=_PIPE) as process:
+        assert process.stderr is not None
         line = process.stderr.readline()
         if not line.startswith("plant "):
             raise AbsentError(line.strip() or "the plant did not start")
         time.sleep(0.05)
         yield bus
-    finally:
-        process.terminate()
-        process.communicate()
 
 
 def _run(command: list[str], seconds: float) -> str:

@@ -7,14 +7,15 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import NamedTuple
+
+from pneud import crew
 
 DISK_BYTES_S = 100_000_000
 CLIENTS = 10
 CLIENT_HZ = 20
-_PATIENCE_S = 10.0
 
 _WRITER = f"""
 import os, sys, time
@@ -99,15 +100,10 @@ DISTURBANCES: Mapping[str, Disturb] = {
 
 @contextmanager
 def _processes(*programs: list[str]) -> Iterator[list[subprocess.Popen[str]]]:
-    begun = [
-        subprocess.Popen(
-            [sys.executable, "-c", *program], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-        )
-        for program in programs
-    ]
-    try:
-        yield begun
-    finally:
-        for process in begun:
-            process.kill()
-            process.communicate(timeout=_PATIENCE_S)
+    with ExitStack() as begun:
+        yield [
+            begun.enter_context(
+                crew.program(sys.executable, "-c", *program, out=subprocess.PIPE, err=subprocess.DEVNULL)
+            )
+            for program in programs
+        ]

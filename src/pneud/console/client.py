@@ -57,6 +57,10 @@ class Client:
             os.close(descriptor)
         self._descriptors.clear()
 
+    def fileno(self) -> int:
+        """The descriptor of the connection."""
+        return self._connection.fileno()
+
     def ask(self, verb: str, **fields: Any) -> dict[str, Any]:
         """Ask, and wait for the reply.
 

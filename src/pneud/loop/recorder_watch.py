@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import errno
-import os
 
+from pneud.crew import gone
 from pneud.log.live.ring import Ring
 from pneud.signals import Host
 
@@ -43,17 +43,10 @@ class RecorderWatch:
             return
         status = self.ring.status()
         disk_full = status.failing != 0 and status.error == errno.ENOSPC
-        self._gone = _gone(self._pid)
+        self._gone = gone(self._pid)
         self.lost = (status.failing != 0 and not disk_full) or self._gone
         self.host = (
             (RECORDER_LOST if self.lost else 0)
             | (DISK_FULL if disk_full else 0)
             | (CONFIG_CHANGED if status.config_changed else 0)
         )
-
-
-def _gone(pid: int) -> bool:
-    try:
-        return os.waitpid(pid, os.WNOHANG)[0] != 0
-    except ChildProcessError:
-        return True

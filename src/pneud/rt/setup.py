@@ -11,13 +11,11 @@ import errno
 import gc
 import os
 import resource
-import signal
 import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-_PR_SET_PDEATHSIG = 1
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT = 1
 _MCL_FUTURE = 2
@@ -124,27 +122,6 @@ def freeze_gc() -> Report:
     gc.freeze()
     gc.disable()
     return Report("gc", True, f"off, {gc.get_freeze_count()} objects frozen")
-
-
-def die_with_parent(parent_pid: int, signum: int = signal.SIGKILL) -> None:
-    """Let the kernel send this process a signal when its parent dies.
-
-    Args:
-        parent_pid: os.getpid() of the parent, taken before the fork: it may be dead by now.
-        signum: the signal.
-    """
-    _libc.prctl(_PR_SET_PDEATHSIG, int(signum), 0, 0, 0)
-    if os.getppid() != parent_pid:
-        os.kill(os.getpid(), signum)
-
-
-def ignore_terminal_signals() -> None:
-    """Leave it to the parent to act on Ctrl-C, a closed terminal, a watchdog, a kill of the group."""
-    for signum in (
-        *(signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP),
-        *(signal.SIGTERM, signal.SIGHUP, signal.SIGABRT),
-    ):
-        signal.signal(signum, signal.SIG_IGN)
 
 
 def _unasked(name: str, key: str) -> Report:

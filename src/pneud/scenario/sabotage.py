@@ -6,7 +6,6 @@ run.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import resource
 import select
@@ -17,7 +16,7 @@ import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from pneud.crew import fork
+from pneud import crew
 from pneud.rt import setup
 from pneud.scenario.format import (
     ClockStep,
@@ -61,21 +60,12 @@ def fork_saboteur(scenario: Scenario, orders: int, victims: Victims) -> int:
     Returns:
         Its process id.
     """
-    parent = os.getpid()
 
     def main() -> None:
-        stopped = False
-
-        def stop(*_: object) -> None:
-            nonlocal stopped
-            stopped = True
-
-        setup.ignore_terminal_signals()
-        signal.signal(signal.SIGTERM, stop)
-        setup.die_with_parent(parent, signal.SIGTERM)
+        stopped = crew.asked_to_leave(signal.SIGTERM)
         undone: list[tuple[float, Undo]] = []
         try:
-            while not stopped:
+            while not stopped():
                 now = time.monotonic()
                 for due in [item for item in undone if item[0] <= now]:
                     undone.remove(due)
@@ -94,7 +84,7 @@ def fork_saboteur(scenario: Scenario, orders: int, victims: Victims) -> int:
             for _, undo in undone:
                 _attempt(undo)
 
-    return fork(main)
+    return crew.fork(main, keep=(orders,), orphaned=signal.SIGTERM)
 
 
 def act(fault: Any, victims: Victims) -> Undo | None:
@@ -141,11 +131,7 @@ def _attempt(action: Callable[[], Undo | None]) -> Undo | None:
 
 
 def _overload(pid: int, stand_s: float, run_s: float) -> Undo:
-    parent = os.getpid()
-
     def main() -> None:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        setup.die_with_parent(parent)
         setup.apply(98, None, False)  # to be on time
         while True:
             os.kill(pid, signal.SIGSTOP)
@@ -153,33 +139,25 @@ def _overload(pid: int, stand_s: float, run_s: float) -> Undo:
             os.kill(pid, signal.SIGCONT)
             time.sleep(run_s)
 
-    tormentor = fork(main)
+    tormentor = crew.fork(main)
 
     def undo() -> None:
-        with contextlib.suppress(OSError):
-            os.kill(tormentor, signal.SIGKILL)
-            os.waitpid(tormentor, 0)
+        crew.kill(tormentor)
         os.kill(pid, signal.SIGCONT)
 
     return undo
 
 
 def _hog(processes: int) -> Undo:
-    parent = os.getpid()
-
     def main() -> None:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        setup.die_with_parent(parent)
         while True:
             pass
 
-    hogs = [fork(main) for _ in range(processes)]
+    hogs = [crew.fork(main) for _ in range(processes)]
 
     def undo() -> None:
         for pid in hogs:
-            with contextlib.suppress(OSError):
-                os.kill(pid, signal.SIGKILL)
-                os.waitpid(pid, 0)
+            crew.kill(pid)
 
     return undo
 

@@ -19,6 +19,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from pneud import crew
 from pneud.rt import setup
 from pneud.rt.setup import isolated_cpus
 
@@ -131,13 +132,11 @@ def read(
 def attempt(priority: int, cpu: int | None, lock_memory: bool) -> list[setup.Report]:
     """What `setup.apply` would get, tried in a child so that this process stays as it is."""
     readable, writable = os.pipe()
-    child = os.fork()
-    if child == 0:
-        try:
-            os.close(readable)
-            os.write(writable, pickle.dumps(setup.apply(priority, cpu, lock_memory)))
-        finally:
-            os._exit(0)
+
+    def main() -> None:
+        os.write(writable, pickle.dumps(setup.apply(priority, cpu, lock_memory)))
+
+    child = crew.fork(main, keep=(writable,))
     os.close(writable)
     with os.fdopen(readable, "rb") as pipe:
         data = pipe.read()

@@ -9,8 +9,9 @@ from pneud.axis.cycle import Axis
 from pneud.config import conversions
 from pneud.config.models import ConfigError
 from pneud.config.places import line_of
-from pneud.loading import Loaded, is_scenario, load, load_axis, load_scenario
+from pneud.loading import Loaded, load
 from pneud.scenario import verdict
+from pneud.scenario.files import is_scenario, load_axis, load_scenario
 from pneud.study.gains import predict, warnings
 from pneud.study.plausibility import Finding, findings
 

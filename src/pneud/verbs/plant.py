@@ -10,11 +10,11 @@ from pneud.bus.link import open_link, refuse_if_driven
 from pneud.compiled.backend import law
 from pneud.config import conversions
 from pneud.config.models import ConfigError
-from pneud.loading import bus_name, listening_s, load_axis, load_scenario
-from pneud.rig.answering import serve
-from pneud.rig.node import PlantNode
-from pneud.rt import setup
-from pneud.scenario.engine import Engine
+from pneud.crew import asked_to_leave
+from pneud.loading import bus_name, listening_s
+from pneud.rig.plant_process import Rig, answer
+from pneud.scenario.files import load_axis, load_scenario
+from pneud.scenario.stage import Stage
 from pneud.signals import ValveState
 
 
@@ -37,11 +37,6 @@ def plant(config_file: str | None, bus: str, scenario_file: str | None, seed: in
     channel = bus_name(bus, config)
     if channel == "auto":
         raise ConfigError("--bus auto would find another bus than the daemon; name one, such as unixcan:x")
-    stopped = False
-
-    def stop(*_: object) -> None:
-        nonlocal stopped
-        stopped = True
 
     def say(state: ValveState) -> None:
         print(f"valve node: {state.name.lower()}", file=sys.stderr, flush=True)
@@ -49,19 +44,21 @@ def plant(config_file: str | None, bus: str, scenario_file: str | None, seed: in
     codecs = axis.codecs
     answers = (codecs.encoder.can_id, codecs.pressure.can_id, codecs.valve_status.can_id)
     how = law(config.loop.compiled, conversions.axis_of(config, codecs.command_lsb_v))
+    rig = Rig(
+        conversions.plant_of(config),
+        codecs,
+        seed,
+        conversions.plant_priority(config.realtime),
+        how.advance,
+        how.carriage,
+    )
+    stage = Stage(scenario, config.loop.rate_hz) if scenario is not None else None
     with open_link(channel, virtual=True, by=how.carriage) as link:
         refuse_if_driven(link, answers, listening_s(config), "other nodes answer there")
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, stop)
-        rig, rate_hz = conversions.plant_of(config), config.loop.rate_hz
-        engine = None
-        if scenario is not None:
-            engine = Engine(scenario, rig, codecs, seed, rate_hz, advance=how.advance)
-        node = engine.node if engine is not None else PlantNode(rig, codecs, seed, advance=how.advance)
+        stop = asked_to_leave(signal.SIGINT, signal.SIGTERM)
         print(f"plant {config.name} on {link.name}; Ctrl-C stops", file=sys.stderr, flush=True)
-        setup.apply(conversions.plant_priority(config.realtime), None, False)
-        serve(link, node, stop=lambda: stopped, on_valve_state=say)
-    if engine is not None:
-        engine.settle()
-        print(json.dumps(engine.effects.as_dict()))
+        answer(link, rig, stage, stop, on_valve_state=say)
+    if stage is not None:
+        stage.over()
+        print(json.dumps(stage.effects()))
     return 0

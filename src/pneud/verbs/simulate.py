@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from pneud.config.models import ConfigError
-from pneud.loading import Loaded, load_axis, load_scenario
+from pneud.loading import Loaded
 from pneud.log.files.naming import create_log, log_path
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import SNAPSHOT_S, LogHeader
@@ -17,6 +17,7 @@ from pneud.loop.tally import Tally
 from pneud.replay.lockstep import Simulation, law_of
 from pneud.safety.faults import FAULT_NAMES
 from pneud.scenario import verdict
+from pneud.scenario.files import load_axis, load_scenario
 from pneud.signals import State
 
 DURATION_S = 10.0

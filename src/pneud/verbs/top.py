@@ -17,10 +17,13 @@ import time
 import tty
 from typing import Any
 
+from pneud import crew
 from pneud.console.client import Client, RefusedError
 from pneud.console.endpoint import PlaceError
 from pneud.log.live.ring import Ring
-from pneud.view import LEAVE_SCREEN, ScreenInfo, run_child
+from pneud.view.info import ScreenInfo
+from pneud.view.processes import leave_screen
+from pneud.view.terminal import run_child
 
 _SPEEDS_MM_S = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 _JOG_LEASE_S = 0.3
@@ -78,35 +81,29 @@ def _info(f: dict[str, Any]) -> ScreenInfo:
 
 def _show(ring: Ring, info: ScreenInfo, link: _Link) -> int:
     terminal = termios.tcgetattr(0) if sys.stdin.isatty() else None
-    parent = os.getpid()
-    child = os.fork()
-    if not child:
-        status = 1
+
+    def main() -> None:
         try:
             if terminal is not None:
                 tty.setcbreak(0)
-            reader = ring.reader()
             run_child(
-                reader.poll,
+                ring.reader().poll,
                 info,
                 lambda: ring.closed or link.over,
-                parent,
                 log_counts=lambda: (ring.status().written, ring.status().lost),
                 attend=link.attend,
             )
-            status = 0
         finally:
             _restore(terminal)
-            os._exit(status)
-    for number in (signal.SIGTERM, signal.SIGHUP):
+
+    child = crew.fork(main, keep=(link.descriptor,), terminal=True, orphaned=signal.SIGTERM)
+    for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
         signal.signal(number, lambda *_: os.kill(child, signal.SIGTERM))
-    signal.signal(signal.SIGINT, lambda *_: os.kill(child, signal.SIGTERM))
     signal.signal(signal.SIGTSTP, signal.SIG_IGN)
     _, ended = os.waitpid(child, 0)
     _restore(terminal)
     if os.waitstatus_to_exitcode(ended) != 0 and sys.stdout.isatty():
-        sys.stdout.write(LEAVE_SCREEN)
-        sys.stdout.flush()
+        leave_screen()
     if ring.closed:
         print("pneud: the daemon has ended", file=sys.stderr)
     return 0
@@ -130,6 +127,11 @@ class _Link:
         self._message = ""
         self._until_s = 0.0
         self._lost = False
+
+    @property
+    def descriptor(self) -> int:
+        """Of the connection."""
+        return self._client.fileno()
 
     def attend(self, info: ScreenInfo) -> ScreenInfo:
         """Act on keys and replies; to be called many times a second."""

@@ -15,6 +15,7 @@ from rich.style import Style
 from pneud.rt.histogram import Histogram
 from pneud.signals import Answer, Host, Record, RequestKind, State, ValveState
 from pneud.view.history import Column, Event, History, Series, shape, span_s, sparkline
+from pneud.view.info import ScreenInfo
 from pneud.view.text import (
     DIM,
     HAT,
@@ -58,24 +59,6 @@ _BADGES = {
     State.FAULT: Style(color="white", bgcolor="red", bold=True),
 }
 _VALVES = {ValveState.ENABLED: _GOOD, ValveState.TIMED_OUT: _BAD, ValveState.FAULT: _BAD}
-
-
-class ScreenInfo(NamedTuple):
-    """What stays the same while an axis runs."""
-
-    name: str
-    bus: str
-    rate_hz: float
-    travel_min_m: float
-    travel_max_m: float
-    u_max_v: float
-    note: str  # one line, for example how the bus was chosen
-    fault_names: tuple[str, ...]  # by bit
-    log_path: str
-    sync: bool = True  # every source answers every SYNC
-    cures: tuple[str, ...] = ()  # by bit
-    message: str = ""  # for the moment, in place of the note
-    keys: str = "Ctrl-C stops"
 
 
 class Snapshot(NamedTuple):

@@ -14,15 +14,13 @@ from collections.abc import Callable
 from rich.console import Console
 from rich.control import Control
 
-from pneud.rt.setup import die_with_parent
 from pneud.signals import Record
 from pneud.view.history import History
-from pneud.view.screen import ScreenInfo, Snapshot, render, status_line
+from pneud.view.info import ScreenInfo
+from pneud.view.screen import Snapshot, render, status_line
 
 FRAME_S = 0.05
 PLAIN_LINE_S = 2.0
-LEAVE_SCREEN = "\x1b[?1049l\x1b[?25h\x1b[0m"
-"""What a parent writes to the terminal when the screen's process did not end by itself."""
 
 
 def run(
@@ -87,22 +85,19 @@ def run_child(
     poll: Callable[[], list[Record]],
     info: ScreenInfo,
     stop: Callable[[], bool],
-    parent_pid: int,
     *,
     log_counts: Callable[[], tuple[int, int]] | None = None,
     attend: Callable[[ScreenInfo], ScreenInfo] | None = None,
 ) -> None:
-    """`run` as the whole life of a forked process: leaves in order on SIGTERM, SIGHUP, or its parent's death.
+    """`run` as the whole life of a forked process: leaves in order on SIGTERM and SIGHUP.
 
-    Keys that send signals (Ctrl-C, Ctrl-Z, …) are the parent's matter and ignored. Where the terminal takes
-    no more output, SIGALRM ends the process two seconds after it was told to leave; the parent then writes
-    `LEAVE_SCREEN`.
+    Where the terminal takes no more output, SIGALRM ends the process two seconds after it was told to leave;
+    the parent then writes `LEAVE_SCREEN`.
 
     Args:
         poll: as for `run`.
         info: as for `run`.
         stop: as for `run`.
-        parent_pid: os.getpid() of the parent, taken before the fork.
         log_counts: as for `run`.
         attend: as for `run`.
     """
@@ -120,11 +115,8 @@ def run_child(
             leave()
         return leaving
 
-    for signum in (signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP):
-        signal.signal(signum, signal.SIG_IGN)
     for signum in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(signum, leave)
-    die_with_parent(parent_pid, signal.SIGTERM)
     os.nice(5)  # the picture may be late, the plant and the recorder beside it may not
     with contextlib.suppress(OSError, SystemExit):  # the terminal is gone; rich exits on a broken pipe
         run(poll, info, told_to_stop, log_counts=log_counts, attend=attend)

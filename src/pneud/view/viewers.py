@@ -14,12 +14,12 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, cast
 
+from pneud import crew
 from pneud.log.format.events import EventSource
 from pneud.log.format.frames import FramesPacker
 from pneud.log.format.header import LogHeader
 from pneud.log.format.records import Packer, pack_event
 from pneud.log.format.schema import EVENTS, FRAMES, TICK, topics
-from pneud.rt.setup import die_with_parent
 from pneud.signals import Record
 
 POLL_S = 0.02
@@ -110,7 +110,6 @@ def serve(
     host: str,
     port: int,
     stop: Callable[[], bool],
-    parent_pid: int,
 ) -> None:
     """Serve as the whole life of a forked process, until told to stop.
 
@@ -121,22 +120,11 @@ def serve(
         host: address to listen on.
         port: port to listen on.
         stop: whether the run is over.
-        parent_pid: os.getpid() of the parent, taken before the fork.
     """
     import foxglove  # noqa: PLC0415  (an extra, loaded beside the loop's own start)
     from foxglove.websocket import Capability, Parameter  # noqa: PLC0415
 
-    leaving = False
-
-    def leave(*_: object) -> None:
-        nonlocal leaving
-        leaving = True
-
-    for signum in (signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP):
-        signal.signal(signum, signal.SIG_IGN)
-    for signum in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(signum, leave)
-    die_with_parent(parent_pid, signal.SIGTERM)
+    leaving = crew.asked_to_leave(signal.SIGTERM, signal.SIGHUP)
     os.nice(_NICE)
     foxglove.set_log_level("CRITICAL")  # a client that goes is no event
     listener = Listener(flat(parameters), lambda name, value: Parameter(name, value=value))
@@ -156,7 +144,7 @@ def serve(
         print(f"pneud: --live: cannot serve on {host}:{port}: {e}", file=sys.stderr)
         return
     try:
-        while not leaving and not stop():
+        while not leaving() and not stop():
             wanted = listener.topics
             publisher.publish(poll(), wanted)
             time.sleep(POLL_S)

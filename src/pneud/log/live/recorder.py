@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import signal
 import socket
 import sys
 import time
@@ -13,6 +11,7 @@ from collections import deque
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pneud import crew
 from pneud.log.format.header import LogHeader, Rotation
 from pneud.log.live.notes import Listener, Message
 from pneud.log.live.ring import RECORDER_FAILED, RecorderStatus, Ring, RingReader
@@ -45,7 +44,7 @@ def start_recorder(
         descriptor: of the new file, open for writing; closed here.
         header: what the log says about its run.
         files: what the run began with; it is watched whether they stay as they are.
-        words: the recorder's end of `messages.pair`; closed here.
+        words: the recorder's end of `notes.pair`; closed here.
         rotation: how the log is split and what is kept; None for one file.
         nice: its niceness.
 
@@ -56,30 +55,15 @@ def start_recorder(
         OSError: no more processes.
     """
     parent = os.getpid()
-    child = os.fork()
-    if child:
-        os.close(descriptor)
-        if words is not None:
-            words.close()
-        return child
-    status = 1
-    try:
-        leave_the_parents_files(descriptor, *([words.fileno()] if words is not None else []))
-        status = recorder_main(ring, descriptor, header, parent, files, words, rotation, nice)
-    finally:
-        os._exit(status)
-
-
-def leave_the_parents_files(*keep: int) -> None:
-    """Close what the fork inherited: a socket held open here would seem alive after its owner's death."""
-    for name in sorted(entry.name for entry in Path("/proc/self/fd").iterdir()):
-        if int(name) > 2 and int(name) not in keep:
-            with contextlib.suppress(OSError):
-                os.close(int(name))
-    null = os.open(os.devnull, os.O_RDWR)
-    os.dup2(null, 0)
-    os.dup2(null, 1)
-    os.close(null)
+    child = crew.fork(
+        lambda: recorder_main(ring, descriptor, header, parent, files, words, rotation, nice),
+        keep=[descriptor] if words is None else [descriptor, words.fileno()],
+        orphaned=None,
+    )
+    os.close(descriptor)
+    if words is not None:
+        words.close()
+    return child
 
 
 def recorder_main(
@@ -107,12 +91,6 @@ def recorder_main(
     Returns:
         Exit status: 0, or 1 if records are missing or the file is incomplete.
     """
-    # What ends the group (Ctrl-C, a closed terminal, systemd) reaches the recorder; it leaves after the loop.
-    for number in (
-        *(signal.SIGINT, signal.SIGTERM, signal.SIGHUP),
-        *(signal.SIGQUIT, signal.SIGTSTP, signal.SIGABRT),
-    ):
-        signal.signal(number, signal.SIG_IGN)
     try:
         os.nice(nice)
         # protobuf and MCAP are loaded here, beside the loop's own start, while the ring keeps what comes

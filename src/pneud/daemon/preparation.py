@@ -1,0 +1,151 @@
+"""What a run needs before anything is forked; whatever can be refused is refused here."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import socket as socket_
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from pneud.axis.cycle import Axis
+from pneud.bus.link import Link, LinkError, open_link, refuse_if_driven
+from pneud.compiled.backend import Law, law
+from pneud.config import conversions
+from pneud.config.models import Config, ConfigError
+from pneud.console import endpoint
+from pneud.loading import Loaded, bus_name, listening_s
+from pneud.log.files.naming import open_log
+from pneud.scenario import verdict
+from pneud.scenario.files import load_axis, load_scenario
+
+if TYPE_CHECKING:
+    from pneud.scenario.format import Scenario
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """What was asked for on the command line."""
+
+    config: str | None
+    bus: str | None
+    virtual: bool
+    arm: bool
+    duration_s: float | None
+    rate_hz: float | None
+    headless: bool
+    json: bool
+    log: str | None
+    scenario: str | None
+    seed: int
+    socket: str | None
+    live: str | None  # ADDRESS:PORT to serve viewers at
+
+
+class Ready(NamedTuple):
+    """All that a run begins with."""
+
+    options: RunOptions
+    loaded: Loaded
+    scenario: Scenario | None
+    how: Law
+    axis: Axis
+    link: Link
+    socket: endpoint.Place
+    log_file: Path
+    descriptor: int  # of the log file
+    viewers: tuple[str, int] | None  # address and port to serve them at
+
+    @property
+    def config(self) -> Config:
+        """The axis's."""
+        return self.loaded.config
+
+
+@contextmanager
+def prepared(o: RunOptions) -> Iterator[Ready]:
+    """Open and check everything; afterwards the bus is closed, and the console's socket is gone.
+
+    Raises:
+        ConfigError: the configuration cannot be used.
+        DatabaseError: the DBC cannot be used.
+        LinkError: the bus cannot be used.
+        LogError: the log cannot be written.
+        BuildError: the compiled law is required and cannot be had.
+        PlaceError: the console's socket cannot be made.
+    """
+    viewers = _viewers(o.live) if o.live is not None else None
+    if o.arm and ("INVOCATION_ID" in os.environ or "NOTIFY_SOCKET" in os.environ):
+        raise ConfigError("--arm is for benches and tests; a service is armed by an operator: pneud arm")
+    scenario, loaded, channel = _named(o)
+    config = loaded.config
+    p = conversions.axis_of(config, loaded.codecs.command_lsb_v)
+    how = law(config.loop.compiled, p)
+    if how.reason:
+        print(f"pneud: the law runs in Python: {how.reason}", file=sys.stderr)
+    log_file, descriptor = open_log(o.log, config.name)
+    try:
+        link = _join(channel, loaded, how, o.virtual)
+        socket = endpoint.bind(config.name, o.socket, virtual=o.virtual)
+    except (LinkError, endpoint.PlaceError):
+        os.close(descriptor)
+        log_file.unlink(missing_ok=True)
+        raise
+    with link:
+        if link.note:
+            print(f"pneud: {link.note}", file=sys.stderr)
+        try:
+            yield Ready(o, loaded, scenario, how, how.axis(p), link, socket, log_file, descriptor, viewers)
+        finally:
+            socket.path.unlink(missing_ok=True)
+
+
+def _named(o: RunOptions) -> tuple[Scenario | None, Loaded, str]:
+    """The scenario, the axis and the bus that were asked for.
+
+    Raises:
+        ConfigError: one cannot be used, or they do not go together.
+    """
+    scenario = load_scenario(o.scenario) if o.scenario is not None else None
+    axis = load_axis(o.config, o.rate_hz, scenario)
+    channel = bus_name(o.bus, axis.config)
+    if scenario is not None:
+        verdict.check_names(scenario)
+        if scenario.needs_interface and not channel.startswith("socketcan:"):
+            raise ConfigError(f"scenario {scenario.name}: takes a CAN interface; --bus socketcan:vcan0")
+    if channel == "auto" and not o.virtual:
+        raise ConfigError(f"{axis.path}: bus auto is for virtual runs; name the rig's bus with --bus")
+    return scenario, axis, channel
+
+
+def _join(channel: str, axis: Loaded, how: Law, virtual: bool) -> Link:
+    link = open_link(channel, virtual=virtual, by=how.carriage)
+    if channel != "auto":
+        own = (axis.codecs.sync.can_id, axis.codecs.valve_command.can_id)
+        refuse_if_driven(link, own, listening_s(axis.config))
+    return link
+
+
+def _viewers(where: str) -> tuple[str, int]:
+    """Address and port to serve viewers at.
+
+    Raises:
+        ConfigError: it is none, or taken, or the package that serves is missing.
+    """
+    host, colon, port = where.rpartition(":")
+    if not colon or not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise ConfigError(f"--live-at {where}: must be ADDRESS:PORT, such as 127.0.0.1:8765")
+    if importlib.util.find_spec("foxglove") is None:
+        raise ConfigError("--live needs foxglove-sdk; install it with: pip install 'pneud[live]'")
+    host = host.strip("[]")
+    family = socket_.AF_INET6 if ":" in host else socket_.AF_INET
+    try:
+        with socket_.create_server((host, int(port)), family=family):
+            pass
+    except OSError as e:
+        raise ConfigError(f"--live-at {where}: cannot listen there: {e.strerror}; name another") from None
+    return host, int(port)

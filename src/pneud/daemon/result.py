@@ -1,0 +1,85 @@
+"""What a run comes to: its summary on standard output, its complaints on standard error, its exit status."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+from pneud.daemon.session import Session
+from pneud.loop.lane import Lane
+from pneud.loop.summary import in_words, summarise
+from pneud.safety.faults import BLOCKS_ARM, names
+from pneud.scenario import verdict
+from pneud.signals import State
+
+
+def tell(session: Session, lane: Lane) -> int:
+    """Say what a run has come to.
+
+    Returns:
+        Exit status: 0, or 1 where there was a fault or the axis never came to track.
+    """
+    o = session.ready.options
+    missing = _records_missing(session)
+    if not session.recorded:
+        _complain(f"{session.ready.log_file} is still being written")
+    link = session.ready.link
+    summary = summarise(
+        lane.tally,
+        bus=link.name,
+        rate_hz=session.ready.config.loop.rate_hz,
+        counts=lane.turn.inbox.counts(),
+        tx=link.tx,
+        rx_dropped=link.rx_dropped,
+        log=str(session.ready.log_file),
+        log_dropped=missing,
+    )
+    for report in session.reports:
+        if report.asked and not report.ok:
+            _complain(f"{report.name}: {report.reason}")
+    failure = lane.turn.axis.failure
+    if failure is not None:
+        _complain(f"exception in the cycle: {failure!r}")
+    if missing:
+        why = "the recorder was lost" if lane.recorder.lost else "it could not keep up"
+        _complain(f"the log lacks {missing} records: {session.ring.status().error_text or why}")
+    judged = _judged(session, lane)
+    if judged is not None:
+        summary["scenario"] = judged
+        _complain(verdict.in_words(judged))
+    print(json.dumps(summary) if o.json else in_words(summary))
+    return _status(session, lane)
+
+
+def _complain(words: str) -> None:
+    print(f"pneud: {words}", file=sys.stderr)
+
+
+def _records_missing(session: Session) -> int:
+    """Records that the log lacks; what a recorder that is still at work holds is not lost."""
+    status = session.ring.status()
+    return max(0, session.ring.put_count - status.written) if session.recorded else status.lost
+
+
+def _judged(session: Session, lane: Lane) -> dict[str, Any] | None:
+    scenario, effects = session.ready.scenario, session.effects
+    if scenario is None or effects is None:
+        return None
+    tally = lane.tally
+    seen = verdict.Seen(tally.ever_present, tally.ever_latched, tally.state, effects["engaged"])
+    return verdict.judge(scenario, session.ready.config, seen, effects)
+
+
+def _status(session: Session, lane: Lane) -> int:
+    o, tally = session.ready.options, lane.tally
+    if tally.ever_latched:
+        if not o.json:
+            _complain(f"stopped by {', '.join(names(tally.ever_latched))}")
+        return 1
+    wanted = o.virtual or o.arm
+    if not wanted or lane.operated or tally.state == State.TRACKING:
+        return 0
+    reasons = names(tally.refused | (tally.present & BLOCKS_ARM))
+    _complain(f"never armed: {', '.join(reasons) or 'the run was too short'}")
+    return 1

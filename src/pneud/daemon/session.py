@@ -1,0 +1,238 @@
+"""One run of the daemon: its crew in processes of their own, and the loop in this one."""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
+from pneud import crew
+from pneud.bus.inbox import Inbox
+from pneud.config import conversions
+from pneud.console import handoff
+from pneud.console.facts import Run
+from pneud.console.worker import fork_console
+from pneud.daemon.preparation import Ready
+from pneud.log.format.header import LogHeader, Rotation
+from pneud.log.live import notes
+from pneud.log.live.recorder import start_recorder
+from pneud.log.live.ring import Ring
+from pneud.loop.lane import Lane
+from pneud.loop.loop import Loop
+from pneud.loop.options import options_of
+from pneud.loop.recorder_watch import RecorderWatch
+from pneud.loop.stopping import stop_on_signals
+from pneud.loop.turn import Turn
+from pneud.rig.plant_process import Rig, fork_plant
+from pneud.rig.truth import TruthReader, truth_memory
+from pneud.rt import setup
+from pneud.safety.faults import FAULT_CURES, FAULT_NAMES
+from pneud.view.info import ScreenInfo
+from pneud.view.processes import end_screen, fork_screen, fork_viewers
+
+if TYPE_CHECKING:
+    from pneud.scenario.stage import Stage
+
+RECORDER_PATIENCE_S = 15.0
+CONSOLE_PATIENCE_S = 1.0
+PLANT_PATIENCE_S = VIEWERS_PATIENCE_S = 2.0
+SCENARIO_PATIENCE_S = 20.0  # with processes that have a scenario to end
+
+
+class Session:
+    """A run: the crew is started one after the other, and ended in the reverse order whatever happens.
+
+    Attributes:
+        ready: what it began with.
+        ring: from the loop to those who write down, and look on.
+        reports: what the machine has granted.
+        effects: what plant and bus have shown of the scenario; None where they have told nothing.
+        recorded: whether the recorder has finished.
+    """
+
+    def __init__(self, ready: Ready) -> None:
+        self.ready = ready
+        self.ring = Ring.create(pack=ready.how.pack)
+        self.reports: list[setup.Report] = []
+        self.effects: dict[str, Any] | None = None
+        self.recorded = True
+        self._header = _header(ready)
+
+    def run(self) -> Lane:
+        """Run until told to stop.
+
+        Returns:
+            The axis as it has run.
+        """
+        with ExitStack() as ends:
+            try:
+                loop = self._start(ends)
+                loop.run()
+            finally:
+                self.ring.set_closed()
+        return loop.lanes[0]
+
+    def _start(self, ends: ExitStack) -> Loop:
+        """Start the crew, and make the loop ready.
+
+        Args:
+            ends: takes how each is ended, the last one first.
+        """
+        ready, o, wanted = self.ready, self.ready.options, self.ready.config.realtime
+        cpu = setup.own_cpu(wanted.cpu)
+        words, heard = notes.pair()
+        asking, taking = handoff.pair()
+        self.reports = [setup.leave_to_the_loop(cpu, wanted.other_cpus)]
+        recorder = self._start_recorder(ends, heard)
+        console = self._start_console(ends, asking, words)
+        stage = self._stage()
+        plant, truth = self._start_plant(ends, stage) if o.virtual else (0, None)
+        if ready.viewers is not None:
+            self._start_viewers(ends, *ready.viewers)
+        if stage is not None and stage.scenario.orders:
+            self._start_saboteur(ends, stage, recorder, plant)
+        if not o.headless and sys.stdout.isatty() and not o.json:
+            self._start_screen(ends)
+        self.reports += setup.apply(wanted.priority, cpu, wanted.lock_memory)
+        self.ring.set_notes(setup.as_text(self.reports))
+        loop = self._loop(recorder, truth, handoff.LoopEnd(taking))
+        stop_on_signals(loop.stop, console)
+        return loop
+
+    def _loop(self, recorder: int, truth: TruthReader | None, requests: handoff.LoopEnd) -> Loop:
+        ready, config, o = self.ready, self.ready.config, self.ready.options
+        codecs = ready.loaded.codecs
+        fifo = next(r for r in self.reports if r.name == "fifo")
+        options = options_of(
+            config,
+            auto_arm=o.virtual or o.arm,
+            duration_s=o.duration_s,
+            end_on_fault=o.virtual,
+            no_realtime=config.realtime.required and not fifo.ok,
+        )
+        turn = Turn(ready.axis, Inbox(codecs, config.bus), codecs)
+        watch = RecorderWatch(self.ring, recorder)
+        lane = Lane(turn, ready.link, watch, options, truth, requests)
+        return Loop([lane], codecs, ready.link, options)
+
+    def _start_recorder(self, ends: ExitStack, heard: socket.socket) -> int:
+        ready = self.ready
+        recorder = start_recorder(
+            self.ring,
+            ready.descriptor,
+            self._header,
+            (ready.loaded.path, ready.loaded.dbc),
+            heard,
+            _rotation(ready),
+            ready.config.realtime.recorder_nice,
+        )
+
+        def end() -> None:
+            self.recorded = crew.wait(recorder, RECORDER_PATIENCE_S)
+
+        ends.callback(end)
+        return recorder
+
+    def _start_console(self, ends: ExitStack, asking: socket.socket, words: socket.socket) -> int:
+        (config, path, text, *_), link = self.ready.loaded, self.ready.link
+        facts = Run(config, path.absolute(), text, link.name, link.note, str(self.ready.log_file))
+        console = fork_console(self.ready.socket.listener, asking, words, facts, self.ring)
+
+        def end() -> None:
+            if not crew.wait(console, CONSOLE_PATIENCE_S):
+                crew.kill(console)
+
+        ends.callback(end)
+        return console
+
+    def _stage(self) -> Stage | None:
+        scenario = self.ready.scenario
+        if scenario is None or not self.ready.options.virtual:
+            return None
+        from pneud.scenario.stage import Stage  # noqa: PLC0415 - for a few runs only
+
+        return Stage(scenario, self.ready.config.loop.rate_hz)
+
+    def _start_plant(self, ends: ExitStack, stage: Stage | None) -> tuple[int, TruthReader]:
+        config, how = self.ready.config, self.ready.how
+        rig = Rig(
+            conversions.plant_of(config),
+            self.ready.loaded.codecs,
+            self.ready.options.seed,
+            conversions.plant_priority(config.realtime),
+            how.advance,
+            how.carriage,
+        )
+        memory = truth_memory()
+        plant = fork_plant(self.ready.link.name, rig, memory, stage)
+
+        def end() -> None:
+            crew.end(plant, PLANT_PATIENCE_S if stage is None else SCENARIO_PATIENCE_S)
+            if stage is not None:
+                self.effects = stage.effects()
+
+        ends.callback(end)
+        return plant, TruthReader(memory)
+
+    def _start_viewers(self, ends: ExitStack, host: str, port: int) -> None:
+        parameters = self.ready.config.model_dump(mode="json", by_alias=True)
+        viewers = fork_viewers(self.ring, self._header, parameters, host, port)
+        ends.callback(crew.end, viewers, VIEWERS_PATIENCE_S)
+
+    def _start_saboteur(self, ends: ExitStack, stage: Stage, recorder: int, plant: int) -> None:
+        from pneud.scenario.sabotage import Victims, fork_saboteur  # noqa: PLC0415 - for a few runs only
+
+        kind, _, name = self.ready.link.name.partition(":")
+        victims = Victims(os.getpid(), recorder, plant, name if kind == "socketcan" else "")
+        saboteur = fork_saboteur(stage.scenario, stage.orders, victims)
+        ends.callback(crew.end, saboteur, SCENARIO_PATIENCE_S)
+
+    def _start_screen(self, ends: ExitStack) -> None:
+        config, link = self.ready.config, self.ready.link
+        info = ScreenInfo(
+            name=config.name,
+            bus=link.name,
+            rate_hz=config.loop.rate_hz,
+            travel_min_m=config.limits.travel_min_m,
+            travel_max_m=config.limits.travel_max_m,
+            u_max_v=config.valve.u_max_v,
+            note=link.note,
+            fault_names=FAULT_NAMES,
+            cures=FAULT_CURES,
+            log_path=str(self.ready.log_file),
+            sync=config.bus.sync,
+        )
+        ends.callback(end_screen, fork_screen(self.ring, info))
+
+
+def _header(ready: Ready) -> LogHeader:
+    config, path, text, dbc, _ = ready.loaded
+    o = ready.options
+    return LogHeader(
+        name=config.name,
+        bus=ready.link.name,
+        rate_hz=config.loop.rate_hz,
+        detail=config.log.detail,
+        config_name=path.name,
+        config_text=text,
+        dbc_name=dbc.name,
+        dbc=dbc.read_bytes(),
+        fault_names=FAULT_NAMES,
+        realtime_offset_ns=ready.link.realtime_offset_ns,
+        extra={"law": ready.how.name, **({"seed": str(o.seed)} if o.virtual else {})},
+    )
+
+
+def _rotation(ready: Ready) -> Rotation:
+    c = ready.config.log
+    return Rotation(
+        path=ready.log_file.absolute(),
+        part_bytes=round(c.part_mb * 1e6),
+        part_ns=round(c.part_s * 1e9),
+        quota_bytes=round(c.quota_mb * 1e6),
+        folder=not (ready.options.log or "").endswith(".mcap"),
+        keep_before_ns=round(c.keep_before_s * 1e9),
+        keep_after_ns=round(c.keep_after_s * 1e9),
+    )

@@ -1,0 +1,65 @@
+"""Scenarios as they stand in files, and the axis that each is for."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pydantic import ValidationError
+
+from pneud import resources
+from pneud.config.models import ConfigError, explain
+from pneud.loading import Loaded, load
+
+if TYPE_CHECKING:
+    from pneud.scenario.format import Scenario
+
+
+def load_axis(config_file: str | None, rate_hz: float | None, scenario: Scenario | None) -> Loaded:
+    """The axis of a virtual run, as a scenario wants it: the one named, the scenario's, or virtual.toml.
+
+    Raises:
+        ConfigError: the configuration cannot be used.
+        DatabaseError: the DBC cannot be used.
+    """
+    if scenario is None:
+        return load(config_file or "virtual.toml", rate_hz)
+    return load(config_file or scenario.config, rate_hz, scenario.change)
+
+
+def load_scenario(file: str | Path) -> Scenario:
+    """Load a scenario.
+
+    Args:
+        file: path, or bare name of one that comes with pneud, with or without ".toml".
+
+    Raises:
+        ConfigError: the scenario cannot be used.
+    """
+    from pneud.scenario.format import parse_scenario  # noqa: PLC0415 - slow to import, for a few runs only
+
+    name = str(file)
+    try:
+        path = resources.find(name if name.endswith(".toml") else f"{name}.toml")
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ConfigError(
+            f"{file}: no such scenario; those of pneud are in {resources.scenarios()}"
+        ) from None
+    except (OSError, UnicodeDecodeError) as e:
+        raise ConfigError(f"{file}: cannot be read: {e}") from None
+    try:
+        return parse_scenario(text)
+    except tomllib.TOMLDecodeError as e:
+        raise ConfigError(f"{path}: not valid TOML: {e}") from None
+    except ValidationError as e:
+        raise ConfigError(f"{path}: {explain(e)}") from None
+
+
+def is_scenario(file: str | Path) -> bool:
+    """Whether a file says what it expects, as a scenario does and a configuration does not."""
+    try:
+        return "expect" in tomllib.loads(resources.find(file).read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # whoever loads it will say what is wrong
+        return False
