@@ -198,10 +198,24 @@ def test_a_state_comes_with_its_record_and_before_the_next_one() -> None:
     ring.put(simple(1))
     ring.put_state(1_000_000, Leaf(3, 0.1, (1.0, float("inf"))))
     ring.put(simple(2))
-    assert (reader.poll(), reader.state()) == ([], None)
+    assert (reader.poll(), reader.states()) == ([], {})
     assert [r.tick.t_ns for r in reader.poll()] == [1_000_000, 2_000_000]
-    assert reader.state() == (1_000_000, Leaf(3, 0.1, (1.0, float("inf"))))
-    assert reader.state() is None
+    assert reader.states() == {1_000_000: Leaf(3, 0.1, (1.0, float("inf")))}
+    assert (reader.poll(), reader.states()) == ([], {})
+    assert reader.dropped == 0
+
+
+def test_a_state_may_come_one_poll_after_its_record_and_never_before() -> None:
+    ring = Ring.create(slots=64)
+    reader = ring.reader()
+    ring.put(simple(1))
+    reader.poll()
+    ring.put_state(1_000_000, Leaf(3, 0.1, ()))
+    assert [r.tick.t_ns for r in reader.poll()] == [1_000_000]
+    assert reader.states() == {}
+    latest = reader.latest()
+    assert latest is not None and latest.tick.t_ns == 1_000_000
+    assert (reader.poll(), reader.states()) == ([], {1_000_000: Leaf(3, 0.1, ())})
 
 
 def test_a_state_too_long_or_that_cannot_be_handed_over_arrives_as_none() -> None:
@@ -212,18 +226,17 @@ def test_a_state_too_long_or_that_cannot_be_handed_over_arrives_as_none() -> Non
         ring.put_state(1_000_000, state)
         reader.poll()
         reader.poll()
-        assert reader.state() == (1_000_000, None)
+        assert reader.states() == {1_000_000: None}
 
 
-def test_of_several_states_the_newest_is_seen() -> None:
+def test_of_several_states_all_are_seen() -> None:
     ring = Ring.create(slots=64)
     reader = ring.reader()
     for n in range(1, 6):
         ring.put(simple(n))
         ring.put_state(n * 1_000_000, Leaf(n, 0.0, ()))
-    reader.poll()
-    reader.poll()
-    assert reader.state() == (5_000_000, Leaf(5, 0.0, ()))
+    assert [r.tick.t_ns for r in reader.drain()] == [n * 1_000_000 for n in range(1, 6)]
+    assert reader.states() == {n * 1_000_000: Leaf(n, 0.0, ()) for n in range(1, 6)}
 
 
 def test_who_skims_sees_the_same_records() -> None:

@@ -27,16 +27,12 @@ from pneud.log.live.packing import REFUSALS, Pack, Skimmed, pack, packed, skimme
 from pneud.signals import Frame, Record, Tick
 
 # 64-bit words of the head of the mapping; the loop's and the recorder's lie in different cache lines.
-_HEAD, _NUMBER, _CLOSED, _STATES = 0, 1, 2, 3
+_HEAD, _NUMBER, _CLOSED, _NEWEST = 0, 1, 2, 3
 _HEARTBEAT = 16
 _NOTES_LENGTH = 32
 _NOTES_BYTE = 33 * 8
 _HEAD_BYTES = 16_384
-# Two places for states of the axis lie behind the slots, filled by turns: number, t_ns, length, bytes.
-_STATE_BYTES = 1 << 17
-_STATE = struct.Struct("=QqQ")
-
-_PREFIX = struct.Struct("QQII")  # sequence, record, part, parts
+_PREFIX = struct.Struct("QQII")  # sequence, record (0 for a state), part, parts
 _LEAST_BYTES = 128  # of a slot
 
 RECORDER_FAILED = -1
@@ -101,7 +97,7 @@ class Ring:
         Raises:
             OSError: no memory for it.
         """
-        size = _HEAD_BYTES + slots * slot_bytes + 2 * _STATE_BYTES
+        size = _HEAD_BYTES + slots * slot_bytes
         descriptor = os.memfd_create("pneud-ring", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
         try:
             os.posix_fallocate(descriptor, 0, size)
@@ -133,7 +129,7 @@ class Ring:
             ValueError: it has another size.
         """
         try:
-            size = _HEAD_BYTES + slots * slot_bytes + 2 * _STATE_BYTES
+            size = _HEAD_BYTES + slots * slot_bytes
             return cls(mmap.mmap(descriptor, size, mmap.MAP_SHARED, mmap.PROT_READ), slots, slot_bytes)
         finally:
             os.close(descriptor)
@@ -155,7 +151,7 @@ class Ring:
     def put(self, record: Record) -> None:
         """Hand one record over; never raises, never waits. The oldest goes where no reader keeps up."""
         self._number = number = self._number + 1
-        sequence = self._sequence + 1
+        first = sequence = self._sequence + 1
         offset = _HEAD_BYTES + sequence % self.slots * self.slot_bytes
         end = offset + self.slot_bytes - 8
         try:
@@ -166,63 +162,46 @@ class Ring:
                 self._pack(self._memory, offset + _PREFIX.size, end, record)
                 self._words[end // 8] = sequence
             except REFUSALS:
-                sequence = self._put_parts(sequence, packed(record))
+                sequence = self._put_parts(number, packed(record))
         except (*REFUSALS, TypeError):
             return  # likewise: the loop goes on
         finally:
             self._words[_NUMBER] = number
         self._sequence = sequence
+        self._words[_NEWEST] = first
         self._words[_HEAD] = sequence
 
-    def _put_parts(self, sequence: int, data: bytes) -> int:
+    def _put_parts(self, number: int, data: bytes) -> int:
+        """Fill the next slots; the last one's sequence comes back."""
+        sequence = self._sequence
         room = self.slot_bytes - _PREFIX.size - 8
         parts = -(-len(data) // room)
         if parts > self.slots // 3:
             raise ValueError("it would overwrite too much")
         for part in range(parts):
             some = data[part * room : (part + 1) * room]
-            offset = _HEAD_BYTES + (sequence + part) % self.slots * self.slot_bytes
+            sequence += 1
+            offset = _HEAD_BYTES + sequence % self.slots * self.slot_bytes
             begin, end = offset + _PREFIX.size, offset + self.slot_bytes - 8
-            _PREFIX.pack_into(self._memory, offset, sequence + part, self._number, part, parts)
+            _PREFIX.pack_into(self._memory, offset, sequence, number, part, parts)
             self._memory[begin : begin + len(some)] = some
-            self._words[end // 8] = sequence + part
-        return sequence + parts - 1
+            self._words[end // 8] = sequence
+        return sequence
 
     def put_state(self, t_ns: int, state: Any) -> None:
         """Hand over the state of the axis after the record just put; never raises, never waits.
 
-        Call it seconds apart: a reader sees the newest one only. One that is too long arrives as None.
+        One that is too long arrives as None.
 
         Args:
             t_ns: of the record just put.
             state: a tree of NamedTuples.
         """
         try:
-            data = pickle.dumps(state, pickle.HIGHEST_PROTOCOL)
+            self._sequence = self._put_parts(0, pickle.dumps((t_ns, state), pickle.HIGHEST_PROTOCOL))
         except Exception:
-            data = b""
-        if len(data) > _STATE_BYTES - _STATE.size:
-            data = b""
-        number = self._words[_STATES] + 1
-        offset = self._state_offset(number)
-        self._words[offset // 8] = 0
-        self._memory[offset + _STATE.size : offset + _STATE.size + len(data)] = data
-        _STATE.pack_into(self._memory, offset, number, t_ns, len(data))
-        self._words[_STATES] = number
-
-    def _state_offset(self, number: int) -> int:
-        return _HEAD_BYTES + self.slots * self.slot_bytes + number % 2 * _STATE_BYTES
-
-    def _state(self, number: int) -> tuple[int, Any] | None:
-        """A state and the time of its record; None if it was overwritten."""
-        offset = self._state_offset(number)
-        found, t_ns, length = _STATE.unpack_from(self._memory, offset)
-        if found != number:
-            return None
-        data = self._memory[offset + _STATE.size : offset + _STATE.size + length]
-        if self._words[offset // 8] != number:
-            return None
-        return t_ns, pickle.loads(data) if data else None
+            self._sequence = self._put_parts(0, pickle.dumps((t_ns, None)))
+        self._words[_HEAD] = self._sequence
 
     @property
     def put_count(self) -> int:
@@ -283,8 +262,8 @@ class Ring:
         data = self._memory[offset + _PREFIX.size : end]
         return (number, part, parts, data) if self._words[first] == sequence else None
 
-    def _record(self, sequence: int) -> tuple[int, int, bytes] | None:
-        """Number, slots and bytes of the record that begins at a slot; None if it was overwritten."""
+    def _whole(self, sequence: int) -> tuple[int, int, bytes] | None:
+        """Number, slots and bytes of what begins at a slot; None if it was overwritten."""
         slot = self._slot(sequence)
         if slot is None or slot[1]:
             return None
@@ -305,9 +284,7 @@ class RingReader:
         self._next = 1
         self._seen = 0
         self._number = 0
-        self._states_seen = 0
-        self._state_until = 0
-        self._state = 0
+        self._states: list[bytes] = []
         self.delivered = 0
         self.dropped = 0
 
@@ -326,41 +303,38 @@ class RingReader:
         ring = self._ring
         head = ring._words[_HEAD]
         until, self._seen = self._seen, head
-        # read after the head, so that a state is seen no later than the first record behind it
-        self._state_until, self._states_seen = self._states_seen, ring._words[_STATES]
+        self._states = []
         records: list[Item] = []
         while self._next <= until:
-            found = ring._record(self._next)
+            found = ring._whole(self._next)
             if found is None:
                 # Overrun: leave the writer some room, or the next slots are gone too before they are read.
                 self._next = max(self._next + 1, ring._words[_HEAD] - ring.slots + ring.slots // 16)
                 continue
             number, slots, data = found
             self._next += slots
+            if not number:
+                self._states.append(data)
+                continue
             self.dropped += number - self._number - 1
             self._number = number
             records.append(read(data))
         self.delivered += len(records)
         return records
 
-    def state(self) -> tuple[int, Any] | None:
-        """The newest state of the axis that was complete at the previous poll, once.
+    def states(self) -> dict[int, Any]:
+        """States of the axis that the last poll came across, by the times of the records that they follow.
 
-        Ask after each poll: it comes with the record that it follows, or before that one.
-
-        Returns:
-            The time of that record, and the state (None if it was too long); None if there is no other.
+        The first one may follow a record of the poll before; one that was too long is None.
         """
-        if self._state == self._state_until:
-            return None
-        self._state = self._state_until
-        return self._ring._state(self._state)
+        return dict(pickle.loads(data) for data in self._states)
 
     def drain(self) -> list[Record]:
         """Everything left, once nobody puts any more; `dropped` is final afterwards."""
-        records = self.poll()
+        records, states = self.poll(), self._states
         time.sleep(0.002)
         records += self.poll()
+        self._states = states + self._states
         missed = self._ring._words[_NUMBER] - self._number
         if missed > 0:
             self.dropped += missed
@@ -371,9 +345,8 @@ class RingReader:
         """The newest record, for display; None as long as there is none."""
         ring = self._ring
         for _ in range(3):
-            head = ring._words[_HEAD]
-            slot = ring._slot(head) if head else None
-            found = ring._record(head - slot[1]) if slot else None
+            newest = ring._words[_NEWEST]
+            found = ring._whole(newest) if newest else None
             if found is not None:
                 # no look lies between its writing and this one: it may be torn where stores are reordered
                 with contextlib.suppress(ValueError, TypeError, EOFError):
