@@ -10,7 +10,7 @@ from typing import NamedTuple
 import pytest
 from hypothesis import given, settings
 
-from log_samples import any_record, bits, noisy, tick_at
+from log_samples import WAYS, any_record, bits, noisy, tick_at
 from pneud.log.live.ring import RecorderStatus, Ring
 from pneud.signals import Frame, Record, Timing
 
@@ -44,8 +44,9 @@ def test_a_record_is_delivered_once_and_only_after_it_was_complete_at_the_previo
     assert reader.poll() == []
 
 
-def test_records_of_several_slots_come_back_in_order_around_the_end_of_the_ring() -> None:
-    ring = Ring.create(slots=16)
+@pytest.mark.parametrize("way", WAYS)
+def test_records_of_several_slots_come_back_in_order_around_the_end_of_the_ring(way: str) -> None:
+    ring = Ring.create(slots=16, pack=WAYS[way])
     reader = ring.reader()
     sizes = [0, 70, 3, 26, 27, 67, 68, 5] * 5
     for n, size in enumerate(sizes, start=1):
@@ -117,8 +118,9 @@ def test_a_slot_that_is_being_written_is_not_delivered() -> None:
     assert reader.latest() is None
 
 
-def test_a_put_keeps_no_memory() -> None:
-    ring = Ring.create(slots=64)
+@pytest.mark.parametrize("way", WAYS)
+def test_a_put_keeps_no_memory(way: str) -> None:
+    ring = Ring.create(slots=64, pack=WAYS[way])
     records = list(noisy(200))
     for record in records:
         ring.put(record)
@@ -156,10 +158,11 @@ def test_notes_that_do_not_fit_are_refused() -> None:
         Ring.create(slots=16).set_notes({"x": "y" * 20_000})
 
 
-def test_a_writer_killed_at_any_moment_leaves_only_whole_records() -> None:
+@pytest.mark.parametrize("way", WAYS)
+def test_a_writer_killed_at_any_moment_leaves_only_whole_records(way: str) -> None:
     """A child puts as fast as it can and is killed; what is there afterwards is consistent."""
     for _ in range(3):
-        ring = Ring.create(slots=256)
+        ring = Ring.create(slots=256, pack=WAYS[way])
         reader = ring.reader()
         child = os.fork()
         if child == 0:

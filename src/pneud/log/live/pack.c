@@ -1,4 +1,4 @@
-/* What `pneud.log.live.packing.pack` does, in C: a tree of tuples, numbers, bytes and None as `marshal` writes it, but
+/* What `pneud.log.live.packing.packed` does, in C: a tree of tuples, numbers, bytes and None as `marshal` writes it, but
    straight into its place, with tuples and numbers of any class. */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>

@@ -1,6 +1,7 @@
 """A record on its way between processes: the tree that it is, as `marshal` writes it.
 
-Whatever fields its parts have, they are there. `pack.c` beside this file is `pack` in C.
+Whatever fields its parts have, they are there.
+`pack.c` beside this file does the same, sooner.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ from pneud.signals import (
 SOURCE = Path(__file__).with_name("pack.c")
 
 Pack: TypeAlias = Callable[[mmap, int, int, Record], None]
-"""`pack`, or its twin in C."""
+"""The one in C: puts a record into memory between two places, or raises one of `REFUSALS`."""
 
 REFUSALS = (ValueError, OverflowError)
-"""What `pack` raises for a record that has no room, or that it does not know to put there."""
+"""There is no room, or something that it cannot put there; some of it may be there then."""
 
 _PLAIN = frozenset((float, int, bytes, NoneType))
 _WITHOUT_REFERENCES = 2  # a version of `dumps`; to look for what can be referred to takes time
@@ -51,24 +52,6 @@ def _plain(node: Any) -> Any:
         # of a list: tuples of a length that is guessed pile up among those kept for later
         return tuple([part if type(part) in _PLAIN else _plain(part) for part in node])
     return next((kind(node) for kind in (float, int) if isinstance(node, kind)), node)
-
-
-def pack(memory: mmap, begin: int, end: int, record: Record, /) -> None:
-    """Put a record into memory.
-
-    Args:
-        memory: where to.
-        begin: first byte that may be written.
-        end: first byte behind it that may not.
-        record: what is put there.
-
-    Raises:
-        one of `REFUSALS`; some of it may be there then.
-    """
-    data = packed(record)
-    if begin + len(data) > end:
-        raise ValueError("no room for the record")
-    memory[begin : begin + len(data)] = data
 
 
 def unpacked(data: bytes) -> Record:

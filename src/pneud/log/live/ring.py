@@ -23,7 +23,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 from pneud.log.format.layout import NUMBERS
-from pneud.log.live.packing import REFUSALS, Pack, Skimmed, pack, packed, skimmed, unpacked
+from pneud.log.live.packing import REFUSALS, Pack, Skimmed, packed, skimmed, unpacked
 from pneud.signals import Frame, Record, Tick
 
 # 64-bit words of the head of the mapping; the loop's and the recorder's lie in different cache lines.
@@ -71,7 +71,7 @@ class RecorderStatus(NamedTuple):
 class Ring:
     """The loop's end; `create` it before forking."""
 
-    def __init__(self, memory: mmap.mmap, slots: int, slot_bytes: int, pack: Pack = pack) -> None:
+    def __init__(self, memory: mmap.mmap, slots: int, slot_bytes: int, pack: Pack | None = None) -> None:
         if slot_bytes < _LEAST_BYTES or slot_bytes % 8:
             raise ValueError(f"slot_bytes = {slot_bytes} is too small or no multiple of 8")
         self._memory = memory
@@ -86,13 +86,13 @@ class Ring:
         self._number = 0
 
     @classmethod
-    def create(cls, slots: int = 8192, slot_bytes: int = 1024, pack: Pack = pack) -> Ring:
+    def create(cls, slots: int = 8192, slot_bytes: int = 1024, pack: Pack | None = None) -> Ring:
         """A new ring with all its pages in memory.
 
         Args:
             slots: how many records of an ordinary tick it holds.
             slot_bytes: size of one; 1024 hold a tick with a dozen frames.
-            pack: `packing.pack` or its twin.
+            pack: puts an ordinary record into its slot, as Python does without it.
 
         Raises:
             OSError: no memory for it.
@@ -151,25 +151,30 @@ class Ring:
     def put(self, record: Record) -> None:
         """Hand one record over; never raises, never waits. The oldest goes where no reader keeps up."""
         self._number = number = self._number + 1
-        first = sequence = self._sequence + 1
-        offset = _HEAD_BYTES + sequence % self.slots * self.slot_bytes
-        end = offset + self.slot_bytes - 8
+        first = self._sequence + 1
         try:
             if not 0 <= record.before <= len(record.frames):
                 return  # counted by the readers, which miss its number
-            _PREFIX.pack_into(self._memory, offset, sequence, number, 0, 1)
-            try:
-                self._pack(self._memory, offset + _PREFIX.size, end, record)
-                self._words[end // 8] = sequence
-            except REFUSALS:
-                sequence = self._put_parts(number, packed(record))
-        except (*REFUSALS, TypeError):
+            if self._pack is None or not self._put_ordinary(self._pack, first, record):
+                self._sequence = self._put_parts(number, packed(record))
+        except (ValueError, TypeError):
             return  # likewise: the loop goes on
         finally:
             self._words[_NUMBER] = number
-        self._sequence = sequence
         self._words[_NEWEST] = first
-        self._words[_HEAD] = sequence
+        self._words[_HEAD] = self._sequence
+
+    def _put_ordinary(self, pack: Pack, sequence: int, record: Record) -> bool:
+        """Fill one slot; False where that is not enough, or the record has something special."""
+        offset = _HEAD_BYTES + sequence % self.slots * self.slot_bytes
+        end = offset + self.slot_bytes - 8
+        _PREFIX.pack_into(self._memory, offset, sequence, self._number, 0, 1)
+        try:
+            pack(self._memory, offset + _PREFIX.size, end, record)
+        except REFUSALS:
+            return False
+        self._words[end // 8] = self._sequence = sequence
+        return True
 
     def _put_parts(self, number: int, data: bytes) -> int:
         """Fill the next slots; the last one's sequence comes back."""
