@@ -6,6 +6,7 @@ Columns of bytes compress to half of what the same frames take one after another
 from __future__ import annotations
 
 import struct
+from array import array
 from collections.abc import Iterable, Iterator
 from itertools import islice, repeat
 from typing import NamedTuple
@@ -35,22 +36,34 @@ class FramesPacker:
         return len(self._received)
 
     def add(self, record: Record) -> None:
-        """The frames of one more tick."""
+        """The frames of one more tick.
+
+        Raises:
+            ValueError or OverflowError: one is no CAN frame; nothing of the tick is taken then.
+        """
         t_ns = record.tick.t_ns
+        frames = (*record.frames, *record.sent)
+        order = [self._column((frame.can_id, len(frame.data))) for frame in frames]
+        stamps = array("q", [frame.stamp_ns - t_ns for frame in frames])
         self._received.append(len(record.frames))
         self._before.append(record.before)
         self._sent.append(len(record.sent))
-        columns, order, stamps, payloads = self._columns, self._order, self._stamps, self._data
-        for stamp_ns, can_id, data in (*record.frames, *record.sent):
-            key = can_id, len(data)
-            column = columns.get(key)
-            if column is None:
-                column = columns[key] = len(columns)
-                stamps.append([])
-                payloads.append([])
-            order.append(column)
-            stamps[column].append(stamp_ns - t_ns)
-            payloads[column].append(data)
+        self._order += order
+        for column, stamp_ns, frame in zip(order, stamps, frames, strict=True):
+            self._stamps[column].append(stamp_ns)
+            self._data[column].append(frame.data)
+
+    def _column(self, key: tuple[int, int]) -> int:
+        """Where frames of an identifier and length go."""
+        column = self._columns.get(key)
+        if column is None:
+            can_id, length = key
+            if can_id >> 32 or length > 8:
+                raise ValueError(f"a frame {can_id:#x} of {length} bytes")
+            column = self._columns[key] = len(self._columns)
+            self._stamps.append([])
+            self._data.append([])
+        return column
 
     def take(self) -> bytes:
         """The message of `/can/frames` of all ticks since the last time."""
