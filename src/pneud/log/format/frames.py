@@ -29,7 +29,7 @@ class FramesPacker:
         self._sent: list[int] = []
         self._order: list[int] = []
         self._columns: dict[tuple[int, int], int] = {}
-        self._stamps: list[list[int]] = []
+        self._stamps: list[array[int]] = []
         self._data: list[list[bytes]] = []
 
     def __len__(self) -> int:
@@ -42,27 +42,32 @@ class FramesPacker:
             ValueError or OverflowError: one is no CAN frame; nothing of the tick is taken then.
         """
         t_ns = record.tick.t_ns
-        frames = (*record.frames, *record.sent)
-        order = [self._column((frame.can_id, len(frame.data))) for frame in frames]
-        stamps = array("q", [frame.stamp_ns - t_ns for frame in frames])
+        columns, order, stamps, payloads = self._columns, self._order, self._stamps, self._data
+        before = len(order)
+        try:
+            for stamp_ns, can_id, data in (*record.frames, *record.sent):
+                column = columns.get((can_id, len(data)))
+                if column is None:
+                    column = self._new_column(can_id, len(data))
+                stamps[column].append(stamp_ns - t_ns)
+                payloads[column].append(data)
+                order.append(column)
+        except (ValueError, OverflowError):
+            for column in order[before:]:
+                stamps[column].pop()
+                payloads[column].pop()
+            del order[before:]
+            raise
         self._received.append(len(record.frames))
         self._before.append(record.before)
         self._sent.append(len(record.sent))
-        self._order += order
-        for column, stamp_ns, frame in zip(order, stamps, frames, strict=True):
-            self._stamps[column].append(stamp_ns)
-            self._data[column].append(frame.data)
 
-    def _column(self, key: tuple[int, int]) -> int:
-        """Where frames of an identifier and length go."""
-        column = self._columns.get(key)
-        if column is None:
-            can_id, length = key
-            if can_id >> 32 or length > 8:
-                raise ValueError(f"a frame {can_id:#x} of {length} bytes")
-            column = self._columns[key] = len(self._columns)
-            self._stamps.append([])
-            self._data.append([])
+    def _new_column(self, can_id: int, length: int) -> int:
+        if can_id >> 32 or length > 8:
+            raise ValueError(f"a frame {can_id:#x} of {length} bytes")
+        self._stamps.append(array("q"))
+        self._data.append([])
+        self._columns[can_id, length] = column = len(self._columns)
         return column
 
     def take(self) -> bytes:
