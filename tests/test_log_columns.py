@@ -36,7 +36,6 @@ def check(block: columns.Block, ticks: list[LoggedTick]) -> None:
             group, _, field = name.rpartition(".")
             value = getattr(getattr(tick, group) if group else tick, field)
             assert same(block.ticks[name][i].item(), value), name
-        assert tuple(block.timing[i].tolist()) == tuple(tick.timing)
         for order, frame in enumerate((*tick.frames, *tick.sent)):
             part = BEFORE if order < tick.before else AFTER
             found = tuple(int(column[place]) for column in block.frames)

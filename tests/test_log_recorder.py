@@ -258,6 +258,23 @@ def test_dev_full_from_the_first_byte_is_survived() -> None:
     assert (writer.written, writer.unwritten, writer.error) == (0, 199, errno.ENOSPC)
 
 
+@pytest.mark.parametrize("frame", [Frame(5, 1 << 32, b""), Frame(5, 1, bytes(9)), Frame(1 << 70, 1, b"")])
+def test_an_unfit_record_is_told_and_harms_no_other(tmp_path: Path, frame: Frame) -> None:
+    ring = Ring.create(slots=64)
+    child = start_recorder(ring, create_log(tmp_path / "x.mcap"), header())
+    good = [record(n)._replace(frames=(Frame(n, 0x181, b"x"),)) for n in (1, 2, 4, 5)]
+    unfit = record(3)._replace(frames=(Frame(3, 0x181, b"x"), frame))
+    for r in (*good[:2], unfit, *good[2:]):
+        ring.put(r)
+    ring.set_closed()
+    assert ended(child) == 1
+    assert (ring.status().written, ring.status().unwritten) == (4, 1)
+    log = read_log(tmp_path / "x.mcap")
+    assert [t.record for t in log] == good
+    assert (log.missing, log.truncated) == (1, False)
+    assert [e.message for e in log.events() if e.message.startswith("unfit record")]
+
+
 def test_an_existing_file_is_refused_before_the_fork(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     path.write_bytes(b"precious")

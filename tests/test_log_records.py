@@ -58,7 +58,9 @@ def kept(name: str, value: Any, detail: Detail) -> Any:
 
 
 def rounded(values: Any, detail: Detail) -> tuple[Any, ...]:
-    return tuple(kept(name, v, detail) for name, v in zip(values._fields, values, strict=True))
+    part = type(values).__name__.lower()
+    named = zip(values._fields, values, strict=True)
+    return tuple(kept(f"{part}.{name}", v, detail) for name, v in named)
 
 
 def same(got: tuple[Any, ...], expected: tuple[Any, ...]) -> bool:

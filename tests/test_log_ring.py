@@ -10,7 +10,7 @@ from typing import NamedTuple
 import pytest
 from hypothesis import given, settings
 
-from log_samples import any_record, bits, noisy, tick_at
+from log_samples import WAYS, any_record, bits, noisy, tick_at
 from pneud.log.live.ring import RecorderStatus, Ring
 from pneud.signals import Frame, Record, Timing
 
@@ -44,8 +44,9 @@ def test_a_record_is_delivered_once_and_only_after_it_was_complete_at_the_previo
     assert reader.poll() == []
 
 
-def test_records_of_several_slots_come_back_in_order_around_the_end_of_the_ring() -> None:
-    ring = Ring.create(slots=16)
+@pytest.mark.parametrize("way", WAYS)
+def test_records_of_several_slots_come_back_in_order_around_the_end_of_the_ring(way: str) -> None:
+    ring = Ring.create(slots=16, pack=WAYS[way])
     reader = ring.reader()
     sizes = [0, 70, 3, 26, 27, 67, 68, 5] * 5
     for n, size in enumerate(sizes, start=1):
@@ -117,8 +118,9 @@ def test_a_slot_that_is_being_written_is_not_delivered() -> None:
     assert reader.latest() is None
 
 
-def test_a_put_keeps_no_memory() -> None:
-    ring = Ring.create(slots=64)
+@pytest.mark.parametrize("way", WAYS)
+def test_a_put_keeps_no_memory(way: str) -> None:
+    ring = Ring.create(slots=64, pack=WAYS[way])
     records = list(noisy(200))
     for record in records:
         ring.put(record)
@@ -156,10 +158,11 @@ def test_notes_that_do_not_fit_are_refused() -> None:
         Ring.create(slots=16).set_notes({"x": "y" * 20_000})
 
 
-def test_a_writer_killed_at_any_moment_leaves_only_whole_records() -> None:
+@pytest.mark.parametrize("way", WAYS)
+def test_a_writer_killed_at_any_moment_leaves_only_whole_records(way: str) -> None:
     """A child puts as fast as it can and is killed; what is there afterwards is consistent."""
     for _ in range(3):
-        ring = Ring.create(slots=256)
+        ring = Ring.create(slots=256, pack=WAYS[way])
         reader = ring.reader()
         child = os.fork()
         if child == 0:
@@ -198,10 +201,24 @@ def test_a_state_comes_with_its_record_and_before_the_next_one() -> None:
     ring.put(simple(1))
     ring.put_state(1_000_000, Leaf(3, 0.1, (1.0, float("inf"))))
     ring.put(simple(2))
-    assert (reader.poll(), reader.state()) == ([], None)
+    assert (reader.poll(), reader.states()) == ([], {})
     assert [r.tick.t_ns for r in reader.poll()] == [1_000_000, 2_000_000]
-    assert reader.state() == (1_000_000, Leaf(3, 0.1, (1.0, float("inf"))))
-    assert reader.state() is None
+    assert reader.states() == {1_000_000: Leaf(3, 0.1, (1.0, float("inf")))}
+    assert (reader.poll(), reader.states()) == ([], {})
+    assert reader.dropped == 0
+
+
+def test_a_state_may_come_one_poll_after_its_record_and_never_before() -> None:
+    ring = Ring.create(slots=64)
+    reader = ring.reader()
+    ring.put(simple(1))
+    reader.poll()
+    ring.put_state(1_000_000, Leaf(3, 0.1, ()))
+    assert [r.tick.t_ns for r in reader.poll()] == [1_000_000]
+    assert reader.states() == {}
+    latest = reader.latest()
+    assert latest is not None and latest.tick.t_ns == 1_000_000
+    assert (reader.poll(), reader.states()) == ([], {1_000_000: Leaf(3, 0.1, ())})
 
 
 def test_a_state_too_long_or_that_cannot_be_handed_over_arrives_as_none() -> None:
@@ -212,18 +229,17 @@ def test_a_state_too_long_or_that_cannot_be_handed_over_arrives_as_none() -> Non
         ring.put_state(1_000_000, state)
         reader.poll()
         reader.poll()
-        assert reader.state() == (1_000_000, None)
+        assert reader.states() == {1_000_000: None}
 
 
-def test_of_several_states_the_newest_is_seen() -> None:
+def test_of_several_states_all_are_seen() -> None:
     ring = Ring.create(slots=64)
     reader = ring.reader()
     for n in range(1, 6):
         ring.put(simple(n))
         ring.put_state(n * 1_000_000, Leaf(n, 0.0, ()))
-    reader.poll()
-    reader.poll()
-    assert reader.state() == (5_000_000, Leaf(5, 0.0, ()))
+    assert [r.tick.t_ns for r in reader.drain()] == [n * 1_000_000 for n in range(1, 6)]
+    assert reader.states() == {n * 1_000_000: Leaf(n, 0.0, ()) for n in range(1, 6)}
 
 
 def test_who_skims_sees_the_same_records() -> None:

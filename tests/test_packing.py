@@ -1,111 +1,124 @@
-"""Numbers into shared memory: Python's way and the one in C put the same bytes there, and refuse the same."""
+"""Records into memory: Python's way and the one in C put what reads the same there, and refuse the same."""
 
 from __future__ import annotations
 
 import math
 import mmap
-import shutil
 import struct
 from enum import IntEnum
+from marshal import loads
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pneud.compiled.build import load_source
+from log_samples import WAYS, any_record, bits, tick_at
 from pneud.log.live import packing
-from pneud.log.live.packing import REFUSALS, Pack, layout
+from pneud.log.live.packing import REFUSALS, skimmed, unpacked
+from pneud.log.live.ring import Ring
+from pneud.signals import Record, Timing
 
-if shutil.which("cc") is None:  # the loop goes without, too
-    WAYS: dict[str, Pack] = {"python": packing.pack}
-else:
-    WAYS = {"python": packing.pack, "c": load_source(packing.SOURCE).pack}
-
-OFFSET = 8
-VALUES = {
-    "d": st.floats(),
-    "q": st.integers(-(2**63), 2**63 - 1),
-    "Q": st.integers(0, 2**64 - 1),
-    "I": st.integers(0, 2**32 - 1),
-    "H": st.integers(0, 2**16 - 1),
-    "7s": st.binary(max_size=9),
-    "9p": st.binary(max_size=10),
-    "3x": st.none(),
-}
-WILD = st.one_of(st.integers(-(2**70), 2**70), st.floats(), st.binary(max_size=3), st.none(), st.text())
+BEGIN, ROOM = 8, 16_000
+NODES = st.none() | st.floats() | st.integers(-(2**63), 2**63 - 1) | st.binary(max_size=9)
+TREES = st.recursive(NODES, lambda parts: st.lists(parts, max_size=6).map(tuple), max_leaves=30)
 
 
 class Kind(IntEnum):
     ONE = 1
 
 
-def packed(way: Pack, text: str, parts: tuple[tuple[Any, ...], ...]) -> bytes | None:
-    """The memory afterwards, or None where it was refused."""
-    with mmap.mmap(-1, 4096) as memory:
+class Real(float):
+    """As NumPy's are."""
+
+
+def packed(way: str, tree: Any, room: int = ROOM) -> bytes | None:
+    """What stands in the memory afterwards, or None where it was refused."""
+    pack = WAYS[way]
+    if pack is None:
         try:
-            way(memory, OFFSET, *layout(text), parts)
+            found = packing.packed(tree)
         except REFUSALS:
             return None
-        return memory[:]
-
-
-@st.composite
-def proper(draw: st.DrawFn) -> tuple[str, tuple[tuple[Any, ...], ...]]:
-    codes = draw(st.lists(st.sampled_from(sorted(VALUES)), max_size=30))
-    values = [draw(VALUES[code]) for code in codes if code != "3x"]
-    cut = draw(st.integers(0, len(values)))
-    return "".join(codes), (tuple(values[:cut]), (), tuple(values[cut:]))
-
-
-@given(proper())
-def test_both_ways_put_the_same(case: tuple[str, tuple[tuple[Any, ...], ...]]) -> None:
-    text, parts = case
-    found = {name: packed(way, text, parts) for name, way in WAYS.items()}
-    assert None not in found.values()
-    assert len(set(found.values())) == 1
-    values = [value for part in parts for value in part]
-    back = struct.Struct(text).unpack_from(found["python"] or b"", OFFSET)
-    assert len(back) == len(values)
-
-
-@given(st.lists(st.sampled_from(sorted(VALUES)), max_size=5), st.lists(WILD, max_size=6))
-def test_both_ways_refuse_the_same(codes: list[str], values: list[Any]) -> None:
-    found = {name: packed(way, "".join(codes), (tuple(values),)) for name, way in WAYS.items()}
-    assert len(set(found.values())) == 1
+        return found if len(found) <= room else None
+    with mmap.mmap(-1, 2 * ROOM) as memory:
+        try:
+            pack(memory, BEGIN, BEGIN + room, tree)
+        except REFUSALS:
+            return None
+        assert memory[:BEGIN] == bytes(BEGIN)
+        assert memory[BEGIN + room :] == bytes(2 * ROOM - BEGIN - room)
+        return memory[BEGIN : BEGIN + room]
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_members_of_enumerations_and_booleans_are_numbers(way: str) -> None:
-    found = packed(WAYS[way], "qIHd", ((Kind.ONE, True, False), (1,)))
+@given(record=any_record())
+@settings(max_examples=30, deadline=None)
+def test_a_record_comes_back_to_the_bit(way: str, record: Record) -> None:
+    if way == "c" and (record.tick.present | record.tick.latched) >> 63:
+        return  # those of 64 bits are left to Python
+    found = packed(way, record)
     assert found is not None
-    assert struct.unpack_from("qIHd", found, OFFSET) == (1, 1, 0, 1.0)
+    assert bits(unpacked(found)) == bits(record)
+    timing = record.timing
+    assert skimmed(found) == (record.tick.measurement.skipped, timing.lateness_ns, timing.latency_ns)
+
+
+@given(TREES)
+def test_all_ways_put_the_same_values(tree: Any) -> None:
+    for way in WAYS:
+        found = packed(way, tree)
+        assert found is not None
+        assert bits(loads(found)) == bits(tree)
+
+
+@given(TREES, st.integers(0, 60))
+def test_all_ways_need_the_same_room(tree: Any, room: int) -> None:
+    assert len({packed(way, tree, room) is None for way in WAYS}) == 1
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("tree", [("text",), [1.0], ({},), (2**70,), (object(),)])
+def test_what_is_in_no_record_is_refused_or_comes_back(way: str, tree: Any) -> None:
+    found = packed(way, tree)
+    assert found is None or loads(found) == tree
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_numbers_of_other_classes_are_numbers(way: str) -> None:
+    found = packed(way, (Kind.ONE, True, Real(0.1)))
+    assert found is not None
+    assert bits(loads(found)) == bits((1, 1, 0.1))
 
 
 @pytest.mark.parametrize("way", WAYS)
 def test_not_a_number_keeps_its_bits(way: str) -> None:
     (nan,) = struct.unpack("d", b"\x01\x02\x03\x04\x05\x06\xf8\x7f")
     assert math.isnan(nan)
-    found = packed(WAYS[way], "d", ((nan,),))
+    found = packed(way, (nan,))
     assert found is not None
-    assert found[OFFSET : OFFSET + 8] == struct.pack("d", nan)
+    assert struct.pack("d", loads(found)[0]) == struct.pack("d", nan)
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_what_lies_beyond_the_memory_is_refused(way: str) -> None:
-    with mmap.mmap(-1, 4096) as memory, pytest.raises(REFUSALS):
-        WAYS[way](memory, 4092, *layout("q"), ((1,),))
+def test_a_ring_takes_what_its_way_does_not(way: str) -> None:
+    ring = Ring.create(slots=16, pack=WAYS[way])
+    reader = ring.reader()
+    record = Record(tick_at(1)._replace(present=1 << 63), Timing(0, 0, 0, 0, 0, 0), (), 0, (), 0.0)
+    ring.put(record)
+    assert reader.drain() == [record]
 
 
 @pytest.mark.skipif("c" not in WAYS, reason="there is no C compiler")
 def test_wrong_arguments_raise_and_do_not_crash() -> None:
-    whole, places = layout("q")
+    pack = WAYS["c"]
+    assert pack is not None
     with mmap.mmap(-1, 4096) as memory:
-        good = (memory, 0, whole, places, ((1,),))
-        for place, wrong in ((0, b""), (0, None), (1, "0"), (1, -8), (3, []), (4, [(1,)]), (4, (1,))):
+        good = (memory, 0, 4096, (1,))
+        for place, wrong in ((0, b""), (0, None), (1, "0"), (1, -8), (1, 4097), (2, 4097), (2, -1)):
             arguments: list[Any] = list(good)
             arguments[place] = wrong
-            with pytest.raises((*REFUSALS, BufferError)):
-                WAYS["c"](*arguments)
+            with pytest.raises((*REFUSALS, TypeError, BufferError)):
+                pack(*arguments)
         with pytest.raises(TypeError):
-            WAYS["c"](memory)  # type: ignore[call-arg]
+            pack(memory)  # type: ignore[call-arg]

@@ -13,7 +13,7 @@ from pneud.loading import codecs_of, load
 from pneud.log.files.columns import AFTER, BEFORE, SENT, Block, blocks
 from pneud.log.files.reader import read_log
 from pneud.report.gather import gather
-from pneud.signals import ALL_SOURCES, Timing
+from pneud.signals import ALL_SOURCES
 
 pytestmark = pytest.mark.slow
 
@@ -56,7 +56,7 @@ def test_a_command_answers_this_ticks_sync(path: Path) -> None:
 def test_ages_are_bounded_by_the_tick(run: Block) -> None:
     """A fresh value was sampled within this tick: after its SYNC, and it came before the set was taken."""
     ticks = run.ticks
-    taken_ns = run.timing[:, Timing._fields.index("set_ns")]
+    taken_ns = run.ticks["timing.set_ns"]
     fresh = ticks["measurement.fresh"]
     for bit, name in ((1, "encoder"), (2, "pressure"), (4, "valve")):
         age = ticks[f"measurement.{name}_age_ns"]
@@ -78,7 +78,7 @@ def test_ages_are_bounded_by_the_tick(run: Block) -> None:
 def test_the_phase_is_kept_across_skips(run: Block) -> None:
     """Wake-ups minus their lateness lie on one grid, also behind ticks that were skipped."""
     skipped = run.ticks["measurement.skipped"].astype(np.int64)
-    lateness = run.timing[:, Timing._fields.index("lateness_ns")]
+    lateness = run.ticks["timing.lateness_ns"]
     grid = np.cumsum(1 + skipped) - 1 - skipped[0]
     # the tick begins somewhat after the wake-up, for which SYNC stands
     off = run.ticks["t_ns"] - (lateness - skipped * PERIOD_NS) - grid * PERIOD_NS

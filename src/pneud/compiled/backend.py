@@ -42,12 +42,12 @@ class Law(NamedTuple):
     axis: Callable[[AxisParameters], Axis]
     advance: Callable[..., dynamics.PlantState]
     carriage: wire.Carriage
-    pack: packing.Pack
+    pack: packing.Pack | None
     name: str  # for the log
     reason: str = ""  # why it is not the compiled one
 
 
-INTERPRETED = Law(Axis, dynamics.advance, wire.CARRIAGE, packing.pack, "python")
+INTERPRETED = Law(Axis, dynamics.advance, wire.CARRIAGE, None, "python")
 
 
 def law(mode: str, p: AxisParameters) -> Law:

@@ -239,7 +239,7 @@ def differ(name: str, was: float | str, now: float | str, *, exact: bool) -> boo
     if was == now or repr(was) == repr(now):  # the latter makes NaN equal to itself
         return False
     if not exact and isinstance(was, float) and isinstance(now, float):
-        error = COARSE_ERROR if name.rpartition(".")[2] in COARSE else FLOAT_ERROR
+        error = COARSE_ERROR if name in COARSE else FLOAT_ERROR
         return not abs(was - now) <= error * abs(now)
     return True
 

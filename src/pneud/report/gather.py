@@ -268,8 +268,8 @@ class _Gatherer:
         self._gaps(t_s, dropped, skipped)
         self.number = int(block.number[-1])
 
-        for i, spread in enumerate(self.timing.values()):
-            spread.add(block.timing[:, i])
+        for name, spread in self.timing.items():
+            spread.add(ticks[f"timing.{name}"])
         self.judge.add(t_s, state, columns["error_mm"], columns["voltage_v"], ticks["command.saturated"])
         for index, request in block.requests:
             self._mark(float(t_s[index]), request)
@@ -335,8 +335,8 @@ class _Gatherer:
             "d_hat_n_s": real("estimate.d_hat_n_s"),
             "innovation_um": real("estimate.innovation_m") * _UM,
             "x3_innovation_n": real("estimate.x3_n") - real("estimate.x3_hat_n"),
-            "lateness_us": _duration(block.timing[:, 0], 1e-3),
-            "latency_us": _duration(block.timing[:, 4], 1e-3),
+            "lateness_us": _duration(block.ticks["timing.lateness_ns"], 1e-3),
+            "latency_us": _duration(block.ticks["timing.latency_ns"], 1e-3),
             "sync_jitter_us": _duration(jitter_ns, 1e-3),
             "encoder_age_ms": _duration(block.ticks["measurement.encoder_age_ns"], 1e-6),
             "pressure_age_ms": _duration(block.ticks["measurement.pressure_age_ns"], 1e-6),

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pneud.log.files.reader import LogReader, RawBatch
 from pneud.log.format.frames import FrameBlock
 from pneud.log.format.records import LAYOUTS, LoggedEvent, TickLayout
-from pneud.signals import Request, Timing
+from pneud.signals import Request
 
 BLOCK = 4096  # ticks
 
@@ -43,7 +43,6 @@ class Block(NamedTuple):
     number: Ints  # counts the records of the loop from 1; a gap is where records were dropped
     log_time_ns: Ints  # Unix
     ticks: NDArray[Any]  # structured, named as in the message: `t_ns`, `estimate.force_n`, …
-    timing: Ints  # a column for each field of `Timing`
     frames: FrameColumns
     requests: tuple[tuple[int, Request], ...]  # with the index of their tick within the block
     events: tuple[LoggedEvent, ...]
@@ -60,7 +59,6 @@ class Block(NamedTuple):
             self.number[begin:end],
             self.log_time_ns[begin:end],
             self.ticks[begin:end],
-            self.timing[begin:end],
             frames._replace(tick=frames.tick - begin),
             tuple((index - begin, request) for index, request in self.requests if begin <= index < end),
             self.events,
@@ -105,7 +103,6 @@ def _block(batches: Sequence[RawBatch], events: list[LoggedEvent]) -> Block:
         np.array([r.number for r in raws], dtype=np.int64),
         np.array([r.log_time_ns for r in raws], dtype=np.int64),
         ticks,
-        _timing(ticks),
         _frames([FrameBlock(batch.frames) for batch in batches], ticks["t_ns"].astype(np.int64)),
         requests,
         tuple(events),
@@ -114,14 +111,13 @@ def _block(batches: Sequence[RawBatch], events: list[LoggedEvent]) -> Block:
 
 def _ticks(layout: TickLayout, messages: list[bytes]) -> tuple[NDArray[Any], tuple[tuple[int, Request], ...]]:
     names, formats, offsets, fixed, at = [], [], [], [], 0
-    for name, constant, code in layout.parts:
-        fixed += [(at + i, byte) for i, byte in enumerate(constant)]
-        at += len(constant)
-        kind = np.dtype({"q": "<i8", "Q": "<u8", "I": "<u4", "f": "<f4", "d": "<f8", "B": "u1"}[code])
-        names.append(name)
-        formats.append(kind)
+    for place in layout.places:
+        fixed += [(at + i, byte) for i, byte in enumerate(place.constant)]
+        at += len(place.constant)
+        names.append(place.name)
+        formats.append(np.dtype(f"<{place.code}"))
         offsets.append(at)
-        at += kind.itemsize
+        at += place.width
     plain = np.dtype({"names": names, "formats": formats})
     packed = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": at})
     places = np.array([place for place, _ in fixed])
@@ -140,10 +136,6 @@ def _ticks(layout: TickLayout, messages: list[bytes]) -> tuple[NDArray[Any], tup
         if request is not None:
             requests.append((index, request))
     return found, tuple(requests)
-
-
-def _timing(ticks: NDArray[Any]) -> Ints:
-    return np.stack([ticks[f"timing.{name}"] for name in Timing._fields], axis=1).astype(np.int64)
 
 
 def _frames(messages: Iterable[FrameBlock], t_ns: Ints) -> FrameColumns:

@@ -34,6 +34,9 @@ class Output:
         """Bytes taken so far."""
         return self._size
 
+    def flush(self) -> None:
+        """Nothing: see `settle`."""
+
     @property
     def settled_bytes(self) -> int:
         """Bytes that the file has taken."""

@@ -11,8 +11,8 @@ import time
 import zlib
 
 from mcap.records import Metadata
+from mcap.writer import Writer
 
-from pneud.log.files.container import Container
 from pneud.log.files.output import Output
 from pneud.log.format.fingerprint import numeric_fingerprint, versions
 from pneud.log.format.framing import DamageError
@@ -21,6 +21,8 @@ from pneud.log.format.schema import COPY, KEPT, METADATA, SCHEMA, SETUP, topics
 
 CRC = "crc32"  # key of the metadata's checksum, which MCAP has none for
 _OWN = frozenset((METADATA, SETUP, KEPT, COPY))  # names of metadata that always has one
+_UNBOUNDED = 1 << 62
+_MESSAGE_BYTES = 31  # of a message's head
 CONFIG_TEXT, DBC = "config_text", "dbc_base64"  # keys in the copy of the head
 
 
@@ -75,6 +77,7 @@ class Part:
 
     Attributes:
         output: where its bytes go.
+        chunk_bytes: size of the chunk that is open, uncompressed.
     """
 
     def __init__(self, descriptor: int, header: LogHeader, more: dict[str, str]) -> None:
@@ -86,25 +89,26 @@ class Part:
             more: metadata on this file.
         """
         self.output = Output(descriptor)
+        self.chunk_bytes = 0
         with contextlib.suppress(OSError):  # tells retention that it is being written
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._header = h = header
-        self._container = c = Container(self.output, f"pneud {versions().get('pneud', '')}".strip())
+        # It would close a chunk between a tick and its frames: chunks are closed here.
+        self._writer = w = Writer(self.output, chunk_size=_UNBOUNDED)  # type: ignore[arg-type]
+        w.start(library=f"pneud {versions().get('pneud', '')}".strip())
         now_ns = time.time_ns()
-        c.attach(now_ns, h.config_name, "application/toml", h.config_text.encode())
-        c.attach(now_ns, h.dbc_name, "application/vnd.can-dbc", h.dbc)
+        for name, kind, data in (
+            (h.config_name, "application/toml", h.config_text.encode()),
+            (h.dbc_name, "application/vnd.can-dbc", h.dbc),
+        ):
+            w.add_attachment(now_ns, now_ns, name, kind, data)
         self._head = checked(head_of(h, more))
-        c.metadata(METADATA, self._head)
-        self._channels = {
-            t.topic: c.register(t.topic, t.encoding, t.schema, t.schema_encoding, t.descriptors)
-            for t in topics(h.detail)
-        }
+        w.add_metadata(METADATA, self._head)
+        self._channels: dict[str, int] = {}
+        for t in topics(h.detail):
+            schema = w.register_schema(t.schema, t.schema_encoding, t.descriptors)
+            self._channels[t.topic] = w.register_channel(t.topic, t.encoding, schema)
         self.output.settle()
-
-    @property
-    def chunk_bytes(self) -> int:
-        """Size of the chunk that is open, uncompressed."""
-        return self._container.chunk_bytes
 
     def message(self, topic: str, number: int, log_time_ns: int, data: bytes) -> None:
         """Add a message to the open chunk.
@@ -115,15 +119,18 @@ class Part:
             log_time_ns: Unix time.
             data: the message.
         """
-        self._container.message(self._channels[topic], number & 0xFFFF_FFFF, log_time_ns, data)
+        self.chunk_bytes += len(data) + _MESSAGE_BYTES
+        sequence = number & 0xFFFF_FFFF
+        self._writer.add_message(self._channels[topic], log_time_ns, data, log_time_ns, sequence)
 
     def metadata(self, name: str, data: dict[str, str]) -> None:
         """Add metadata, before the chunk that is open."""
-        self._container.metadata(name, checked(data))
+        self._writer.add_metadata(name, checked(data))
 
     def close_chunk(self) -> None:
         """What comes next goes into another chunk."""
-        self._container.close_chunk()
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self.chunk_bytes = 0
 
     def finish(self) -> None:
         """Repeat the head, write the index."""
@@ -131,4 +138,4 @@ class Part:
         h = self._header
         copy = {**self._head, CONFIG_TEXT: h.config_text, DBC: base64.b64encode(h.dbc).decode()}
         self.metadata(COPY, copy)
-        self._container.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]

@@ -228,10 +228,7 @@ class LogReader:
         Raises:
             LogError: one is no log of pneud or of another schema, or they are not of one run.
         """
-        self._open([_File(path) for path in paths])
-
-    def _open(self, files: list[_File]) -> None:
-        self._files = sorted(files, key=lambda f: f.part)
+        self._files = sorted(map(_File, paths), key=lambda f: f.part)
         first = self._files[0]
         for before, after in zip(self._files, self._files[1:], strict=False):
             if before.run != after.run:

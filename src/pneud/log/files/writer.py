@@ -129,19 +129,19 @@ class LogWriter:
             return
         if missed:
             self._message(t_ns, Level.ERROR, f"dropped {missed} records: the recorder did not keep up")
+        number, frames = self._number, self._frames
         try:
             packed = self._packer.tick(record)
+            if self._batch_number + len(frames) != number:
+                self._end_batch()
+                self._batch_number = number
+            frames.add(record)
         except (struct.error, ValueError, OverflowError) as e:
             self.unwritten += 1
             self._message(t_ns, Level.ERROR, f"unfit record: {e}")
             return
-        number, frames = self._number, self._frames
-        if self._batch_number + len(frames) != number:
-            self._end_batch()
-            self._batch_number = number
         self._batch_ns = log_time_ns = max(t_ns + self._header.realtime_offset_ns, 0)
         self._part.message(TICK, number, log_time_ns, packed)
-        frames.add(record)
         self._accepted += 1
         self._unsettled += 1
         for event in self._events.after(record):

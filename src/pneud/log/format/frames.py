@@ -6,6 +6,7 @@ Columns of bytes compress to half of what the same frames take one after another
 from __future__ import annotations
 
 import struct
+from array import array
 from collections.abc import Iterable, Iterator
 from itertools import islice, repeat
 from typing import NamedTuple
@@ -28,29 +29,46 @@ class FramesPacker:
         self._sent: list[int] = []
         self._order: list[int] = []
         self._columns: dict[tuple[int, int], int] = {}
-        self._stamps: list[list[int]] = []
+        self._stamps: list[array[int]] = []
         self._data: list[list[bytes]] = []
 
     def __len__(self) -> int:
         return len(self._received)
 
     def add(self, record: Record) -> None:
-        """The frames of one more tick."""
+        """The frames of one more tick.
+
+        Raises:
+            ValueError or OverflowError: one is no CAN frame; nothing of the tick is taken then.
+        """
         t_ns = record.tick.t_ns
+        columns, order, stamps, payloads = self._columns, self._order, self._stamps, self._data
+        before = len(order)
+        try:
+            for stamp_ns, can_id, data in (*record.frames, *record.sent):
+                column = columns.get((can_id, len(data)))
+                if column is None:
+                    column = self._new_column(can_id, len(data))
+                stamps[column].append(stamp_ns - t_ns)
+                payloads[column].append(data)
+                order.append(column)
+        except (ValueError, OverflowError):
+            for column in order[before:]:
+                stamps[column].pop()
+                payloads[column].pop()
+            del order[before:]
+            raise
         self._received.append(len(record.frames))
         self._before.append(record.before)
         self._sent.append(len(record.sent))
-        columns, order, stamps, payloads = self._columns, self._order, self._stamps, self._data
-        for stamp_ns, can_id, data in (*record.frames, *record.sent):
-            key = can_id, len(data)
-            column = columns.get(key)
-            if column is None:
-                column = columns[key] = len(columns)
-                stamps.append([])
-                payloads.append([])
-            order.append(column)
-            stamps[column].append(stamp_ns - t_ns)
-            payloads[column].append(data)
+
+    def _new_column(self, can_id: int, length: int) -> int:
+        if can_id >> 32 or length > 8:
+            raise ValueError(f"a frame {can_id:#x} of {length} bytes")
+        self._stamps.append(array("q"))
+        self._data.append([])
+        self._columns[can_id, length] = column = len(self._columns)
+        return column
 
     def take(self) -> bytes:
         """The message of `/can/frames` of all ticks since the last time."""

@@ -9,17 +9,17 @@ import math
 import struct
 import zlib
 from collections.abc import Iterator
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple
 
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto as F
 
 from pneud.log.format.frames import FrameBlock
 from pneud.log.format.header import Detail
+from pneud.log.format.layout import NUMBERS, numbers_of, record_of
 from pneud.log.format.schema import Field, Level, message_class, tick_fields
 from pneud.signals import Command, Estimate, Frame, Measurement, Record, Reference, Request, Tick, Timing
 
-_CHECKED = struct.Struct("<8d4d4d")
 _CODES = {
     F.TYPE_FLOAT: (5, "f"),
     F.TYPE_DOUBLE: (1, "d"),
@@ -30,27 +30,20 @@ _CODES = {
 }
 _REQUEST = len(tick_fields("compact")[1])  # number of its field
 _SHORT = [bytes((i,)) for i in range(128)]
-_measurement = attrgetter(*Measurement._fields)
-_estimate = attrgetter(*Estimate._fields)
-_reference = attrgetter(*Reference._fields)
-_command = attrgetter(*Command._fields)
-_timing = attrgetter(*Timing._fields)
-
-# Where the parts of a tick's values begin.
-_E = 1 + len(Measurement._fields)
-_R = _E + len(Estimate._fields)
-_C = _R + len(Reference._fields)
-_T = _C + len(Command._fields)
-_S = _T + len(Timing._fields)
 
 # Of these a compact log keeps 16 significant bits in place of 24, since nobody needs more and the others are
 # noise, which cannot be compressed: the lowest byte is zero.
 COARSE = frozenset((
-    *(name for name in Estimate._fields + Reference._fields if name != "position_m"),
-    *("law_v", "s", "ustar"),
+    *(n for n in NUMBERS if n.startswith(("estimate.", "reference.")) and not n.endswith(".position_m")),
+    *("command.law_v", "command.s", "command.ustar"),
 ))  # fmt: skip
 COARSE_ERROR = 2.0**-15  # relative
 FLOAT_ERROR = 2.0**-24
+
+_real_commands = itemgetter(*(i for i, n in enumerate(Command._fields) if NUMBERS[f"command.{n}"] == "d"))
+_CHECKED = struct.Struct(
+    f"<{len((*Estimate._fields, *Reference._fields, *_real_commands(Command._fields)))}d"
+)
 
 
 def crc_of(tick: Tick) -> int:
@@ -58,8 +51,7 @@ def crc_of(tick: Tick) -> int:
 
     It stands in every record, so that a replay can be compared to the bit with a log that keeps only floats.
     """
-    voltage_v, _, _, law_v, s, ustar = tick.command
-    return zlib.crc32(_CHECKED.pack(*tick.estimate, *tick.reference, voltage_v, law_v, s, ustar))
+    return zlib.crc32(_CHECKED.pack(*tick.estimate, *tick.reference, *_real_commands(tick.command)))
 
 
 def varint(n: int) -> bytes:
@@ -73,42 +65,51 @@ def varint(n: int) -> bytes:
     return bytes((n & 0x7F | 0x80,)) + varint(n >> 7)
 
 
+class Place(NamedTuple):
+    """Where a number stands in a message: behind these constant bytes, the tags and lengths."""
+
+    name: str  # such as estimate.force_n
+    constant: bytes
+    code: str  # of `struct`
+
+    @property
+    def width(self) -> int:
+        """Bytes that the number takes."""
+        return struct.calcsize(f"<{self.code}")
+
+
+def _places(fields: list[Field], nested: dict[str, list[Field]], group: str = "") -> Iterator[Place]:
+    for number, field in enumerate(fields, start=1):
+        if field.type == F.TYPE_MESSAGE:
+            first, *rest = _places(nested[field.of.rpartition(".")[2]], nested, f"{field.name}.")
+            size = sum(len(place.constant) + place.width for place in (first, *rest))
+            yield first._replace(constant=varint(number << 3 | 2) + varint(size) + first.constant)
+            yield from rest
+        else:
+            wire, code = _CODES[field.type]
+            yield Place(group + field.name, varint(number << 3 | wire), code)
+
+
 class TickLayout:
-    """A message of fixed length as one `struct`; tags and lengths are put in as bits of one integer."""
+    """A message of fixed length as one `struct`; tags and lengths are put in as bits of one integer.
+
+    Attributes:
+        places: of all numbers, in their order.
+    """
 
     def __init__(self, detail: Detail) -> None:
         name, fields, nested = tick_fields(detail)
+        self.places = tuple(_places(fields[:-1], nested))
         self._class = message_class(f"pneud.{name}")
-        codes: list[str] = []
-        found: list[tuple[str, bytes, str]] = []
-        layout, tags, constants, kept = "<", b"", b"", b""
-        pending = b""
-
-        def walk(fields: list[Field], group: str = "") -> None:
-            nonlocal layout, tags, constants, kept, pending
-            for number, field in enumerate(fields, start=1):
-                if field.type == F.TYPE_MESSAGE:
-                    inner = nested[field.of.rpartition(".")[2]]
-                    pending += varint(number << 3 | 2) + varint(_size(inner))
-                    walk(inner, f"{field.name}.")
-                    continue
-                wire, code = _CODES[field.type]
-                pending += varint(number << 3 | wire)
-                layout += f"{len(pending)}x{code}"
-                width = struct.calcsize("<" + code)
-                tags += b"\xff" * len(pending) + bytes(width)
-                constants += pending + bytes(width)
-                coarse = code == "f" and field.name in COARSE
-                kept += bytes(len(pending) + coarse) + b"\xff" * (width - coarse)
-                codes.append(code)
-                found.append((group + field.name, pending, code))
-                pending = b""
-
-        walk(fields[:-1])
-        self._struct = struct.Struct(layout)
-        self._codes = tuple(codes)
-        # name (such as estimate.force_n), constant bytes before it and `struct` code of each value, in order
-        self.parts = tuple(found)
+        self._values = attrgetter(*(place.name for place in self.places))
+        self._struct = struct.Struct("<" + "".join(f"{len(p.constant)}x{p.code}" for p in self.places))
+        tags = constants = kept = b""
+        for place in self.places:
+            count, width = len(place.constant), place.width
+            coarse = place.code == "f" and place.name in COARSE
+            tags += b"\xff" * count + bytes(width)
+            constants += place.constant + bytes(width)
+            kept += bytes(count + coarse) + b"\xff" * (width - coarse)
         self._tags, self._constants, self._kept = (
             int.from_bytes(mask, "little") for mask in (tags, constants, kept)
         )
@@ -118,9 +119,8 @@ class TickLayout:
         try:
             packed = self._struct.pack(*values)
         except OverflowError:  # a double beyond the floats
-            packed = self._struct.pack(
-                *(_as_float(v) if code == "f" else v for code, v in zip(self._codes, values, strict=True))
-            )
+            pairs = zip(self.places, values, strict=True)
+            packed = self._struct.pack(*(_as_float(v) if place.code == "f" else v for place, v in pairs))
         bits = int.from_bytes(packed, "little") & self._kept | self._constants
         return bits.to_bytes(len(packed), "little")
 
@@ -130,21 +130,8 @@ class TickLayout:
             return (*self._struct.unpack(data), None)
         # With a request, or in another order of bytes, as a tool that wrote it anew may choose.
         t = self._class.FromString(data)
-        return (
-            t.t_ns,
-            *_measurement(t.measurement),
-            *_estimate(t.estimate),
-            *_reference(t.reference),
-            *_command(t.command),
-            *_timing(t.timing),
-            t.state,
-            t.present,
-            t.latched,
-            t.answer,
-            t.truth_m,
-            t.check,
-            Request(t.request.kind, tuple(t.request.values)) if t.request.kind else None,
-        )
+        asked = Request(t.request.kind, tuple(t.request.values)) if t.request.kind else None
+        return (*self._values(t), asked)
 
 
 def _as_float(value: float) -> float:
@@ -153,13 +140,6 @@ def _as_float(value: float) -> float:
     except OverflowError:
         return math.copysign(math.inf, value)
     return value
-
-
-def _size(fields: list[Field]) -> int:
-    return sum(
-        len(varint(number << 3)) + struct.calcsize("<" + _CODES[field.type][1])
-        for number, field in enumerate(fields, start=1)
-    )
 
 
 LAYOUTS = {"pneud.Tick": TickLayout("compact"), "pneud.FullTick": TickLayout("full")}
@@ -182,22 +162,7 @@ class Packer:
     def tick(self, record: Record) -> bytes:
         """The message of `/axis/tick`."""
         tick = record.tick
-        packed = self._layout.pack(
-            (
-                tick.t_ns,
-                *tick.measurement,
-                *tick.estimate,
-                *tick.reference,
-                *tick.command,
-                *record.timing,
-                tick.state,
-                tick.present,
-                tick.latched,
-                tick.answer,
-                record.truth_m,
-                crc_of(tick),
-            )
-        )
+        packed = self._layout.pack((*numbers_of(record), crc_of(tick)))
         return packed if tick.request is None else packed + _request(tick.request)
 
 
@@ -232,6 +197,8 @@ class LoggedTick(NamedTuple):
 
     number: int  # counts the records of the loop from 1; a gap is where records were dropped
     log_time_ns: int  # Unix
+    check: int
+    # as in `Tick`
     t_ns: int
     measurement: Measurement
     request: Request | None
@@ -242,11 +209,11 @@ class LoggedTick(NamedTuple):
     present: int
     latched: int
     answer: int
-    check: int
+    # as in `Record`
+    timing: Timing
     frames: tuple[Frame, ...]
     before: int
     sent: tuple[Frame, ...]
-    timing: Timing
     truth_m: float
 
     @property
@@ -262,19 +229,8 @@ class LoggedTick(NamedTuple):
     @property
     def record(self) -> Record:
         """The record as the loop handed it over (to the bit where the log's detail is full)."""
-        tick = Tick(
-            self.t_ns,
-            self.measurement,
-            self.request,
-            self.estimate,
-            self.reference,
-            self.command,
-            self.state,
-            self.present,
-            self.latched,
-            self.answer,
-        )
-        return Record(tick, self.timing, self.frames, self.before, self.sent, self.truth_m)
+        tick = Tick._make(getattr(self, name) for name in Tick._fields)
+        return Record(tick, *(getattr(self, name) for name in Record._fields[1:]))
 
 
 class TickMessage(NamedTuple):
@@ -299,25 +255,7 @@ def unpack(ticks: list[TickMessage], frames: FrameBlock) -> Iterator[LoggedTick]
     """
     values = [LAYOUTS[tick.schema].unpack(tick.data) for tick in ticks]
     parts = frames.ticks(v[0] for v in values)
-    for (number, log_time_ns, _, _), v, (received, before, sent) in zip(ticks, values, parts, strict=True):
-        state, present, latched, answer, truth_m, check, request = v[_S:]
-        yield LoggedTick(
-            number,
-            log_time_ns,
-            v[0],
-            Measurement._make(v[1:_E]),
-            request,
-            Estimate._make(v[_E:_R]),
-            Reference._make(v[_R:_C]),
-            Command._make(v[_C:_T]),
-            state,
-            present,
-            latched,
-            answer,
-            check,
-            received,
-            before,
-            sent,
-            Timing._make(v[_T:_S]),
-            truth_m,
-        )
+    for tick, v, its_frames in zip(ticks, values, parts, strict=True):
+        check, request = v[len(NUMBERS) :]
+        record = record_of(v, request, *its_frames)
+        yield LoggedTick(tick.number, tick.log_time_ns, check, *record.tick, *record[1:])

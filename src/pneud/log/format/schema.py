@@ -1,4 +1,4 @@
-"""The protobuf messages of a log, built at run time from the records in `signals`.
+"""The protobuf messages of a log, built at run time from the layout of a record.
 
 Field names are those of the records, units included. Whoever changes what comes out of here raises `SCHEMA`.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from enum import IntEnum
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, NamedTuple
 
 from google.protobuf import descriptor_pool, message_factory, timestamp_pb2
 from google.protobuf.descriptor_pb2 import (
@@ -19,16 +19,8 @@ from google.protobuf.descriptor_pb2 import (
 )
 
 from pneud.log.format.header import Detail
-from pneud.signals import (
-    Answer,
-    Command,
-    Estimate,
-    Measurement,
-    Reference,
-    RequestKind,
-    State,
-    Timing,
-)
+from pneud.log.format.layout import NUMBERS, PARTS
+from pneud.signals import Answer, RequestKind, State
 
 SCHEMA = 2
 
@@ -56,25 +48,8 @@ class Field(NamedTuple):
     repeated: bool = False
 
 
-def fields_of(record: Any, real: F.Type.ValueType) -> list[Field]:
-    """The fields of a NamedTuple of numbers, all of fixed width: `real` for floats, by name for integers."""
-    fields = []
-    types = get_type_hints(record)
-    for name in record._fields:
-        if types[name] is float:
-            fields.append(Field(name, real))
-        else:
-            fields.append(Field(name, F.TYPE_SFIXED64 if name.endswith("_ns") else F.TYPE_FIXED32))
-    return fields
-
-
-PARTS = (
-    ("measurement", Measurement),
-    ("estimate", Estimate),
-    ("reference", Reference),
-    ("command", Command),
-    ("timing", Timing),
-)
+_TYPES = {"q": F.TYPE_SFIXED64, "Q": F.TYPE_FIXED64, "I": F.TYPE_FIXED32, "B": F.TYPE_ENUM}  # by code
+_ENUMS = {"state": "State", "answer": "Answer"}
 
 
 def tick_fields(detail: Detail) -> tuple[str, list[Field], dict[str, list[Field]]]:
@@ -84,21 +59,23 @@ def tick_fields(detail: Detail) -> tuple[str, list[Field], dict[str, list[Field]
     """
     real = F.TYPE_FLOAT if detail == "compact" else F.TYPE_DOUBLE
     name = "Tick" if detail == "compact" else "FullTick"
-    nested = {record.__name__: fields_of(record, real) for _, record in PARTS}
+    fields: list[Field] = []
+    nested: dict[str, list[Field]] = {}
+    for number, code in NUMBERS.items():
+        part, _, own = number.rpartition(".")
+        field = Field(own, _TYPES.get(code, real), _ENUMS.get(number, ""))
+        if not part:
+            fields.append(field)
+            continue
+        inner = PARTS[part].__name__
+        if inner not in nested:
+            nested[inner] = []
+            fields.append(Field(part, F.TYPE_MESSAGE, f"{name}.{inner}"))
+        nested[inner].append(field)
+    fields += [Field("check", F.TYPE_FIXED32), Field("request", F.TYPE_MESSAGE, f"{name}.Request")]
     nested["Request"] = [
         Field("kind", F.TYPE_ENUM, "RequestKind"),
         Field("values", F.TYPE_DOUBLE, repeated=True),
-    ]
-    fields = [Field("t_ns", F.TYPE_SFIXED64)]
-    fields += [Field(part, F.TYPE_MESSAGE, f"{name}.{record.__name__}") for part, record in PARTS]
-    fields += [
-        Field("state", F.TYPE_ENUM, "State"),
-        Field("present", F.TYPE_FIXED64),
-        Field("latched", F.TYPE_FIXED64),
-        Field("answer", F.TYPE_ENUM, "Answer"),
-        Field("truth_m", real),
-        Field("check", F.TYPE_FIXED32),
-        Field("request", F.TYPE_MESSAGE, f"{name}.Request"),
     ]
     return name, fields, nested
 

@@ -1,78 +1,68 @@
-/* What `pneud.log.packing.pack` does, in C: the same values in the same places, only sooner. What lies between
-   the places stays as it is. */
+/* What `pneud.log.live.packing.packed` does, in C: a tree of tuples, numbers, bytes and None as `marshal` writes it, but
+   straight into its place, with tuples and numbers of any class. */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
-typedef struct { unsigned char code, size; unsigned short offset; } Place;
+_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "the order of marshal");
 
-/* One value at its place: 0, or -1 with an exception. */
-static int put(char *at, const Place *place, PyObject *value) {
-  at += place->offset;
-  switch (place->code) {
-    case 'd': {
-      double x = PyFloat_AsDouble(value);
-      if (x == -1.0 && PyErr_Occurred()) return -1;
-      memcpy(at, &x, sizeof x);
-      return 0;
-    }
-    case 'q': {
-      long long x = PyLong_AsLongLong(value);
-      if (x == -1 && PyErr_Occurred()) return -1;
-      memcpy(at, &x, sizeof x);
-      return 0;
-    }
-    case 'Q': case 'I': case 'H': {
-      unsigned long long x = PyLong_AsUnsignedLongLong(value);
-      if (x == (unsigned long long)-1 && PyErr_Occurred()) return -1;
-      if (place->size < 8 && x >> 8 * place->size)
-        return PyErr_SetString(PyExc_OverflowError, "pack: an integer is too large"), -1;
-      if (place->code == 'Q') *(volatile unsigned long long *)at = x;  /* in one piece */
-      else if (place->code == 'I') *(unsigned *)at = (unsigned)x;
-      else *(unsigned short *)at = (unsigned short)x;
-      return 0;
-    }
-    case 's': case 'p': {
-      if (!PyBytes_Check(value)) return PyErr_SetString(PyExc_TypeError, "pack: bytes are expected"), -1;
-      Py_ssize_t length = PyBytes_GET_SIZE(value), room = place->size;
-      if (place->code == 'p') room--, at++;
-      if (length > room) length = room;
-      if (place->code == 'p') at[-1] = (char)length;
-      memcpy(at, PyBytes_AS_STRING(value), length);
-      memset(at + length, 0, room - length);
-      return 0;
-    }
-  }
-  return PyErr_SetString(PyExc_ValueError, "pack: an unknown code"), -1;
+typedef struct { char *at, *end; } Place;
+
+static int put(Place *place, const void *data, Py_ssize_t size) {
+  if (place->end - place->at < size) return PyErr_SetString(PyExc_ValueError, "pack: no room"), -1;
+  memcpy(place->at, data, size);
+  place->at += size;
+  return 0;
 }
 
-/* pack(memory, offset, layout, places, parts) */
+static int put_coded(Place *place, char code, const void *data, Py_ssize_t size) {
+  return put(place, &code, 1) || put(place, data, size) ? -1 : 0;
+}
+
+static int put_integer(Place *place, long long x) {
+  int n = (int)x;
+  if (n == x) return put_coded(place, 'i', &n, sizeof n);
+  char digits[4 + 2 * 5]; /* their number with the sign of x, then 15 bits each */
+  n = 0;
+  for (unsigned long long rest = x < 0 ? 0ULL - x : x; rest; rest >>= 15, n++) {
+    unsigned short digit = rest & 0x7FFF;
+    memcpy(digits + 4 + 2 * n, &digit, sizeof digit);
+  }
+  int signed_n = x < 0 ? -n : n;
+  memcpy(digits, &signed_n, sizeof signed_n);
+  return put_coded(place, 'l', digits, 4 + 2 * n);
+}
+
+static int put_any(Place *place, PyObject *value) {
+  if (PyFloat_Check(value)) {
+    double x = PyFloat_AS_DOUBLE(value);
+    return put_coded(place, 'g', &x, sizeof x);
+  }
+  if (PyLong_Check(value)) {
+    long long x = PyLong_AsLongLong(value);
+    return x == -1 && PyErr_Occurred() ? -1 : put_integer(place, x);
+  }
+  if (value == Py_None) return put(place, "N", 1);
+  int n = (int)Py_SIZE(value);
+  if (PyBytes_Check(value))
+    return put_coded(place, 's', &n, sizeof n) || put(place, PyBytes_AS_STRING(value), n) ? -1 : 0;
+  if (!PyTuple_Check(value)) return PyErr_SetString(PyExc_ValueError, "pack: no tuple, number or bytes"), -1;
+  if (put_coded(place, '(', &n, sizeof n)) return -1;
+  for (int i = 0; i < n; i++)
+    if (put_any(place, PyTuple_GET_ITEM(value, i))) return -1;
+  return 0;
+}
+
+/* pack(memory, begin, end, tree) */
 static PyObject *pack(PyObject *self, PyObject *const *args, Py_ssize_t n) {
-  if (n != 5 || !PyBytes_Check(args[3]) || !PyTuple_Check(args[4]))
-    return PyErr_SetString(PyExc_TypeError, "pack: other arguments than expected"), NULL;
-  Py_ssize_t offset = PyLong_AsSsize_t(args[1]);
-  if (offset == -1 && PyErr_Occurred()) return NULL;
-  const Place *place = (const Place *)PyBytes_AS_STRING(args[3]);
-  const Place *end = place + PyBytes_GET_SIZE(args[3]) / sizeof *place;
+  if (n != 4) return PyErr_SetString(PyExc_TypeError, "pack: memory, begin, end and a tree are expected"), NULL;
+  Py_ssize_t begin = PyLong_AsSsize_t(args[1]), end = PyLong_AsSsize_t(args[2]);
+  if (PyErr_Occurred()) return NULL;
   Py_buffer memory;
   if (PyObject_GetBuffer(args[0], &memory, PyBUF_WRITABLE)) return NULL;
-  int failed = 0;
-  for (Py_ssize_t i = 0; !failed && i < PyTuple_GET_SIZE(args[4]); i++) {
-    PyObject *part = PyTuple_GET_ITEM(args[4], i);
-    if (!PyTuple_Check(part)) {
-      PyErr_SetString(PyExc_TypeError, "pack: a part is no tuple");
-      failed = 1;
-    }
-    for (Py_ssize_t j = 0; !failed && j < PyTuple_GET_SIZE(part); j++, place++) {
-      if (place == end || offset < 0 || offset + place->offset + place->size > memory.len) {
-        PyErr_SetString(PyExc_ValueError, "pack: more values than places, or no room");
-        failed = 1;
-      } else failed = put((char *)memory.buf + offset, place, PyTuple_GET_ITEM(part, j));
-    }
-  }
-  if (!failed && place != end) {
-    PyErr_SetString(PyExc_ValueError, "pack: fewer values than places");
-    failed = 1;
-  }
+  Place place = {(char *)memory.buf + begin, (char *)memory.buf + end};
+  int failed = begin < 0 || begin > end || end > memory.len;
+  if (failed) PyErr_SetString(PyExc_ValueError, "pack: beyond the memory");
+  else failed = put_any(&place, args[3]);
   PyBuffer_Release(&memory);
   return failed ? NULL : Py_NewRef(Py_None);
 }

@@ -7,9 +7,8 @@ import socket
 import sys
 import time
 import traceback
-from collections import deque
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pneud import crew
 from pneud.log.format.header import LogHeader, Rotation
@@ -121,7 +120,7 @@ class _Recorder:
         self._dropped = 0
         self._noted = False
         self._heartbeat = 0
-        self._states: deque[tuple[int, Any]] = deque()  # of records that are still to come
+        self._last_ns = -1  # t_ns of the record written last
         self._files = {path: _content(path) for path in files}
         self._changed = False
 
@@ -152,15 +151,15 @@ class _Recorder:
         # Where records were dropped, it was before the first of these, but for rare cases.
         missed = self._reader.dropped - self._dropped
         self._dropped = self._reader.dropped
-        if (state := self._reader.state()) is not None:
-            self._states.append(state)
+        states = self._reader.states()
+        if self._last_ns in states:
+            self._writer.snapshot(states[self._last_ns])
         for record in records:
             self._writer.write(record, missed)
             missed = 0
-            while self._states and self._states[0][0] <= record.tick.t_ns:
-                t_ns, tree = self._states.popleft()
-                if t_ns == record.tick.t_ns:  # else its record was dropped
-                    self._writer.snapshot(tree)
+            self._last_ns = record.tick.t_ns
+            if self._last_ns in states:
+                self._writer.snapshot(states[self._last_ns])
 
     def _listen(self) -> None:
         if self._listener is not None:
