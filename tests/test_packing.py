@@ -13,14 +13,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pneud.compiled.build import load_source
 from pneud.log.live import packing
 from pneud.log.live.packing import REFUSALS, Pack, layout
+from pneud.rt.folders import cache_folder
+from pure2c import load_source
 
 if shutil.which("cc") is None:  # the loop goes without, too
     WAYS: dict[str, Pack] = {"python": packing.pack}
 else:
-    WAYS = {"python": packing.pack, "c": load_source(packing.SOURCE).pack}
+    WAYS = {"python": packing.pack, "c": load_source(packing.SOURCE, cache=cache_folder("compiled")).pack}
 
 OFFSET = 8
 VALUES = {

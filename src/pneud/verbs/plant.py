@@ -7,7 +7,7 @@ import signal
 import sys
 
 from pneud.bus.link import open_link, refuse_if_driven
-from pneud.compiled.backend import law
+from pneud.compiled.backend import backend
 from pneud.config import conversions
 from pneud.config.models import ConfigError
 from pneud.loading import bus_name, listening_s, load_axis, load_scenario
@@ -48,7 +48,7 @@ def plant(config_file: str | None, bus: str, scenario_file: str | None, seed: in
 
     codecs = axis.codecs
     answers = (codecs.encoder.can_id, codecs.pressure.can_id, codecs.valve_status.can_id)
-    how = law(config.loop.compiled, conversions.axis_of(config, codecs.command_lsb_v))
+    how = backend(config.loop.compiled, conversions.axis_of(config, codecs.command_lsb_v))
     with open_link(channel, virtual=True, by=how.carriage) as link:
         refuse_if_driven(link, answers, listening_s(config), "other nodes answer there")
         for number in (signal.SIGINT, signal.SIGTERM):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from pneud.axis.cycle import Axis
 from pneud.bus.inbox import Inbox
 from pneud.bus.link import Link, LinkError, open_link, refuse_if_driven
-from pneud.compiled.backend import Law, law
+from pneud.compiled.backend import Backend, backend
 from pneud.config import conversions
 from pneud.config.models import Config, ConfigError, LogConfig
 from pneud.console import endpoint, handoff
@@ -89,7 +89,7 @@ def run(o: RunOptions) -> int:
         raise ConfigError(f"{axis.path}: bus auto is for virtual runs; name the rig's bus with --bus")
     codecs = axis.codecs
     p = conversions.axis_of(axis.config, codecs.command_lsb_v)
-    how = law(axis.config.loop.compiled, p)
+    how = backend(axis.config.loop.compiled, p)
     if how.reason:
         print(f"pneud: the law runs in Python: {how.reason}", file=sys.stderr)
     log_file, descriptor = open_log(o.log, axis.config.name)
@@ -140,7 +140,7 @@ def _run(
     o: RunOptions,
     loaded: Loaded,
     axis: Axis,
-    how: Law,
+    how: Backend,
     scenario: Scenario | None,
     link: Link,
     socket: endpoint.Place,
