@@ -171,10 +171,10 @@ def simulate(config_file: str | Path, duration_s: float = 10.0, seed: int = 0) -
         BuildError: it requires the compiled law, which cannot be had.
     """
     loaded = load(config_file)
-    return Simulation(loaded, duration_s, seed, law_of(loaded)).records()
+    return Simulation(loaded, duration_s, seed, backend_of(loaded)).records()
 
 
-def law_of(loaded: Loaded) -> Backend:
+def backend_of(loaded: Loaded) -> Backend:
     """How an axis is to be computed on this machine.
 
     Raises:
