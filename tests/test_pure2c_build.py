@@ -194,6 +194,15 @@ def test_a_change_of_anything_that_it_reaches_is_noticed(
     assert len(list(cache.iterdir())) == 2
 
 
+def test_a_source_that_cannot_be_read_is_named(tmp_path: Path, module: Callable[..., Any]) -> None:
+    f = module(**FILES)
+    gone = Path(f.__code__.co_filename).with_name("other.py")
+    gone.unlink()
+    with pytest.raises(BuildError) as caught:
+        compile_functions((f,), cache=tmp_path / "cache")
+    assert str(caught.value) == f"{gone}: No such file or directory"
+
+
 def test_other_functions_are_another_library(tmp_path: Path) -> None:
     for functions in ((swapped, root), (root, swapped), (root,), (swapped, root)):
         compile_functions(functions, cache=tmp_path / "cache")

@@ -60,7 +60,11 @@ def compile_functions(functions: Sequence[Callable[..., Any]], *, cache: Path) -
         TranslationError: one of them does something that has no counterpart in C.
         BuildError: they cannot be built or loaded.
     """
-    reach = Reach(functions)
+    try:
+        reach = Reach(functions)
+        own = [file.read_bytes() for file in sorted((*_OWN.glob("*.py"), *_OWN.glob("*.h")))]
+    except OSError as e:
+        raise BuildError(f"{e.filename}: {e.strerror}") from None
 
     def translated() -> str:
         from pure2c.extension import Extension  # noqa: PLC0415 - slow to import, and seldom needed
@@ -72,7 +76,6 @@ def compile_functions(functions: Sequence[Callable[..., Any]], *, cache: Path) -
         except Exception as e:  # whatever a source that is not there, or a hint that means nothing, leads to
             raise TranslationError(f"{type(e).__name__}: {e}") from None
 
-    own = [file.read_bytes() for file in sorted((*_OWN.glob("*.py"), *_OWN.glob("*.h")))]
     module = _module(MODULE, (reach.digest(), *own), translated, cache)
     module.bind(tuple(functions), tuple(reach.classes[name] for name in module.CLASSES.split()))
     return Built(tuple(getattr(module, f"f{i}") for i in range(len(functions))), module.left)
@@ -137,7 +140,7 @@ def _key(cc: Path, depends_on: Sequence[bytes]) -> str:
 def _build(cc: Path, source: str, cache: Cache) -> bytes:
     """The shared library of a source."""
     include = sysconfig.get_path("include")
-    if not (Path(include) / "Python.h").exists():
+    if not os.access(Path(include) / "Python.h", os.R_OK):
         raise BuildError(f"{include} has no Python.h: apt install python3-dev")
     with cache.workshop() as folder:
         here = Path(f"/proc/self/fd/{folder}")

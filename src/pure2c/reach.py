@@ -17,12 +17,16 @@ _HAS_NO_PARTS = (types.FunctionType, types.NoneType, int, float, str, tuple, dic
 class Reach:
     """A digest over what functions depend on, and the NamedTuples among it.
 
-    That is: the sources of the modules of all functions and classes that they reach, and the values of the
-    constants, wherever those come from.
+    That is: the sources of the modules of all functions and NamedTuples that they reach, and the values of
+    the constants that they use, wherever those come from.
     """
 
     def __init__(self, functions: Iterable[Callable[..., Any]]) -> None:
-        """Follow the functions to whatever they use."""
+        """Follow the functions to whatever they use.
+
+        Raises:
+            OSError: a source cannot be read.
+        """
         self.classes: dict[str, type] = {}  # by name, as `name_of` has it
         self._digest = hashlib.sha256()
         self._seen: set[Any] = set()
@@ -64,19 +68,18 @@ class Reach:
         self._add_hints(f.__annotations__, f.__globals__)
 
     def _add_class(self, class_: type) -> None:
-        if self._is_known(class_):
+        if not hasattr(class_, "_fields") or self._is_known(class_):
             return
+        self.classes[name_of(class_)] = class_
         self._add_module(class_.__module__)
-        if hasattr(class_, "_fields"):
-            self.classes[name_of(class_)] = class_
-            self._add(getattr(class_, "_field_defaults", None))
-            self._add_hints(class_.__annotations__, vars(sys.modules[class_.__module__]))
+        self._add(getattr(class_, "_field_defaults", None))
+        self._add_hints(class_.__annotations__, vars(sys.modules[class_.__module__]))
 
     def _add_named(self, names: Sequence[str], scope: Mapping[str, Any]) -> None:
         for name in names:
             value = scope.get(name)
             self._add(value)
-            if not isinstance(value, _HAS_NO_PARTS):
+            if not isinstance(value, _HAS_NO_PARTS) and not hasattr(value, "_fields"):
                 for inner in names:
                     self._add(getattr(value, inner, None))
 
