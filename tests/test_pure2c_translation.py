@@ -166,6 +166,33 @@ def swapped(a: float, b: float) -> Pair:
     return Pair(a, b)
 
 
+def named_as_in_c(double: float, sin: float) -> float:
+    void, failed_, int = double + 1.0, sin + 2.0, math.sin(sin)
+    min_ = min(double, void, failed_)
+    return min_ + int
+
+
+def of_the_same_name(offset: int) -> Callable[[float], float]:
+    if offset == 1:
+
+        def same(x: float) -> float:
+            return x + 1.0
+
+    else:
+
+        def same(x: float) -> float:
+            return x + 2.0
+
+    return same
+
+
+ONE, TWO = of_the_same_name(1), of_the_same_name(2)
+
+
+def both_of_one_name(x: float) -> float:
+    return ONE(x) * TWO(x)
+
+
 NUMBERS = ((0,), (1,), (5,), (7,), (-1,), (62,), (63,), (64,), (-(1 << 63),))
 SAME: dict[Callable[..., Any], tuple[tuple[Any, ...], ...]] = {
     asserted: ((Pair(1.0, 2.0),), (None,)),
@@ -190,6 +217,8 @@ SAME: dict[Callable[..., Any], tuple[tuple[Any, ...], ...]] = {
     retyped: ((0,), (2,), (3,)),
     fields: ((Pair(1.0, 2.0),), ((1.0, 2.0),), (None,)),
     swapped: ((1.0, 2.0),),
+    named_as_in_c: ((1.0, 2.0), (-3.0, 0.5)),
+    both_of_one_name: ((1.0,), (2.5,)),
 }
 
 

@@ -34,19 +34,6 @@ from pure2c.types import (
 )
 
 _HELPERS = Path(__file__).with_name("helpers.h")
-_RESERVED = {
-    "auto",
-    "case",
-    "char",
-    "const",
-    "default",
-    "int",
-    "long",
-    "register",
-    "short",
-    "signed",
-    "static",
-}
 _BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.BitOr: "|", ast.BitAnd: "&"}
 _WHOLE = {ast.Add: "plus_", ast.Sub: "minus_", ast.Mult: "times_"}  # of integers, which Python lets grow
 _COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
@@ -91,7 +78,9 @@ class Translator:
         if f not in self._functions:
             if not isinstance(f, types.FunctionType):
                 raise TranslationError(f"{f!r} is no plain function")
-            self._functions[f] = name or f"{f.__module__.rpartition('.')[2]}_{f.__name__}"
+            name = name or f"{f.__module__.rpartition('.')[2]}_{f.__name__}"
+            taken = self._functions.values()
+            self._functions[f] = name if name not in taken else f"{name}_{len(taken)}"
             try:
                 self._parts.append(_Function(self, f).text(self._functions[f]))
             except TranslationError:
@@ -183,9 +172,9 @@ class _Function:
         assert isinstance(tree, ast.FunctionDef)
         body = self._block(tree.body, 1)
         c = self._t.type
-        parameters = ", ".join(f"{c(t)} {_safe(n)}" for n, t in self._parameters.items())
+        parameters = ", ".join(f"{c(t)} {_local(n)}" for n, t in self._parameters.items())
         declared = "".join(
-            f"  {c(t)} {_safe(n)};\n" for n, t in self._locals.items() if n not in self._parameters
+            f"  {c(t)} {_local(n)};\n" for n, t in self._locals.items() if n not in self._parameters
         )
         return f"static {c(self._result)} {name}({parameters}) {{\n{declared}{body}}}\n"
 
@@ -311,7 +300,7 @@ class _Function:
             code = self._fitted(value, known)
         else:
             raise TranslationError(f"{self._f.__name__}: {name} changes its type")
-        return f"{pad}{_safe(name)} = {code};\n"
+        return f"{pad}{_local(name)} = {code};\n"
 
     def _fitted(self, value: Typed, t: Type) -> str:
         """A value where a type is expected that may be None or not."""
@@ -378,7 +367,7 @@ class _Function:
             return Typed(self._t.literal(constant), float if isinstance(constant, float) else int)
         match node:
             case ast.Name(id=name) if name in self._locals:
-                return Typed(_safe(name), self._locals[name])
+                return Typed(_local(name), self._locals[name])
             case ast.Attribute(value=value, attr=attr):
                 whole = self._some(self._expr(value))
                 named = dict(fields_of(whole.type))
@@ -599,5 +588,6 @@ def _is_stored(node: ast.AST) -> TypeGuard[ast.Name]:
     return isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
 
 
-def _safe(name: str) -> str:
-    return f"{name}_" if name in _RESERVED else name
+def _local(name: str) -> str:
+    """A local name in C, where more names are taken."""
+    return f"v_{name}"
