@@ -28,7 +28,7 @@ from pneud.console.client import Client, RefusedError
 from pneud.console.endpoint import PlaceError
 from pneud.loading import load, toml_text
 from pneud.log.files.reader import LogReader
-from pneud.replay.lockstep import Simulation, law_of
+from pneud.replay.lockstep import Simulation, backend_of
 from pneud.safety.faults import BLOCKS_ARM, names
 from pneud.scenario.format import Scenario
 from pneud.signals import Request, RequestKind, State
@@ -134,7 +134,7 @@ def simulated(duration_s: float, seed: int) -> Findings:
         return Request(RequestKind.ARM, (1.0,))
 
     played = Scenario.model_validate(scenario_of(duration_s, seed))
-    run = Simulation(loaded, duration_s, seed, law_of(loaded), scenario=played, operator=operator)
+    run = Simulation(loaded, duration_s, seed, backend_of(loaded), scenario=played, operator=operator)
     held_ns, latched, sizes = 0, 0, []
     rate = loaded.config.loop.rate_hz
     for count, record in enumerate(run.records()):

@@ -13,11 +13,11 @@ from typing import Any, get_type_hints
 
 from hypothesis import strategies as st
 
-from pneud.compiled.build import load_source
 from pneud.log.files.naming import create_log
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import Detail, LogHeader
 from pneud.log.live import packing
+from pneud.rt.folders import cache_folder
 from pneud.signals import (
     REQUEST_VALUES,
     Answer,
@@ -33,11 +33,12 @@ from pneud.signals import (
     Tick,
     Timing,
 )
+from pure2c import load_source
 
 FAULTS = ("sensor_stale", "over_travel", "tracking_error")
 WAYS: dict[str, packing.Pack | None] = {"python": None}  # how records are put into a ring
 if shutil.which("cc") is not None:  # the loop goes without, too
-    WAYS["c"] = load_source(packing.SOURCE).pack
+    WAYS["c"] = load_source(packing.SOURCE, cache=cache_folder("compiled")).pack
 OFFSET_NS = 1_700_000_000_000_000_000
 
 

@@ -26,12 +26,12 @@ from pneud.bench.disturbances import DISTURBANCES, Disturb, cpus_busy
 from pneud.bench.law_cost import Law, LawState, begin, header, law_of, reference, tick
 from pneud.bench.sample import Sample, Series, from_object, process_state, ratio_of_turns
 from pneud.bench.tables import as_object, in_words
-from pneud.compiled.to_c import Translator
-from pneud.compiled.types import TranslationError
 from pneud.config.models import ConfigError
 from pneud.loading import Loaded, load
 from pneud.log.files.reader import read_log
 from pneud.verbs.bench import BenchOptions, Contestant, bench
+from pure2c import TranslationError
+from pure2c.to_c import Translator
 
 MACHINE = {"kernel": "Linux", "cpu_model": "A CPU", "cpus": [0, 1], "hypervisor": "", "load": 0.5}
 SETTING = {"rate_hz": 1000.0, "scheduling": "SCHED_FIFO 80", "bus": "unixcan", "pairs": 2, "turn_s": 1.0}

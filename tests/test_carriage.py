@@ -16,12 +16,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pneud.bus import wire
-from pneud.compiled.build import load_source
+from pneud.rt.folders import cache_folder
 from pneud.signals import Frame
+from pure2c import load_source
 
 CARRIAGES = {"python": wire.CARRIAGE}
 if shutil.which("cc") is not None:  # the loop goes without, too
-    MODULE = load_source(wire.SOURCE)
+    MODULE = load_source(wire.SOURCE, cache=cache_folder("compiled"))
     CARRIAGES["c"] = wire.Carriage(MODULE.receive, MODULE.send)
 WAYS = {name: carriage.receive for name, carriage in CARRIAGES.items()}
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
+import os
 import random
 import shutil
-import stat
 import statistics
 import subprocess
 import sys
-import sysconfig
 import time
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from types import UnionType
 from typing import Any, get_args, get_origin, get_type_hints
@@ -19,26 +19,29 @@ from typing import Any, get_args, get_origin, get_type_hints
 import pytest
 
 from axis_rig import ARM, CLEAR, DISARM, ENCODER, VALVE, Rig, loaded, ready
+from pneud.axis import sensing
 from pneud.axis.cycle import Axis, cycle
-from pneud.compiled import backend as law_module
-from pneud.compiled import build
-from pneud.compiled.backend import FUNCTIONS, INTERPRETED, Law, compiled, law, sample
-from pneud.compiled.build import BuildError, load
-from pneud.compiled.rebinding import rebound
-from pneud.compiled.types import MOST, plain
+from pneud.compiled import backend as backend_module
+from pneud.compiled.backend import FUNCTIONS, INTERPRETED, Backend, backend, compiled, sample
 from pneud.config import conversions
 from pneud.control.plan import COMING_TO_REST, FOLLOWING, GOING, JOINING, NONE, RESTING
-from pneud.control.reference import Septic, at, sine
+from pneud.control.reference import Septic, at, septic, sine
+from pneud.control.step import join
 from pneud.control.tunables import tunables
 from pneud.loading import load as load_axis
 from pneud.replay.lockstep import Simulation
 from pneud.rig import dynamics
 from pneud.rt.folders import cache_folder
 from pneud.safety.supervisor import INITIAL, advance
-from pneud.signals import Frame, RequestKind, State
+from pneud.signals import Frame, Reference, RequestKind, State
+from pure2c import BuildError, Built, compile_functions
+from pure2c.types import plain
+from test_homing import unhomed
 
+PARTS: tuple[Callable[..., Any], ...] = (*FUNCTIONS, sensing.sense, sensing.drive, join, sine, at, advance)
 WHERE_PYTHON_RAISES = (0.0, -0.0, math.inf, -math.inf, math.nan, 1e300, -1e300, 5e-324)
 PARAMETERS = conversions.axis_of(loaded().config, loaded().codecs.command_lsb_v)
+FIRST = (Rig().inbox.measurement(0, 0), None, 1_000_000)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -48,7 +51,13 @@ def _compiler() -> None:
 
 
 def of(function: Callable[..., Any]) -> Callable[..., Any]:
-    return load(FUNCTIONS).functions[FUNCTIONS.index(function)]
+    return parts().functions[PARTS.index(function)]
+
+
+@cache
+def parts() -> Built:
+    """The cycle, and the greater functions that it calls, each by itself."""
+    return compile_functions(PARTS, cache=cache_folder("compiled"))
 
 
 def outcome(function: Callable[..., Any], arguments: list[Any]) -> str:
@@ -72,15 +81,15 @@ def made_up(hint: Any, r: random.Random, wild: float) -> Any:
         return None if r.random() < 0.3 else made_up(get_args(hint)[0], r, wild)
     if get_origin(hint) is tuple:
         inside = get_args(hint)
-        inside = inside[:1] * r.choice((0, 1, 3, MOST + 1)) if Ellipsis in inside else inside
+        inside = inside[:1] * r.choice((0, 1, 3, 9)) if Ellipsis in inside else inside
         return tuple(made_up(inner, r, wild) for inner in inside)
     hints = get_type_hints(hint)
     return hint(*(made_up(hints[name], r, wild) for name in hint._fields))
 
 
-@pytest.mark.parametrize("index", range(len(FUNCTIONS)))
+@pytest.mark.parametrize("index", range(len(PARTS)))
 def test_compiled_functions_return_and_raise_what_the_originals_do(index: int) -> None:
-    function, made = FUNCTIONS[index], load(FUNCTIONS).functions[index]
+    function, made = PARTS[index], parts().functions[index]
     hints = [hint for name, hint in get_type_hints(function).items() if name != "return"]
     r = random.Random(index)
     for i in range(200):
@@ -191,11 +200,11 @@ def test_a_run_may_go_on_in_the_other() -> None:
 
 def test_the_sample_begins_to_track() -> None:
     assert "Supervisor(state=3" in sample(INTERPRETED, PARAMETERS)[-1]
-    assert law("auto", PARAMETERS).name == law("required", PARAMETERS).name == "compiled"
+    assert backend("auto", PARAMETERS).name == backend("required", PARAMETERS).name == "compiled"
 
 
 def test_off_is_python() -> None:
-    assert law("off", PARAMETERS) == INTERPRETED
+    assert backend("off", PARAMETERS) == INTERPRETED
     assert type(INTERPRETED.axis(PARAMETERS)) is Axis
 
 
@@ -208,40 +217,48 @@ def elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 
 def test_a_machine_without_compiler_computes_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "which", lambda _: None)
-    found = law("auto", PARAMETERS)
+    found = backend("auto", PARAMETERS)
     assert (found.axis, found.name) == (Axis, "python")
     assert found.reason == "there is no C compiler: apt install gcc libc6-dev"
     with pytest.raises(BuildError, match="no C compiler"):
-        law("required", PARAMETERS)
-
-
-@pytest.mark.usefixtures("elsewhere")
-def test_what_keeps_it_from_being_built_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    with monkeypatch.context() as m:
-        m.setattr(shutil, "which", lambda _: "/bin/false")
-        assert law("auto", PARAMETERS).reason.endswith("false fails: it gives no reason")
-    with monkeypatch.context() as m:
-        m.setattr(sysconfig, "get_path", lambda _: "/nowhere")
-        assert law("auto", PARAMETERS).reason == "/nowhere has no Python.h: apt install python3-dev"
-    with monkeypatch.context() as m:
-        m.setattr(build, "_PATIENCE_S", 1e-6)
-        assert "takes longer" in law("auto", PARAMETERS).reason
+        backend("required", PARAMETERS)
 
 
 def test_a_cache_that_others_may_write_to_is_not_used(elsewhere: Path) -> None:
     elsewhere.mkdir(parents=True)
     elsewhere.chmod(0o777)
-    assert "others may enter it" in law("auto", PARAMETERS).reason
+    assert "others may enter it" in backend("auto", PARAMETERS).reason
 
 
-def test_a_library_that_does_not_load_is_built_anew(elsewhere: Path) -> None:
-    folder = cache_folder("compiled")
-    assert folder == elsewhere
-    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
-    library = folder / f"{build._key(build.compiler(), build._files())}.so"
-    library.write_bytes(b"")
-    assert law("auto", PARAMETERS).name == "compiled"
-    assert library.stat().st_size
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs to give a folder away")
+def test_root_in_the_home_of_another_user_computes_in_python(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    home = tmp_path / "home"
+    home.mkdir()
+    os.chown(home, 12345, 12345)
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.delenv("CACHE_DIRECTORY", raising=False)
+    assert backend("auto", PARAMETERS).reason == f"{home}: belongs to user 12345, not to 0 or root"
+    assert not list(home.iterdir())
+
+
+def test_without_a_home_it_computes_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", "~nosuchuser")
+    monkeypatch.delenv("CACHE_DIRECTORY", raising=False)
+    assert backend("auto", PARAMETERS).reason.startswith("no place for a cache: ")
+
+
+@pytest.mark.slow
+def test_a_law_that_was_cut_short_is_built_anew(elsewhere: Path) -> None:
+    made = compiled()
+    for library in elsewhere.iterdir():
+        os.truncate(library, 4096)
+    assert made.axis(PARAMETERS).cycle(*FIRST).t_ns == FIRST[2], "and what runs goes on"
+    again = [sys.executable, "-c", "from pneud.compiled.backend import compiled; print(compiled().name)"]
+    assert subprocess.run(again, capture_output=True, text=True, check=True).stdout == "compiled\n"
+    assert all(library.stat().st_size > 4096 for library in elsewhere.iterdir())
 
 
 def test_a_law_that_computes_something_else_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -250,17 +267,16 @@ def test_a_law_that_computes_something_else_is_not_used(monkeypatch: pytest.Monk
         e = tick.estimate
         return state, tick._replace(estimate=e._replace(x3_n=math.nextafter(e.x3_n, math.inf)))
 
-    built = load(FUNCTIONS)
-    built.functions[FUNCTIONS.index(cycle)] = off_by_one_bit
-    monkeypatch.setattr(law_module, "load", lambda _: built)
-    assert law("auto", PARAMETERS).reason == "the compiled law does not compute what Python does"
+    built = Built((off_by_one_bit, dynamics.advance), tuple)
+    monkeypatch.setattr(backend_module, "compile_functions", lambda *_, **__: built)
+    assert backend("auto", PARAMETERS).reason == "the compiled law does not compute what Python does"
 
 
 @pytest.mark.slow
 def test_a_compiled_cycle_takes_less_than_half_the_time() -> None:
     ticks = [record.tick for record in Simulation(loaded(), 1.0, 0, INTERPRETED).records()]
 
-    def seconds(how: Law) -> float:
+    def seconds(how: Backend) -> float:
         axis = how.axis(PARAMETERS)
         begin = time.process_time()
         for tick in ticks:
@@ -280,55 +296,27 @@ def test_what_was_built_is_used_again(elsewhere: Path) -> None:
     assert {path: path.stat().st_mtime_ns for path in elsewhere.iterdir()} == before
 
 
-def innermost(x: float) -> float:
-    return 2.0 * x
-
-
-def middle(x: float) -> float:
-    return innermost(x) + 1.0
-
-
-def outer(x: float) -> float:
-    return middle(x) + innermost(x)
-
-
-def test_a_rebound_function_calls_something_else_at_any_depth_and_the_original_does_not() -> None:
-    for function in (innermost, middle, outer):
-        function.__module__ = "pneud.made_up"
-    copy = rebound(outer, {innermost: lambda _: 100.0})  # type: ignore[arg-type]
-    assert (copy(1.0), outer(1.0)) == (201.0, 5.0)
-
-
-def test_python_is_called_for_requests_and_changes_of_state_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    built, left = load(FUNCTIONS), list[str]()
-    monkeypatch.setattr(law_module, "load", lambda _: built)
-    rig = Rig()
-    rig.axis = compiled().axis(PARAMETERS)
-    for i, original in enumerate(built.originals):
-
-        def counting(*arguments: Any, original: Callable[..., Any] = original) -> Any:
-            left.append(original.__name__)
-            return original(*arguments)
-
-        built.originals[i] = counting
-    seen = set()
+def test_python_is_called_for_requests_and_changes_of_state_only() -> None:
+    left = compile_functions(FUNCTIONS, cache=cache_folder("compiled")).left
+    rig, seen = Rig(), set()
 
     def run(ticks: int, request: int = 0, *values: float) -> None:
         for i in range(ticks):
-            before, plan = rig.axis.state.supervisor.state, rig.axis.state.plan
-            left.clear()
+            was, before = rig.axis.state, left()
             rig.tick(*(request, *values) if i == 0 else (0,))
             now = rig.axis.state
-            if i and (before, plan.phase) == (now.supervisor.state, now.plan.phase):
-                assert not left, (now.supervisor, now.plan.phase)
+            if i and (was.supervisor.state, was.plan.phase) == (now.supervisor.state, now.plan.phase):
+                assert left() == before, (now.supervisor, now.plan.phase)
                 seen.add((now.supervisor.state, now.plan.phase))
 
+    rig.axis = compiled().axis(PARAMETERS)
     run(80)
     run(700, ARM, 1.0)
     run(200, RequestKind.GAINS, *tunables(PARAMETERS.controller), 0.45, 0.03, 3.0)
     assert rig.axis.state.reference is not None
     run(200, RequestKind.GOTO, 0.48)
     run(1500, RequestKind.HOLD)
+    run(200, RequestKind.JOG, 0.03, 1000.0)
     run(100, RequestKind.STOP)
     run(200, DISARM)
     assert {state for state, _ in seen} >= {
@@ -339,3 +327,46 @@ def test_python_is_called_for_requests_and_changes_of_state_only(monkeypatch: py
         State.STOPPING,
     }
     assert {phase for _, phase in seen} >= {NONE, JOINING, FOLLOWING, COMING_TO_REST, GOING, RESTING}
+
+
+def test_c_follows_a_long_profile() -> None:
+    left = compile_functions(FUNCTIONS, cache=cache_folder("compiled")).left
+    rig, other = Rig(), Rig()
+    rig.axis = compiled().axis(PARAMETERS)
+    low = Reference(PARAMETERS.reference.centre_m, 0.0, 0.0, 0.0)
+    high = low._replace(position_m=low.position_m + 1e-3)
+    profile = [septic(0.1, low, high), septic(0.1, high, low)] * 20
+
+    def run(ticks: int, request: int = 0, *values: float) -> None:
+        for i in range(ticks):
+            asked = (request, *values) if i == 0 else (0,)
+            assert repr(rig.tick(*asked)) == repr(other.tick(*asked))
+
+    run(80)
+    for piece in profile:
+        run(1, RequestKind.PIECE, *piece)
+    run(100, ARM, 1.0)
+    run(800, RequestKind.TRACK, 1.0)
+    before = left()
+    run(600)
+    assert left() == before
+    plan = rig.axis.state.plan
+    assert plan.uploaded and plan.phase == FOLLOWING and plan.piece > 1
+    assert rig.axis.freeze() == other.axis.freeze()
+
+
+def test_c_homes() -> None:
+    left = compile_functions(FUNCTIONS, cache=cache_folder("compiled")).left
+    rig, other = unhomed(0.02, speed_m_s=0.05), unhomed(0.02, speed_m_s=0.05)
+    axis = compiled().axis(rig.axis.parameters)
+    axis.thaw(rig.axis.freeze())
+    rig.axis = axis
+    assert repr(rig.tick(RequestKind.HOME)) == repr(other.tick(RequestKind.HOME))
+    before = left()
+    ticks = 0
+    while rig.axis.state.supervisor.state == State.HOMING:
+        assert repr(rig.tick()) == repr(other.tick())
+        ticks += 1
+    assert left()[0] - before[0] == 1, "which is the last"
+    assert rig.axis.state.supervisor.state == State.HOLDING
+    assert ticks > 1000

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -107,10 +108,10 @@ def test_a_folder_that_others_may_write_to_is_not_used(cache: Path, parses: list
 def test_a_home_without_room_keeps_nothing(
     cache: Path, parses: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(*_: object, **__: object) -> int:
+    def full(_: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_text", full)
+    monkeypatch.setattr(os, "fsync", full)
     assert messages(DBC, keep=True) == messages(DBC)
     assert not list(cache.iterdir())
 

@@ -16,6 +16,7 @@ import pytest
 import pneud
 
 ROOT = Path(__file__).parent.parent
+PACKAGES = ("pneud", "pure2c")
 DATA = {"configs": "configs", "hil/scenarios": "scenarios", "systemd": "systemd"}
 
 
@@ -60,13 +61,13 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def own_files() -> set[str]:
     """The files a wheel must hold, by their names in it."""
-    package = {p.relative_to(ROOT / "src") for p in (ROOT / "src" / "pneud").rglob("*")}
+    package = {p.relative_to(ROOT / "src") for name in PACKAGES for p in (ROOT / "src" / name).rglob("*")}
     data = {
         Path("pneud/_data") / packaged / p.relative_to(ROOT / checkout)
         for checkout, packaged in DATA.items()
         for p in (ROOT / checkout).rglob("*")
     }
-    package = {p for p in package if p.suffix in {".py", ".typed"}}
+    package = {p for p in package if p.suffix in {".py", ".typed", ".c", ".h", ".md"}}
     return {str(p) for p in package | {p for p in data if p.suffix and p.name != ".gitkeep"}}
 
 
@@ -75,6 +76,7 @@ def test_wheel_holds_every_module_configuration_database_and_scenario(wheel: Pat
     names = set(zipfile.ZipFile(wheel).namelist())
     assert not own_files() - names
     assert {"pneud/_data/configs/virtual.toml", "pneud/_data/configs/pneud.dbc", "pneud/py.typed"} <= names
+    assert {"pure2c/__init__.py", "pure2c/py.typed", "pure2c/helpers.h", "pure2c/README.md"} <= names
     assert any(name.endswith("/licenses/LICENSE") for name in names)
 
 
@@ -91,15 +93,16 @@ def test_installed_wheel_finds_and_loads_its_own_files_from_any_folder(
     installed: Path, tmp_path: Path
 ) -> None:
     program = """
-import pneud
-from pneud import config, resources
-for name in ("virtual.toml", config.load_config("virtual.toml").bus.dbc):
+import pneud, pure2c
+from pneud import resources
+for name in ("virtual.toml", pneud.load_config("virtual.toml").bus.dbc):
     print(resources.find(name))
 print(resources.scenarios())
 print(pneud.__file__)
+print(pure2c.__file__)
 """
     lines = run([installed / "python", "-c", program], tmp_path).splitlines()
-    assert len(lines) == 4
+    assert len(lines) == 5
     assert all(Path(line).is_relative_to(installed.parent) for line in lines)
     assert all(Path(line).exists() for line in lines)
 

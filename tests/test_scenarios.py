@@ -17,7 +17,7 @@ from pneud.bus.codec import Codecs, load_codecs
 from pneud.bus.wire import CAN_ERR_FLAG
 from pneud.config.models import BusConfig, ConfigError, parse
 from pneud.loading import load, toml_text
-from pneud.replay.lockstep import Simulation, law_of
+from pneud.replay.lockstep import Simulation, backend_of
 from pneud.rig.damage import UNDAMAGED, advance_damaged
 from pneud.rig.dynamics import PlantState, advance, initial_state
 from pneud.safety.faults import FAULT_NAMES, TABLE, Reaction
@@ -401,7 +401,7 @@ def test_a_small_hole_lets_out_what_st_venant_and_wantzel_say() -> None:
 def simulated(name: str, config: str | None = None) -> dict[str, Any]:
     played = load_scenario(name)
     loaded = load(config or played.config, None, played.change)
-    run = Simulation(loaded, played.duration_s, 0, law_of(loaded), scenario=played)
+    run = Simulation(loaded, played.duration_s, 0, backend_of(loaded), scenario=played)
     seen = verdict.Seen()
     for record in run.records():
         if not run.shut:

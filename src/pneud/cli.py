@@ -639,10 +639,10 @@ def _exit(verb: object, *args: object) -> NoReturn:
     """Run a verb and turn what people can do something about into one line and an exit status."""
     from pneud.bus.codec import DatabaseError
     from pneud.bus.link import LinkError
-    from pneud.compiled.build import BuildError
     from pneud.config.models import ConfigError
     from pneud.console.endpoint import PlaceError
     from pneud.log.files.naming import LogError
+    from pure2c import BuildError
 
     assert callable(verb)
     gc.freeze()  # what has been imported stays

@@ -18,11 +18,11 @@ from pneud import crew, resources
 from pneud.bench.disturbances import Disturb, Run
 from pneud.bench.law_cost import header
 from pneud.bench.sample import QUANTITIES, ProcessState, Sample, from_object, process_state
-from pneud.compiled.build import EXACT
 from pneud.loading import Loaded
 from pneud.log.files.reader import read_log
 from pneud.rt import folders
 from pneud.signals import ALL_SOURCES
+from pure2c.build import EXACT
 
 SETTLE_S = 0.6  # of a run of pneud, before its ticks count: first touches, joining the reference
 PATIENCE_S = 30.0

@@ -10,12 +10,12 @@ import math
 import sys
 from typing import NamedTuple
 
-from pneud.compiled.to_c import Translator
 from pneud.config import conversions
 from pneud.control.step import Controller, ControllerState, act, join, observe, start
 from pneud.loading import Loaded, load
 from pneud.safety.output import OutputLimits, emit
 from pneud.signals import Reference
+from pure2c.to_c import Translator
 
 
 class Law(NamedTuple):

@@ -10,13 +10,13 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
 from pneud.rt.folders import cache_folder
+from pure2c.cache import Cache
 
 _KEPT = 32  # databases that stay
 
@@ -60,19 +60,14 @@ def messages(dbc: bytes, *, keep: bool = False) -> list[Message]:
     """
     if not keep:
         return _parsed(dbc)
-    try:
-        file = cache_folder("databases") / f"{_key(dbc)}.json"
-    except (OSError, RuntimeError):  # RuntimeError: no home
-        return _parsed(dbc)
-    with suppress(OSError, ValueError):
-        return _unpacked(file.read_text(encoding="utf-8"))
+    name = f"{_key(dbc)}.json"
+    with suppress(OSError, ValueError), Cache(cache_folder("databases"), keep=_KEPT) as cache:
+        kept = cache.get(name)
+        if kept is not None:
+            return _unpacked(kept)
     found = _parsed(dbc)
-    with suppress(OSError):
-        made = file.with_suffix(f".{os.getpid()}.tmp")
-        made.write_text(_packed(found), encoding="utf-8")
-        made.replace(file)
-        for old in sorted(file.parent.glob("*.json"), key=lambda path: path.stat().st_mtime)[:-_KEPT]:
-            old.unlink(missing_ok=True)
+    with suppress(OSError), Cache(cache_folder("databases"), keep=_KEPT) as cache:
+        cache.put(name, json.dumps(found).encode())
     return found
 
 
@@ -122,16 +117,8 @@ def _key(dbc: bytes) -> str:
     return digest.hexdigest()[:24]
 
 
-def _packed(found: list[Message]) -> str:
-    text = json.dumps(found)
-    return f"{hashlib.sha256(text.encode()).hexdigest()}\n{text}"
-
-
-def _unpacked(packed: str) -> list[Message]:
-    digest, _, text = packed.partition("\n")
-    if digest != hashlib.sha256(text.encode()).hexdigest():
-        raise ValueError("damaged")
+def _unpacked(packed: bytes) -> list[Message]:
     return [
         Message._make((*fields, tuple(Signal._make(signal) for signal in signals)))
-        for *fields, signals in json.loads(text)
+        for *fields, signals in json.loads(packed)
     ]

@@ -1,7 +1,7 @@
 """How an axis is computed: by the functions as they are, or by their compiled versions.
 
-The axis itself stays as it is: the compiled law comes with one whose cycle is compiled. What is rare in a
-tick, such as a request or a way, is left to Python, which calls compiled functions.
+The axis itself stays as it is: the compiled one has a compiled cycle. A tick of which C cannot do all, such
+as one with a request, is done whole by the Python function.
 """
 
 from __future__ import annotations
@@ -10,33 +10,20 @@ import random
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from pneud.axis import sensing
 from pneud.axis.cycle import Axis, AxisParameters, cycle
 from pneud.bus import wire
-from pneud.compiled.build import BuildError, load, load_source
-from pneud.compiled.rebinding import rebound
-from pneud.control.reference import at, sine
-from pneud.control.step import join
 from pneud.log.live import packing
 from pneud.rig import dynamics
-from pneud.safety import supervisor
+from pneud.rt.folders import cache_folder
 from pneud.signals import ALL_SOURCES, EncoderStatus, Measurement, Request, RequestKind, State, ValveState
+from pure2c import BuildError, compile_functions, load_source
 
-FUNCTIONS: tuple[Callable[..., Any], ...] = (
-    cycle,
-    sensing.sense,
-    sensing.drive,
-    join,
-    sine,
-    at,
-    supervisor.advance,
-    dynamics.advance,
-)
+FUNCTIONS: tuple[Callable[..., Any], ...] = (cycle, dynamics.advance)
 SAMPLE_TICKS = 150
 _NOISE_PA = 2e4  # so that the command goes from end to end
 
 
-class Law(NamedTuple):
+class Backend(NamedTuple):
     """How axis and plant are computed, frames carried and records handed over."""
 
     axis: Callable[[AxisParameters], Axis]
@@ -47,11 +34,11 @@ class Law(NamedTuple):
     reason: str = ""  # why it is not the compiled one
 
 
-INTERPRETED = Law(Axis, dynamics.advance, wire.CARRIAGE, None, "python")
+INTERPRETED = Backend(Axis, dynamics.advance, wire.CARRIAGE, None, "python")
 
 
-def law(mode: str, p: AxisParameters) -> Law:
-    """The law in C where that can be had, else in Python.
+def backend(mode: str, p: AxisParameters) -> Backend:
+    """In C where that can be had, else in Python.
 
     Args:
         mode: "off", "auto" or "required".
@@ -73,29 +60,28 @@ def law(mode: str, p: AxisParameters) -> Law:
     return made
 
 
-def compiled() -> Law:
-    """The law in C, built if need be.
+def compiled() -> Backend:
+    """In C, built if need be.
 
     Raises:
         BuildError: it cannot be had.
     """
-    built = load(FUNCTIONS)
-    by = dict(zip(FUNCTIONS, built.functions, strict=True))
-    whole = by.pop(cycle)
-    # a tick of which C cannot do all is done in parts
-    built.originals[FUNCTIONS.index(cycle)] = rebound(cycle, by)  # type: ignore[arg-type]  # it is a plain function
-    axis = type("CompiledAxis", (Axis,), {"_cycle": staticmethod(whole)})
-    frames = load_source(wire.SOURCE)
-    return Law(
-        axis,
-        by[dynamics.advance],
+    try:
+        cache = cache_folder("compiled")
+    except OSError as e:
+        raise BuildError(str(e)) from None
+    whole, advance = compile_functions(FUNCTIONS, cache=cache).functions
+    frames = load_source(wire.SOURCE, cache=cache)
+    return Backend(
+        type("CompiledAxis", (Axis,), {"_cycle": staticmethod(whole)}),
+        advance,
         wire.Carriage(frames.receive, frames.send),
-        load_source(packing.SOURCE).pack,
+        load_source(packing.SOURCE, cache=cache).pack,
         "compiled",
     )
 
 
-def sample(one: Law, p: AxisParameters) -> list[str]:
+def sample(one: Backend, p: AxisParameters) -> list[str]:
     """What an axis makes of a made-up run, to the last digit: every tick, and the state after every tenth.
 
     What differs in a state shows in a tick, or is still there after the tenth. The axis starts, arms, and

@@ -144,6 +144,8 @@ def command(s: Homing, m: Measurement, e: Estimate, p: HomingParameters, c: Cont
     )
     rate -= F0(x1, m.p1_pa, m.p2_pa, k, g) * wanted_m_s
     rate = max(FORCE_RATE * (-p.force_n - force_n), min(FORCE_RATE * (p.force_n - force_n), rate))
-    f1 = F1_fill if rate >= 0.0 else F1_exhaust
-    opening_v = rate / f1(x1, m.p1_pa, m.p2_pa, m.supply_pa, k, g)
+    if rate >= 0.0:
+        opening_v = rate / F1_fill(x1, m.p1_pa, m.p2_pa, m.supply_pa, k, g)
+    else:
+        opening_v = rate / F1_exhaust(x1, m.p1_pa, m.p2_pa, m.supply_pa, k, g)
     return dead_zone_inverse(opening_v, c.valve, 0.0) if c.sliding.invert_dead_zone else opening_v

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pneud.axis.cycle import Axis
 from pneud.bus.link import Link, LinkError, open_link, refuse_if_driven
-from pneud.compiled.backend import Law, law
+from pneud.compiled.backend import Backend, backend
 from pneud.config import conversions
 from pneud.config.models import Config, ConfigError
 from pneud.console import endpoint
@@ -52,7 +52,7 @@ class Ready(NamedTuple):
     options: RunOptions
     loaded: Loaded
     scenario: Scenario | None
-    how: Law
+    how: Backend
     axis: Axis
     link: Link
     socket: endpoint.Place
@@ -84,7 +84,7 @@ def prepared(o: RunOptions) -> Iterator[Ready]:
     scenario, loaded, channel = _named(o)
     config = loaded.config
     p = conversions.axis_of(config, loaded.codecs.command_lsb_v)
-    how = law(config.loop.compiled, p)
+    how = backend(config.loop.compiled, p)
     if how.reason:
         print(f"pneud: the law runs in Python: {how.reason}", file=sys.stderr)
     log_file, descriptor = open_log(o.log, config.name)
@@ -122,7 +122,7 @@ def _named(o: RunOptions) -> tuple[Scenario | None, Loaded, str]:
     return scenario, axis, channel
 
 
-def _join(channel: str, axis: Loaded, how: Law, virtual: bool) -> Link:
+def _join(channel: str, axis: Loaded, how: Backend, virtual: bool) -> Link:
     link = open_link(channel, virtual=virtual, by=how.carriage)
     if channel != "auto":
         own = (axis.codecs.sync.can_id, axis.codecs.valve_command.can_id)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from pneud.axis.cycle import Axis
 from pneud.bus.codec import Codec, Codecs
 from pneud.bus.inbox import Inbox
-from pneud.compiled.backend import law
+from pneud.compiled.backend import backend
 from pneud.config import conversions
 from pneud.config.models import Config
 from pneud.log.files.naming import LogError
@@ -138,7 +138,7 @@ def rebuild(
         BuildError: the configuration requires the compiled law, which cannot be had.
     """
     p = conversions.axis_of(config, codecs.command_lsb_v)
-    axis = law(config.loop.compiled, p).axis(p)
+    axis = backend(config.loop.compiled, p).axis(p)
     turn = Turn(axis, Inbox(codecs, config.bus), codecs)
     command = codecs.valve_command
     period_ns = 1e9 / config.loop.rate_hz

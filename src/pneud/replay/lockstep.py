@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from pneud.bus.inbox import Inbox
-from pneud.compiled.backend import INTERPRETED, Law, law
+from pneud.compiled.backend import INTERPRETED, Backend, backend
 from pneud.config import conversions
 from pneud.loading import SYNC_COUNTERS, Loaded, load
 from pneud.loop.conditions import Conditions
@@ -38,7 +38,7 @@ class Simulation:
         loaded: Loaded,
         duration_s: float,
         seed: int = 0,
-        how: Law = INTERPRETED,
+        how: Backend = INTERPRETED,
         requests: Mapping[int, Request] | None = None,
         scenario: Scenario | None = None,
         operator: Operator | None = None,
@@ -148,14 +148,14 @@ def simulate(config_file: str | Path, duration_s: float = 10.0, seed: int = 0) -
         BuildError: it requires the compiled law, which cannot be had.
     """
     loaded = load(config_file)
-    return Simulation(loaded, duration_s, seed, law_of(loaded)).records()
+    return Simulation(loaded, duration_s, seed, backend_of(loaded)).records()
 
 
-def law_of(loaded: Loaded) -> Law:
+def backend_of(loaded: Loaded) -> Backend:
     """How an axis is to be computed on this machine.
 
     Raises:
         BuildError: the compiled law is required and cannot be had.
     """
     p = conversions.axis_of(loaded.config, loaded.codecs.command_lsb_v)
-    return law(loaded.config.loop.compiled, p)
+    return backend(loaded.config.loop.compiled, p)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from pneud.axis.cycle import AxisState
 from pneud.bus.codec import Codecs
 from pneud.bus.inbox import Inbox, InboxState
-from pneud.compiled.backend import law
+from pneud.compiled.backend import backend
 from pneud.config import conversions
 from pneud.config.models import Config, ConfigError, parse
 from pneud.control.step import Controller
@@ -100,7 +100,7 @@ def replay(
         chosen = at_rate(chosen, log.rate_hz)
     codecs = codecs_of(chosen.bus, log.dbc_name, log.dbc)
     p = conversions.axis_of(chosen, codecs.command_lsb_v)
-    turn = Turn(law(chosen.loop.compiled, p).axis(p), Inbox(codecs, chosen.bus), codecs)
+    turn = Turn(backend(chosen.loop.compiled, p).axis(p), Inbox(codecs, chosen.bus), codecs)
     command = codecs.valve_command
 
     ticks = commands = mismatches = engaged = worst_lsb = 0

@@ -38,15 +38,18 @@ def runtime_folder() -> Path:
 def cache_folder(name: str) -> Path:
     """Where something is kept: in `$CACHE_DIRECTORY`, else `$XDG_CACHE_HOME/pneud`, else `~/.cache/pneud`.
 
+    What lies there is believed and run: it is for `pure2c`, which checks who has a hand in it.
+
     Raises:
-        OSError: it cannot be made, or someone else might write to it.
-        RuntimeError: there is no home.
+        OSError: there is no home.
     """
     given = os.environ.get("CACHE_DIRECTORY", "").split(":")[0]
     home = os.environ.get("XDG_CACHE_HOME", "")
-    base = Path(given) if given else Path(home or "~/.cache").expanduser() / "pneud"
-    base.mkdir(parents=True, exist_ok=True)
-    return private_folder(base / name)  # what lies there is believed and run
+    try:
+        base = Path(given) if given else Path(home or "~/.cache").expanduser() / "pneud"
+    except RuntimeError as e:
+        raise FileNotFoundError(f"no place for a cache: {e}") from None
+    return base / name
 
 
 def private_folder(path: Path) -> Path:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, TypeVar, cast
-
-from pneud.compiled.rebinding import names_of, ours
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -48,11 +46,11 @@ def _compile(function: Any, njit: Callable[[Any], Any], callers: tuple[Any, ...]
     if function.__closure__:
         raise JitError(f"{where} is a closure; only functions of a module can be compiled")
     bound = dict(function.__globals__)
-    for name in names_of(function.__code__):
+    for name in _names_of(function.__code__):
         value = bound.get(name)
-        if isinstance(value, types.FunctionType) and ours(value.__module__):
+        if isinstance(value, types.FunctionType) and _is_ours(value.__module__):
             bound[name] = _compile(value, njit, (*callers, function))
-        elif isinstance(value, types.ModuleType) and ours(value.__name__):
+        elif isinstance(value, types.ModuleType) and _is_ours(value.__name__):
             raise JitError(f"{where} uses module {value.__name__}; import its functions by name instead")
     copy = types.FunctionType(function.__code__, bound, function.__name__, function.__defaults__)
     copy.__kwdefaults__ = function.__kwdefaults__
@@ -60,3 +58,15 @@ def _compile(function: Any, njit: Callable[[Any], Any], callers: tuple[Any, ...]
     copy.__qualname__ = function.__qualname__
     _compiled[function] = njit(copy)
     return _compiled[function]
+
+
+def _is_ours(module: str) -> bool:
+    return module == "pneud" or module.startswith("pneud.")
+
+
+def _names_of(code: types.CodeType) -> Iterator[str]:
+    """All global names and attributes that code may use."""
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _names_of(constant)

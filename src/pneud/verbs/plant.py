@@ -7,7 +7,7 @@ import signal
 import sys
 
 from pneud.bus.link import open_link, refuse_if_driven
-from pneud.compiled.backend import law
+from pneud.compiled.backend import backend
 from pneud.config import conversions
 from pneud.config.models import ConfigError
 from pneud.crew import asked_to_leave
@@ -43,7 +43,7 @@ def plant(config_file: str | None, bus: str, scenario_file: str | None, seed: in
 
     codecs = axis.codecs
     answers = (codecs.encoder.can_id, codecs.pressure.can_id, codecs.valve_status.can_id)
-    how = law(config.loop.compiled, conversions.axis_of(config, codecs.command_lsb_v))
+    how = backend(config.loop.compiled, conversions.axis_of(config, codecs.command_lsb_v))
     rig = Rig(
         conversions.plant_of(config),
         codecs,

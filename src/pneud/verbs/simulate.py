@@ -14,7 +14,7 @@ from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import SNAPSHOT_S, LogHeader
 from pneud.loop.summary import in_words, summarise
 from pneud.loop.tally import Tally
-from pneud.replay.lockstep import Simulation, law_of
+from pneud.replay.lockstep import Simulation, backend_of
 from pneud.safety.faults import FAULT_NAMES
 from pneud.scenario import verdict
 from pneud.scenario.files import load_axis, load_scenario
@@ -60,7 +60,7 @@ def simulate(
     if not 0.0 < duration_s <= 1e6:
         raise ConfigError(f"--duration {duration_s:g}: must lie between 0 and 1,000,000 s")
     loaded = load_axis(config_file, None, scenario)
-    how = law_of(loaded)
+    how = backend_of(loaded)
     run = Simulation(loaded, duration_s, seed, how, scenario=scenario)
     writer, path = None, None
     if output is not None:

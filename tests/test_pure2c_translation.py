@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import math
 import shutil
-import subprocess
-import sysconfig
 from collections.abc import Callable
-from importlib.machinery import ExtensionFileLoader
-from importlib.util import module_from_spec, spec_from_loader
 from typing import Any, NamedTuple
 
 import pytest
 
-from pneud.compiled.build import EXACT
-from pneud.compiled.extension import Extension
-from pneud.compiled.to_c import Translator
-from pneud.compiled.types import MOST, Many, Maybe, TranslationError
+from pure2c import TranslationError, compile_functions
+from pure2c.to_c import Translator
+from pure2c.types import Many, Maybe
 
 TABLE: tuple[float, ...] = (1.5, 2.5)
 
@@ -43,6 +38,9 @@ class Named(NamedTuple):
 
 
 START = Chain(0.0, (Pair(1.0, 2.0), Pair(3.0, 4.0)))
+LOOSE = Chain(1.0, ())
+LONG = Chain(0.0, tuple(Pair(float(i), 0.1 * i) for i in range(1000)))
+WRONG = Chain(0.0, (Pair(1.0, 2.0), Pair(3, 4.0), (5.0, 6.0), None))  # type: ignore[arg-type]
 
 
 # what has to come out the same
@@ -88,6 +86,22 @@ def summed(c: Chain) -> float:
     for link in c.links[:]:
         total += link.b
     return total
+
+
+def walked(c: Chain) -> float:
+    i, total = 0, 0.0
+    while i < len(c.links) - 1 and c.links[i].a < 100.0:
+        total += c.links[i].b
+        i += 1
+    return total
+
+
+def linked(c: Chain, other: Chain) -> Chain:
+    return c._replace(links=other.links if len(other.links) > len(c.links) else START.links)
+
+
+def without_links() -> Chain:
+    return LOOSE
 
 
 def changed(c: Chain, n: int) -> Chain:
@@ -152,6 +166,33 @@ def swapped(a: float, b: float) -> Pair:
     return Pair(a, b)
 
 
+def named_as_in_c(double: float, sin: float) -> float:
+    void, failed_, int = double + 1.0, sin + 2.0, math.sin(sin)
+    min_ = min(double, void, failed_)
+    return min_ + int
+
+
+def of_the_same_name(offset: int) -> Callable[[float], float]:
+    if offset == 1:
+
+        def same(x: float) -> float:
+            return x + 1.0
+
+    else:
+
+        def same(x: float) -> float:
+            return x + 2.0
+
+    return same
+
+
+ONE, TWO = of_the_same_name(1), of_the_same_name(2)
+
+
+def both_of_one_name(x: float) -> float:
+    return ONE(x) * TWO(x)
+
+
 NUMBERS = ((0,), (1,), (5,), (7,), (-1,), (62,), (63,), (64,), (-(1 << 63),))
 SAME: dict[Callable[..., Any], tuple[tuple[Any, ...], ...]] = {
     asserted: ((Pair(1.0, 2.0),), (None,)),
@@ -161,9 +202,12 @@ SAME: dict[Callable[..., Any], tuple[tuple[Any, ...], ...]] = {
     both: ((0, 2), (3, 4)),
     shifted: NUMBERS,
     negated: NUMBERS,
-    first_and_last: ((START,), (Chain(0.0, ()),)),
-    summed: ((START,), (Chain(0.0, ()),), (Chain(0.0, (Pair(1.0, 1.0),) * (MOST + 1)),)),
-    changed: ((START, 0), (START, 1), (START, 2), (START, -1)),
+    first_and_last: ((START,), (LOOSE,), (LONG,), (WRONG,)),
+    summed: ((START,), (LOOSE,), (LONG,), (WRONG,), (Chain(0.0, [Pair(1.0, 2.0)]),)),  # type: ignore[arg-type]
+    walked: ((START,), (LOOSE,), (LONG,), (WRONG,)),
+    linked: ((START, START), (LOOSE, START), (LONG, START), (START, LONG), (LOOSE, LOOSE), (LOOSE, WRONG)),
+    without_links: ((),),
+    changed: ((START, 0), (START, 1), (START, 2), (START, -1), (LONG, 999), (LONG, 1000), (WRONG, 1)),
     started: ((),),
     numbered: NUMBERS,
     numbered_first: NUMBERS,
@@ -173,6 +217,8 @@ SAME: dict[Callable[..., Any], tuple[tuple[Any, ...], ...]] = {
     retyped: ((0,), (2,), (3,)),
     fields: ((Pair(1.0, 2.0),), ((1.0, 2.0),), (None,)),
     swapped: ((1.0, 2.0),),
+    named_as_in_c: ((1.0, 2.0), (-3.0, 0.5)),
+    both_of_one_name: ((1.0,), (2.5,)),
 }
 
 
@@ -259,22 +305,10 @@ def outcome(function: Callable[..., Any], arguments: tuple[Any, ...]) -> str:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> dict[Callable[..., Any], Callable[..., Any]]:
-    compiler = shutil.which("cc")
-    if compiler is None:
+    if shutil.which("cc") is None:
         pytest.skip("there is no C compiler")
-    folder, name = tmp_path_factory.mktemp("made"), "pneud_made"
-    source, library = folder / "made.c", folder / "made.so"
-    source.write_text(Extension(tuple(SAME), name).source)
-    include = sysconfig.get_path("include")
-    subprocess.run(
-        [compiler, *EXACT, "-shared", "-fPIC", "-I", include, "-o", library, source, "-lm"], check=True
-    )
-    spec = spec_from_loader(name, ExtensionFileLoader(name, str(library)))
-    assert spec is not None
-    module = module_from_spec(spec)
-    classes = {f"{__name__}:{c.__name__}": c for c in (Pair, Odd, Chain, Named)}
-    module.bind(list(SAME), tuple(classes[words] for words in module.CLASSES.split()))
-    return {function: getattr(module, f"f{i}") for i, function in enumerate(SAME)}
+    built = compile_functions(tuple(SAME), cache=tmp_path_factory.mktemp("made") / "cache")
+    return dict(zip(SAME, built.functions, strict=True))
 
 
 @pytest.mark.parametrize("function", SAME, ids=lambda f: f.__name__)

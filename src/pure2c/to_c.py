@@ -1,4 +1,4 @@
-"""Pure functions of this package as C that computes the same to the last bit.
+"""Pure functions as C that computes the same to the last bit.
 
 It takes what the law is written in: functions on floats, ints, bools and NamedTuples of them or of None, with
 `math`, `if`, `for`, `while` and tuples. Signatures have types; those of local names follow from their first
@@ -22,8 +22,7 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, TypeGuard, get_type_hints
 
-from pneud.compiled.types import (
-    MOST,
+from pure2c.types import (
     PLAIN,
     Many,
     Maybe,
@@ -35,19 +34,6 @@ from pneud.compiled.types import (
 )
 
 _HELPERS = Path(__file__).with_name("helpers.h")
-_RESERVED = {
-    "auto",
-    "case",
-    "char",
-    "const",
-    "default",
-    "int",
-    "long",
-    "register",
-    "short",
-    "signed",
-    "static",
-}
 _BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.BitOr: "|", ast.BitAnd: "&"}
 _WHOLE = {ast.Add: "plus_", ast.Sub: "minus_", ast.Mult: "times_"}  # of integers, which Python lets grow
 _COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
@@ -92,7 +78,9 @@ class Translator:
         if f not in self._functions:
             if not isinstance(f, types.FunctionType):
                 raise TranslationError(f"{f!r} is no plain function")
-            self._functions[f] = name or f"{f.__module__.rpartition('.')[2]}_{f.__name__}"
+            name = name or f"{f.__module__.rpartition('.')[2]}_{f.__name__}"
+            taken = self._functions.values()
+            self._functions[f] = name if name not in taken else f"{name}_{len(taken)}"
             try:
                 self._parts.append(_Function(self, f).text(self._functions[f]))
             except TranslationError:
@@ -109,8 +97,8 @@ class Translator:
         if t in PLAIN:
             return PLAIN[t]
         if t not in self._structs:
-            if isinstance(t, Many):
-                members = [("long", "count"), (self.type(t.of), f"at[{MOST}]")]
+            if isinstance(t, Many):  # Python's tuple, or a constant of C's own
+                members = [("long", "count"), (PLAIN[object], "tuple"), (f"const {self.type(t.of)}", "*at")]
             else:
                 members = [(self.type(inner), field) for field, inner in fields_of(t)]
             name = t.__name__ if isinstance(t, type) else type(t).__name__
@@ -119,7 +107,17 @@ class Translator:
             self._structs[t] = name
             inside = " ".join(f"{member} {field};" for member, field in members)
             self._parts.append(f"typedef struct {{ {inside} }} {name};\n")
+            if isinstance(t, Many):
+                self._parts.append(f"static {self.type(t.of)} {self.item(t)}({name} x, long i);\n")
         return self._structs[t]
+
+    def item(self, t: Many) -> str:
+        """The C function that gets one of many; whoever knows where they are has to define it."""
+        return f"item_{self.type(t)}"
+
+    def many(self) -> list[Many]:
+        """All types of tuples of records that have occurred."""
+        return [t for t in self._structs if isinstance(t, Many)]
 
     def literal(self, value: Any, t: Type = None) -> str:
         """A value in C, exact to the last bit; a tuple that is no record needs its type.
@@ -129,8 +127,13 @@ class Translator:
         """
         if isinstance(t, Maybe):
             return "{0}" if value is None else f"{{1, {self.literal(value, t.of)}}}"
-        if isinstance(t, Many) and len(value) <= MOST:
-            return f"{{{len(value)}, {{{', '.join(self.literal(v, t.of) for v in value) or 0}}}}}"
+        if isinstance(t, Many) and isinstance(value, tuple):
+            if not value:
+                return "{0}"
+            c, listed = self.type(t.of), ", ".join(self.literal(v, t.of) for v in value)
+            name = f"many_{len(self._parts)}"
+            self._parts.append(f"static const {c} {name}[] = {{{listed}}};\n")
+            return f"{{{len(value)}, 0, {name}}}"
         if isinstance(value, tuple):
             members = fields_of(type(value) if hasattr(value, "_fields") else t)
             if len(members) != len(value):
@@ -169,9 +172,9 @@ class _Function:
         assert isinstance(tree, ast.FunctionDef)
         body = self._block(tree.body, 1)
         c = self._t.type
-        parameters = ", ".join(f"{c(t)} {_safe(n)}" for n, t in self._parameters.items())
+        parameters = ", ".join(f"{c(t)} {_local(n)}" for n, t in self._parameters.items())
         declared = "".join(
-            f"  {c(t)} {_safe(n)};\n" for n, t in self._locals.items() if n not in self._parameters
+            f"  {c(t)} {_local(n)};\n" for n, t in self._locals.items() if n not in self._parameters
         )
         return f"static {c(self._result)} {name}({parameters}) {{\n{declared}{body}}}\n"
 
@@ -249,7 +252,7 @@ class _Function:
             ):
                 whole, less = self._many(value), " - 1" if upper else ""
                 head = f"{pad}for (long {i} = 0; {i} < {whole.code}.count{less} && !failed_; {i}++) {{\n"
-                first = self._set(s.target.id, Typed(f"{whole.code}.at[{i}]", whole.type.of), pad + "  ")
+                first = self._set(s.target.id, self._item(whole, i), pad + "  ")
             case ast.Tuple(elts=elements):
                 values = self._new("values")
                 listed = ", ".join(self._as(e, float) for e in elements)
@@ -265,6 +268,9 @@ class _Function:
         if not isinstance(found.type, Many):
             raise self._fail(node)
         return found
+
+    def _item(self, whole: Typed, place: str) -> Typed:
+        return Typed(f"{self._t.item(whole.type)}({whole.code}, {place})", whole.type.of)
 
     def _assign(self, target: ast.expr, value: ast.expr, pad: str) -> str:
         found = self._expr(value)
@@ -294,7 +300,7 @@ class _Function:
             code = self._fitted(value, known)
         else:
             raise TranslationError(f"{self._f.__name__}: {name} changes its type")
-        return f"{pad}{_safe(name)} = {code};\n"
+        return f"{pad}{_local(name)} = {code};\n"
 
     def _fitted(self, value: Typed, t: Type) -> str:
         """A value where a type is expected that may be None or not."""
@@ -361,7 +367,7 @@ class _Function:
             return Typed(self._t.literal(constant), float if isinstance(constant, float) else int)
         match node:
             case ast.Name(id=name) if name in self._locals:
-                return Typed(_safe(name), self._locals[name])
+                return Typed(_local(name), self._locals[name])
             case ast.Attribute(value=value, attr=attr):
                 whole = self._some(self._expr(value))
                 named = dict(fields_of(whole.type))
@@ -375,8 +381,7 @@ class _Function:
             case ast.Subscript(value=value, slice=key) if isinstance(index := self._constant(key), int):
                 whole = self._expr(value)
                 if isinstance(whole.type, Many):
-                    place = index if index >= 0 else f"{whole.code}.count - {-index}"
-                    return Typed(f"{whole.code}.at[within_({place}, {whole.code}.count)]", whole.type.of)
+                    return self._item(whole, str(index) if index >= 0 else f"{whole.code}.count - {-index}")
                 fields = fields_of(whole.type)
                 if not 0 <= index < len(fields):
                     raise self._fail(node)
@@ -386,7 +391,7 @@ class _Function:
                 whole, at = self._many(value), self._expr(key)
                 if at.type is not int:
                     raise self._fail(node)
-                return Typed(f"{whole.code}.at[within_({at.code}, {whole.code}.count)]", whole.type.of)
+                return self._item(whole, at.code)
             case ast.UnaryOp(op=ast.USub() | ast.UAdd() as op, operand=operand):
                 inner = self._number(operand)
                 if isinstance(op, ast.USub) and inner.type is int:
@@ -583,5 +588,6 @@ def _is_stored(node: ast.AST) -> TypeGuard[ast.Name]:
     return isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
 
 
-def _safe(name: str) -> str:
-    return f"{name}_" if name in _RESERVED else name
+def _local(name: str) -> str:
+    """A local name in C, where more names are taken."""
+    return f"v_{name}"

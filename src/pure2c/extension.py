@@ -1,8 +1,8 @@
-"""C source of an extension module whose functions stand in for pure functions of this package.
+"""C source of an extension module whose functions stand in for pure functions.
 
 They take and return what the originals do, NamedTuples included, so that nothing else has to know of them.
 Whatever the C cannot do exactly as Python does (another type of argument, an integer beyond 64 bits, an
-operation that raises) is left to the original, which is called with the same arguments.
+operation that raises) is left to the original, which is called with the same arguments and does it whole.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ from collections.abc import Callable, Sequence
 from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
 
-from pneud.compiled.to_c import Translator
-from pneud.compiled.types import MOST, PLAIN, Many, Maybe, Type, fields_of, plain
+from pure2c.reach import name_of
+from pure2c.to_c import Translator
+from pure2c.types import PLAIN, Many, Maybe, Type, fields_of, plain
 
 _HEAD = """\
 #define PY_SSIZE_T_CLEAN
@@ -58,12 +59,19 @@ static PyObject *record(PyTypeObject *class, Py_ssize_t count, PyObject *const *
 """
 _TAIL = """\
 static PyObject *bind(PyObject *self, PyObject *args) {{
-  return PyArg_ParseTuple(args, "O!O!", &PyList_Type, &originals_, &PyTuple_Type, &classes_)
+  return PyArg_ParseTuple(args, "O!O!", &PyTuple_Type, &originals_, &PyTuple_Type, &classes_)
              ? (Py_INCREF(originals_), Py_INCREF(classes_), Py_NewRef(Py_None)) : NULL;
+}}
+
+static PyObject *left(PyObject *self, PyObject *none) {{
+  PyObject *members[{count}];
+  for (long i = 0; i < {count}; i++) members[i] = give_long(left_[i]);
+  return record(&PyTuple_Type, {count}, members);
 }}
 
 static PyMethodDef methods[] = {{
   {{"bind", bind, METH_VARARGS, NULL}},
+  {{"left", left, METH_NOARGS, NULL}},
 {methods}  {{NULL, NULL, 0, NULL}},
 }};
 
@@ -86,8 +94,8 @@ class Extension:
     """The module for some functions: `source` is its C.
 
     Once loaded, `f0`, `f1` … are the functions in their order; `CLASSES` names the NamedTuples that they
-    return ("module:name …"). First of all, `bind` has to be given these classes and a list of the originals,
-    which may change.
+    take and return ("module:name …"). First of all, `bind` has to be given the originals and these classes.
+    `left` says how often each function has been left to its original.
     """
 
     def __init__(self, functions: Sequence[Callable[..., Any]], name: str) -> None:
@@ -110,8 +118,12 @@ class Extension:
             f'  {{"f{i}", (PyCFunction)(void (*)(void))call_{i}, METH_FASTCALL | METH_KEYWORDS, NULL}},\n'
             for i in range(len(functions))
         )
-        tail = _TAIL.format(methods=table, name=name, classes=" ".join(self._classes))
-        self.source = "\n".join([self._translator.text(), _HEAD, *self._parts, *wrappers, tail])
+        for t in self._translator.many():
+            self._take(t)
+        count = len(functions)
+        tail = _TAIL.format(methods=table, name=name, classes=" ".join(self._classes), count=count)
+        head = f"{_HEAD}\nstatic long left_[{count}];\n"
+        self.source = "\n".join([self._translator.text(), head, *self._parts, *wrappers, tail])
 
     def _wrapper(self, index: int, f: Callable[..., Any]) -> str:
         hints = get_type_hints(f)
@@ -127,8 +139,8 @@ class Extension:
             "    failed_ = 0;\n"
             f"    {self._translator.type(plain(result))} r = {name}({given});\n"
             f"    if (!failed_) return {self._give(result)}(r);\n"
-            "  }\n"
-            f"  return PyObject_Vectorcall(PyList_GET_ITEM(originals_, {index}), args, n, names);\n}}\n"
+            f"  }}\n  left_[{index}]++;\n"
+            f"  return PyObject_Vectorcall(PyTuple_GET_ITEM(originals_, {index}), args, n, names);\n}}\n"
         )
 
     def _take(self, t: Type) -> str:
@@ -139,12 +151,13 @@ class Extension:
         c = self._translator.type(t)
         self._known.add(name)
         if isinstance(t, Many):
+            take, of = self._take(t.of), self._translator.type(t.of)
             self._parts.append(
-                f"static int {name}(PyObject *o, {c} *x) {{\n  memset(x, 0, sizeof *x);\n"
-                f"  if (!PyTuple_Check(o) || (x->count = PyTuple_GET_SIZE(o)) > {MOST}) return 0;\n"
-                "  for (long i = 0; i < x->count; i++)\n"
-                f"    if (!{self._take(t.of)}(PyTuple_GET_ITEM(o, i), &x->at[i])) return 0;\n"
-                "  return 1;\n}\n"
+                f"static int {name}(PyObject *o, {c} *x) {{\n  if (!PyTuple_CheckExact(o)) return 0;\n"
+                f"  *x = ({c}){{PyTuple_GET_SIZE(o), o, 0}};\n  return 1;\n}}\n\n"
+                f"static {of} {self._translator.item(t)}({c} x, long i) {{\n  {of} found = {{0}};\n"
+                "  i = within_(i, x.count);\n  if (failed_) return found;\n  if (!x.tuple) return x.at[i];\n"
+                f"  failed_ = !{take}(PyTuple_GET_ITEM(x.tuple, i), &found);\n  return found;\n}}\n"
             )
             return name
         if isinstance(t, Maybe):
@@ -187,10 +200,11 @@ class Extension:
         self._known.add(name)
         if isinstance(t, Many):
             self._parts.append(
-                f"static PyObject *{name}({c} x) {{\n  PyObject *members[{MOST}];\n"
-                "  for (long i = 0; i < x.count; i++)"
-                f" members[i] = {self._give(get_args(hint)[0])}(x.at[i]);\n"
-                "  return record(&PyTuple_Type, x.count, members);\n}\n"
+                f"static PyObject *{name}({c} x) {{\n  if (x.tuple) return Py_NewRef(x.tuple);\n"
+                "  PyObject *made = PyTuple_New(x.count);\n  for (long i = 0; made && i < x.count; i++) {\n"
+                f"    PyObject *member = {self._give(get_args(hint)[0])}(x.at[i]);\n"
+                "    if (member) PyTuple_SET_ITEM(made, i, member);\n    else Py_CLEAR(made);\n  }\n"
+                "  return made;\n}\n"
             )
             return name
         if isinstance(t, Maybe):
@@ -225,7 +239,7 @@ class Extension:
         """What a record's class is called in C."""
         if not hasattr(t, "_fields"):
             return "&PyTuple_Type"
-        name = f"{t.__module__}:{t.__name__}"
+        name = name_of(t)
         if name not in self._classes:
             self._classes.append(name)
         return f"(PyTypeObject *)PyTuple_GET_ITEM(classes_, {self._classes.index(name)})"
@@ -240,6 +254,4 @@ def _is_remembered(t: Type) -> bool:
 
 
 def _count_of(t: Type) -> int:
-    if isinstance(t, Many):
-        return MOST * _count_of(t.of)
-    return 1 if t in PLAIN else sum(_count_of(kind) for _, kind in fields_of(t))
+    return 1 if t in PLAIN or isinstance(t, Many) else sum(_count_of(kind) for _, kind in fields_of(t))

@@ -19,18 +19,21 @@ class Maybe:
 
 @dataclass(frozen=True)
 class Many:
-    """The type of a tuple of records, at most `MOST` of them."""
+    """The type of a tuple of records, which stay where they are until one is looked at."""
 
     of: Type
 
 
-MOST = 8
 PLAIN = {float: "double", int: "long", object: "struct _object *"}
 """What is no structure in C."""
 
 
-class TranslationError(Exception):
-    """Something has no counterpart here; the text is one line for a person."""
+class BuildError(Exception):
+    """There is no compiled version; the text is one line for a person."""
+
+
+class TranslationError(BuildError):
+    """Something has no counterpart in C."""
 
 
 class Typed(NamedTuple):

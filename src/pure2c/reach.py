@@ -1,0 +1,112 @@
+"""What the C of some functions depends on: all that their code reaches."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import sys
+import types
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, get_args
+
+_WORD = re.compile(r"\w+")
+_HAS_NO_PARTS = (types.FunctionType, types.NoneType, int, float, str, tuple, dict)
+
+
+class Reach:
+    """A digest over what functions depend on, and the NamedTuples among it.
+
+    That is: the sources of the modules of all functions and NamedTuples that they reach, and the values of
+    the constants that they use, wherever those come from.
+    """
+
+    def __init__(self, functions: Iterable[Callable[..., Any]]) -> None:
+        """Follow the functions to whatever they use.
+
+        Raises:
+            OSError: a source cannot be read.
+        """
+        self.classes: dict[str, type] = {}  # by name, as `name_of` has it
+        self._digest = hashlib.sha256()
+        self._seen: set[Any] = set()
+        for function in functions:
+            self._note("one of them")
+            self._add(function)
+
+    def digest(self) -> bytes:
+        """Another one where anything is different."""
+        return self._digest.digest()
+
+    def _add(self, value: Any) -> None:
+        match value:
+            case types.FunctionType():
+                self._add_function(value)
+            case type():
+                self._add_class(value)
+            case bool() | int() | float() | str() | None:
+                self._note(repr(value))
+            case tuple():
+                self._add(type(value))
+                for part in value:
+                    self._add(part)
+            case dict():
+                for item in value.items():
+                    self._add(item)
+            case _:
+                for inner in get_args(value):  # an alias of a type
+                    self._add(inner)
+
+    def _add_function(self, f: types.FunctionType) -> None:
+        self._note(f"{f.__module__}:{f.__qualname__}")
+        if self._is_known(f):
+            return
+        self._add_module(f.__module__)
+        self._add_named(f.__code__.co_names, f.__globals__)
+        self._add(f.__defaults__)
+        self._add(f.__kwdefaults__)
+        self._add_hints(f.__annotations__, f.__globals__)
+
+    def _add_class(self, class_: type) -> None:
+        if not hasattr(class_, "_fields") or self._is_known(class_):
+            return
+        self.classes[name_of(class_)] = class_
+        self._add_module(class_.__module__)
+        self._add(getattr(class_, "_field_defaults", None))
+        self._add_hints(class_.__annotations__, vars(sys.modules[class_.__module__]))
+
+    def _add_named(self, names: Sequence[str], scope: Mapping[str, Any]) -> None:
+        for name in names:
+            value = scope.get(name)
+            self._add(value)
+            if not isinstance(value, _HAS_NO_PARTS) and not hasattr(value, "_fields"):
+                for inner in names:
+                    self._add(getattr(value, inner, None))
+
+    def _add_hints(self, hints: Mapping[str, Any], scope: Mapping[str, Any]) -> None:
+        for hint in hints.values():
+            text = getattr(hint, "__forward_arg__", hint)
+            if isinstance(text, str):
+                self._add_named(_WORD.findall(text), scope)  # to evaluate it would take much longer
+            else:
+                self._add(hint)
+
+    def _add_module(self, name: str) -> None:
+        if self._is_known(name):
+            return
+        file = getattr(sys.modules.get(name), "__file__", None)
+        if file is not None and file.endswith(".py"):
+            self._digest.update(Path(file).read_bytes())
+
+    def _is_known(self, what: Any) -> bool:
+        known = what in self._seen
+        self._seen.add(what)
+        return known
+
+    def _note(self, text: str) -> None:
+        self._digest.update(f"{text}\n".encode())
+
+
+def name_of(class_: type) -> str:
+    """What a class is called across modules."""
+    return f"{class_.__module__}:{class_.__qualname__}"
