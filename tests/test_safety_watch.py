@@ -10,7 +10,7 @@ import pytest
 
 from pneud.safety import watch as watch_module
 from pneud.safety.checks import Limits
-from pneud.safety.faults import TABLE, F, names
+from pneud.safety.faults import TABLE, F, Fault, names
 from pneud.safety.watch import (
     CHAMBER_PA,
     HORIZON_S,
@@ -411,7 +411,14 @@ def test_the_memory_is_plain_numbers(axis: Axis) -> None:
 # each check by itself: just inside, on and just outside its limit
 
 SEEN = INITIAL.seen._replace(
-    position_m=0.5, x3_n=50.0, p1_pa=3e5, p2_pa=3e5, changed1_m=0.5, changed2_m=0.5, supply_pa=6e5
+    position_m=0.5,
+    x3_n=50.0,
+    velocity_m_s=0.0,
+    p1_pa=3e5,
+    p2_pa=3e5,
+    changed1_m=0.5,
+    changed2_m=0.5,
+    supply_pa=6e5,
 )
 EXACT = LIMITS._replace(
     stuck_travel_m=0.25,
@@ -424,18 +431,15 @@ EXACT = LIMITS._replace(
 )
 
 
-def without(source: Source, m: Measurement) -> Measurement:
-    return m._replace(fresh=int(ALL_SOURCES & ~source))
-
-
 @pytest.mark.parametrize("field", ["changed1_m", "changed2_m"])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_stuck_pressure_is_told_by_the_way_since_it_changed(field: str, sign: float) -> None:
     for way_m, found in ((below(0.25), 0), (0.25, 0), (0.25 + 2.0**-40, 1 << F.PRESSURE_STUCK)):
         changed: dict[str, Any] = {field: 0.5 - sign * way_m}
-        now = SEEN._replace(**changed)
-        assert watch_module.pressure_stuck(now, GOOD, EXACT) == found
-        assert watch_module.pressure_stuck(now, without(Source.PRESSURE, GOOD), EXACT) == 0
+        w = SEEN._replace(**changed)
+        assert watch_module.pressure_stuck(w, GOOD, EXACT) == found
+        moved: dict[str, Any] = {field.replace("changed", "p").replace("_m", "_pa"): above(3e5)}
+        assert watch_module.pressure_stuck(w, GOOD._replace(**moved), EXACT) == 0
 
 
 @pytest.mark.parametrize(("field", "swing"), [("p1_pa", 1_024_000.0), ("p2_pa", 2_048_000.0)])
@@ -449,7 +453,6 @@ def test_a_jump_is_told_by_the_time_since_the_pressures_were_read(
     for change, found in ((most - 0.25, 0), (most, 0), (most + 0.25, 1 << F.PRESSURE_JUMP)):
         changed: dict[str, Any] = {field: 3e5 + sign * change}
         assert watch_module.pressure_jump(w, m._replace(**changed), EXACT) == found
-        assert watch_module.pressure_jump(w, without(Source.PRESSURE, m._replace(**changed)), EXACT) == 0
 
 
 def test_a_falling_supply_is_told_by_where_it_will_be() -> None:
@@ -459,7 +462,6 @@ def test_a_falling_supply_is_told_by_where_it_will_be() -> None:
     for supply, found in ((edge + 1.0, 0), (edge, 0), (edge - 1.0, 1 << F.SUPPLY_FALLING)):
         m = GOOD._replace(supply_pa=supply)
         assert watch_module.supply_falling(SEEN, m, limits) == found
-        assert watch_module.supply_falling(SEEN, without(Source.PRESSURE, m), limits) == 0
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -472,7 +474,6 @@ def test_a_load_that_cannot_have_stopped_is_told_by_speed_and_time(sign: float) 
         assert watch_module.encoder_stuck_in_motion(moved, m, EXACT) == found
         assert watch_module.encoder_stuck_in_motion(moved._replace(still=1), m, EXACT) == 0
         assert watch_module.encoder_stuck_in_motion(moved._replace(still=3), m, EXACT) == found
-        assert watch_module.encoder_stuck_in_motion(moved, without(Source.ENCODER, m), EXACT) == 0
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -502,9 +503,51 @@ def test_a_valve_node_follows_one_of_three_commands(place: int, sign: float) -> 
             assert watch_module.valve_disagrees(w, GOOD, sent[0], before) == found
             m = GOOD._replace(valve_state=int(ValveState.CENTRED))
             assert watch_module.valve_disagrees(w, m, sent[0], before) == 0
-        silent = without(Source.VALVE, GOOD)
+        silent = GOOD._replace(fresh=int(ALL_SOURCES & ~Source.VALVE))
         assert watch_module.valve_disagrees(w, silent, sent[0], False) == 0
         assert watch_module.valve_disagrees(w, silent, sent[0], True) == 1 << F.VALVE_DISAGREES
+
+
+def all_at_once(source: Source) -> tuple[int, int]:
+    """What is found where only one source is read, and all of it is wrong."""
+    w = SEEN._replace(changed2_m=0.0, velocity_m_s=9.0, still=5, command_v=5.0, earlier_v=5.0)
+    m = GOOD._replace(fresh=int(source), t_ns=125 * MS, p1_pa=9e6, supply_pa=1e5, applied_v=0.0)
+    _, lasting, bits = watch_module.look(w, m, STILL, int(State.TRACKING), True, 5.0, 0, False, EXACT)
+    return lasting, bits
+
+
+def test_each_check_is_made_where_its_source_is_read() -> None:
+    assert all_at_once(Source.ENCODER) == (0, 1 << F.ENCODER_STUCK)
+    assert all_at_once(Source.PRESSURE) == (
+        1 << F.SUPPLY_FALLING,
+        1 << F.PRESSURE_STUCK | 1 << F.PRESSURE_JUMP,
+    )
+    assert all_at_once(Source.VALVE) == (1 << F.VALVE_DISAGREES, 0)
+
+
+@pytest.mark.parametrize("row", [row for row in TABLE if LASTING >> row.bit & 1], ids=lambda row: row.name)
+def test_each_condition_lasts_as_long_as_the_table_says(row: Fault) -> None:
+    forever = dict.fromkeys((r.debounce for r in TABLE if LASTING >> r.bit & 1), 1 << 60)
+    limits = LIMITS._replace(**{**forever, row.debounce: 3 * MS})
+    w, bit = INITIAL, 1 << row.bit
+    for t_ns, found in ((MS, 0), (4 * MS - 1, 0), (4 * MS, bit), (9 * MS, bit)):
+        w, lasted = watch_module.remember(w, SEEN, LASTING, t_ns, limits)
+        assert lasted & bit == found
+        assert lasted & ~bit in (0, 1 << F.SEND_BLOCKED, 1 << F.VALVE_DISAGREES)  # which share a time
+    assert set(w.since_ns) == {MS}
+    w, lasted = watch_module.remember(w, SEEN, LASTING & ~bit, 10 * MS, limits)
+    assert (sorted(w.since_ns), lasted & bit) == ([-1, *[MS] * 6], 0)
+    w, lasted = watch_module.remember(w, SEEN, LASTING, 13 * MS - 1, limits)
+    assert (sorted(w.since_ns), lasted & bit) == ([*[MS] * 6, 13 * MS - 1], 0)
+
+
+def test_the_memory_of_positions_can_be_lost() -> None:
+    w = watch_module.forget_position(Watch(INITIAL.since_ns, SEEN))
+    assert w.since_ns == INITIAL.since_ns
+    gone = [name for name, value in w.seen._asdict().items() if math.isnan(value)]
+    assert gone == ["position_m", "changed1_m", "changed2_m"]
+    kept = w.seen._replace(position_m=0.5, changed1_m=0.5, changed2_m=0.5)
+    assert kept == SEEN
 
 
 def test_conditions_that_a_single_number_shows() -> None:

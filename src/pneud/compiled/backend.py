@@ -11,7 +11,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from pneud.axis import sensing
-from pneud.axis.cycle import Axis, AxisParameters, cycle
+from pneud.axis.cycle import Axis, cycle
+from pneud.axis.state import AxisParameters
 from pneud.bus import wire
 from pneud.compiled.build import BuildError, load, load_source
 from pneud.compiled.rebinding import rebound

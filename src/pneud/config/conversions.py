@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pneud.axis.requests import AxisParameters
+from pneud.axis.state import AxisParameters
 from pneud.config.models import BusConfig, Config, FrictionConfig, RealtimeConfig
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.homing import HomingParameters

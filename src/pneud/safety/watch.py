@@ -6,10 +6,10 @@ Their whole memory is one record. A condition of a row with a debounce counts on
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 from pneud.safety.checks import Limits
-from pneud.safety.faults import TABLE, F
+from pneud.safety.faults import F
 from pneud.signals import Estimate, Host, Measurement, Source, State, ValveState
 
 SUPPLY_S = 0.05  # time constant of the slow supply pressure that the new one is compared with
@@ -31,19 +31,19 @@ _SEND_BLOCKED, _OVERLOADED = 1 << F.SEND_BLOCKED, 1 << F.OVERLOADED
 Since = tuple[int, int, int, int, int, int, int]
 """When each lasting condition began [ns], −1 where it does not hold."""
 
-# the conditions found here that have to last, and the field of Limits that says for how long
-LASTING = (
-    _SATURATED_LONG
-    | _SUPPLY_FALLING
-    | _FORCE_DISAGREES
-    | _VALVE_DISAGREES
-    | _ENCODER_STUCK
-    | _SEND_BLOCKED
-    | _OVERLOADED
+# the conditions found here that have to last, in the order in which they are remembered
+_IN_ORDER = (
+    _SATURATED_LONG,
+    _SUPPLY_FALLING,
+    _FORCE_DISAGREES,
+    _VALVE_DISAGREES,
+    _ENCODER_STUCK,
+    _SEND_BLOCKED,
+    _OVERLOADED,
 )
-_TIMES = tuple((1 << row.bit, row.debounce) for row in TABLE if LASTING >> row.bit & 1)
+LASTING = sum(_IN_ORDER)
 _NEVER: Since = (-1, -1, -1, -1, -1, -1, -1)
-_VALVE_PLACE = [bit for bit, _ in _TIMES].index(_VALVE_DISAGREES)
+_VALVE_PLACE = _IN_ORDER.index(_VALVE_DISAGREES)
 
 
 class Seen(NamedTuple):
@@ -91,8 +91,48 @@ def remember(w: Watch, seen: Seen, lasting: int, t_ns: int, p: Limits) -> tuple[
     """
     if not lasting:
         return Watch(_NEVER, seen), 0
-    since, found = _lasted(w.since_ns, lasting, t_ns, p)
-    return Watch(since, seen), found
+    saturated_ns, falling_ns, force_ns, valve_ns, encoder_ns, sending_ns, overload_ns = w.since_ns
+    since = (
+        _since(saturated_ns, lasting & _SATURATED_LONG, t_ns),
+        _since(falling_ns, lasting & _SUPPLY_FALLING, t_ns),
+        _since(force_ns, lasting & _FORCE_DISAGREES, t_ns),
+        _since(valve_ns, lasting & _VALVE_DISAGREES, t_ns),
+        _since(encoder_ns, lasting & _ENCODER_STUCK, t_ns),
+        _since(sending_ns, lasting & _SEND_BLOCKED, t_ns),
+        _since(overload_ns, lasting & _OVERLOADED, t_ns),
+    )
+    return Watch(since, seen), _lasted(since, t_ns, p)
+
+
+def _since(before_ns: int, holds: int, t_ns: int) -> int:
+    """Since when a condition has held, −1 where it does not."""
+    if not holds:
+        return -1
+    return before_ns if before_ns >= 0 else t_ns
+
+
+def _lasted(since: Since, t_ns: int, p: Limits) -> int:
+    """The conditions that have held for as long as the fault table says that they have to."""
+    saturated_ns, falling_ns, force_ns, valve_ns, encoder_ns, sending_ns, overload_ns = since
+    bits = 0
+    for bit, began_ns, least_ns in (
+        (_SATURATED_LONG, saturated_ns, p.saturation_ns),
+        (_SUPPLY_FALLING, falling_ns, p.supply_ns),
+        (_FORCE_DISAGREES, force_ns, p.disagreement_ns),
+        (_VALVE_DISAGREES, valve_ns, p.valve_timeout_ns),
+        (_ENCODER_STUCK, encoder_ns, p.sensor_timeout_ns),
+        (_SEND_BLOCKED, sending_ns, p.valve_timeout_ns),
+        (_OVERLOADED, overload_ns, p.overload_ns),
+    ):
+        if began_ns >= 0 and t_ns - began_ns >= least_ns:
+            bits |= bit
+    return bits
+
+
+def forget_position(w: Watch) -> Watch:
+    """The memory where positions count from somewhere else: nothing has been read yet."""
+    seen = w.seen._replace(position_m=NAN, changed1_m=NAN, changed2_m=NAN)
+    return w._replace(seen=seen)
 
 
 def look(
@@ -123,8 +163,14 @@ def look(
         What has been seen now, bits of conditions that have to last, and bits of the fault table.
     """
     now = seen(w, m, e, engaged, last_v)
-    bits = pressure_stuck(now, m, p) | pressure_jump(w, m, p) | encoder_stuck_in_motion(now, m, p)
-    lasting = supply_falling(w, m, p) | overloaded(m) | send_blocked(m)
+    bits, lasting = 0, overloaded(m) | send_blocked(m)
+    if m.fresh & _PRESSURE:
+        bits |= pressure_jump(w, m, p)
+        lasting |= supply_falling(w, m, p)
+        if engaged:
+            bits |= pressure_stuck(w, m, p)
+    if m.fresh & _ENCODER:
+        bits |= encoder_stuck_in_motion(now, m, p)
     if engaged:
         lasting |= encoder_stuck_under_force(now, e, state, p) | force_disagrees(e, p)
         lasting |= saturated_long(limited) | valve_disagrees(w, m, last_v, disagreeing)
@@ -178,11 +224,10 @@ def _followed(slow_pa: float, supply_pa: float, elapsed_s: float) -> float:
     return slow_pa + above_pa * min(1.0, elapsed_s / SUPPLY_S)
 
 
-def pressure_stuck(now: Seen, m: Measurement, p: Limits) -> int:
-    """A chamber pressure has stood still to the last digit while the load went far."""
-    if m.fresh & _PRESSURE and (
-        abs(m.position_m - now.changed1_m) > p.stuck_travel_m
-        or abs(m.position_m - now.changed2_m) > p.stuck_travel_m
+def pressure_stuck(w: Seen, m: Measurement, p: Limits) -> int:
+    """A chamber pressure stands still to the last digit while the load goes far."""
+    if (m.p1_pa == w.p1_pa and abs(m.position_m - w.changed1_m) > p.stuck_travel_m) or (
+        m.p2_pa == w.p2_pa and abs(m.position_m - w.changed2_m) > p.stuck_travel_m
     ):
         return _PRESSURE_STUCK
     return 0
@@ -190,8 +235,6 @@ def pressure_stuck(now: Seen, m: Measurement, p: Limits) -> int:
 
 def pressure_jump(w: Seen, m: Measurement, p: Limits) -> int:
     """A chamber pressure has changed by more than valve and piston can change it."""
-    if not m.fresh & _PRESSURE:
-        return 0
     elapsed_s = (m.t_ns - w.pressure_ns) * 1e-9
     # wherever it is read, the piston is in the cylinder
     room1_m = p.dead_length_1_m + max(0.0, min(m.position_m, p.stroke_m))
@@ -211,15 +254,13 @@ def _is_jump(change_pa: float, room_m: float, swing_pa_m: float) -> bool:
 
 def supply_falling(w: Seen, m: Measurement, p: Limits) -> int:
     """The supply pressure, as it falls now, will soon be below its limit."""
-    if not m.fresh & _PRESSURE:
-        return 0
     ahead_pa = m.supply_pa + (m.supply_pa - w.supply_pa) * (HORIZON_S / SUPPLY_S)
     return _SUPPLY_FALLING if ahead_pa < p.supply_min_pa else 0
 
 
 def encoder_stuck_in_motion(now: Seen, m: Measurement, p: Limits) -> int:
     """The position stands still to the last digit though no force could have stopped the load on the way."""
-    if not m.fresh & _ENCODER or now.still < STILL_READINGS:
+    if now.still < STILL_READINGS:
         return 0
     elapsed_s = (m.t_ns + m.encoder_offset_ns - now.changed_ns) * 1e-9
     braked_m = 0.5 * p.acceleration_m_s2 * elapsed_s * elapsed_s
@@ -262,17 +303,3 @@ def overloaded(m: Measurement) -> int:
 def send_blocked(m: Measurement) -> int:
     """Frames could not be sent though the interface is up."""
     return _SEND_BLOCKED if m.host & _SEND_FAILED and not m.host & _LINK_DOWN else 0
-
-
-def _lasted(since: Since, lasting: int, t_ns: int, p: Limits) -> tuple[Since, int]:
-    """Since when each condition has held, and those that have done so for as long as they have to."""
-    begun = []
-    bits = 0
-    for (bit, debounce), before_ns in zip(_TIMES, since, strict=True):
-        began_ns = -1
-        if lasting & bit:
-            began_ns = before_ns if before_ns >= 0 else t_ns
-            if t_ns - began_ns >= getattr(p, debounce):
-                bits |= bit
-        begun.append(began_ns)
-    return cast(Since, tuple(begun)), bits
