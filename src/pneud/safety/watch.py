@@ -101,7 +101,7 @@ def remember(w: Watch, seen: Seen, lasting: int, t_ns: int, p: Limits) -> tuple[
         _since(sending_ns, lasting & _SEND_BLOCKED, t_ns),
         _since(overload_ns, lasting & _OVERLOADED, t_ns),
     )
-    return Watch(since, seen), _lasted(since, t_ns, p)
+    return Watch(since, seen), _lasted(since, lasting, t_ns, p)
 
 
 def _since(before_ns: int, holds: int, t_ns: int) -> int:
@@ -111,7 +111,7 @@ def _since(before_ns: int, holds: int, t_ns: int) -> int:
     return before_ns if before_ns >= 0 else t_ns
 
 
-def _lasted(since: Since, t_ns: int, p: Limits) -> int:
+def _lasted(since: Since, lasting: int, t_ns: int, p: Limits) -> int:
     """The conditions that have held for as long as the fault table says that they have to."""
     saturated_ns, falling_ns, force_ns, valve_ns, encoder_ns, sending_ns, overload_ns = since
     bits = 0
@@ -124,7 +124,7 @@ def _lasted(since: Since, t_ns: int, p: Limits) -> int:
         (_SEND_BLOCKED, sending_ns, p.valve_timeout_ns),
         (_OVERLOADED, overload_ns, p.overload_ns),
     ):
-        if began_ns >= 0 and t_ns - began_ns >= least_ns:
+        if lasting & bit and t_ns - began_ns >= least_ns:
             bits |= bit
     return bits
 
