@@ -6,15 +6,13 @@ function, and its whole state is one record.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 from pneud.axis.guidance import NO_REFERENCE, Course, guide, redirect
 from pneud.axis.requests import ARM, BLOCKED, HOME, NOTHING, TAKEN, Asked, ask
-from pneud.axis.sensing import NAN, NO_ESTIMATE, Belief, drive, sense
+from pneud.axis.sensing import NAN, NO_ESTIMATE, Belief, Driven, drive, sense
 from pneud.axis.state import AxisParameters, AxisState, configured, switched_on
 from pneud.control import homing
 from pneud.control.plan import FOLLOWING, IDLE, NONE
-from pneud.control.step import Controller, ControllerState
+from pneud.control.step import Controller
 from pneud.safety import checks
 from pneud.safety.faults import F
 from pneud.safety.output import emit
@@ -25,15 +23,7 @@ from pneud.signals import Command, Estimate, Measurement, Request, RequestKind, 
 __all__ = ["FOLLOWING", "Axis", "AxisParameters", "AxisState"]
 
 SATURATED, NOT_FINITE = 1 << F.SATURATED, 1 << F.NOT_FINITE
-CENTRED_COMMAND = Command(0.0, 0, 0, NAN, NAN, NAN)
-
-
-class Acted(NamedTuple):
-    """What leaves for the valve."""
-
-    controller: ControllerState | None
-    command: Command
-    faults: int  # bits of those found on the way out
+CENTRED_COMMAND = Command(voltage_v=0.0, enable=0, saturated=0, law_v=NAN, s=NAN, ustar=NAN)
 
 
 def cycle(
@@ -72,44 +62,39 @@ def cycle(
             configured(state, p),
             p,
         )
-    law = gains(state, asked)
+    law = state.law
+    if asked.law is not None:
+        law = asked.law
     after = advance(before, course.present | asked.faults, asked.kind, course.at_rest)
-    acted = Acted(course.controller, CENTRED_COMMAND, 0)
+    driven = Driven(course.controller, CENTRED_COMMAND, 0)
     if is_engaged(after.state):
         course = redirect(course, asked, after.state, state, belief, p)
-        acted = act(course, after.state, m, belief.estimate, state.last_v, law, p)
-        if acted.faults:
-            after = trip(after, acted.faults)
-    present = course.present | asked.faults | acted.faults
-    if acted.command.saturated:
+        driven = actuate(course, after.state, m, belief.estimate, state.last_v, law, p)
+        if driven.faults:
+            after = trip(after, driven.faults)
+    present = course.present | asked.faults | driven.faults
+    if driven.command.saturated:
         present |= SATURATED
     if present & NOT_FINITE:
-        acted = acted._replace(controller=None)  # it would remember
+        driven = driven._replace(controller=None)  # it would remember
     tick = Tick(
         t_ns=t_ns,
         measurement=m,
         request=request,
         estimate=belief.estimate,
         reference=course.reference,
-        command=acted.command,
+        command=driven.command,
         state=after.state,
         present=present,
         latched=after.latched,
         answer=asked.answer,
     )
-    return put_away(state, t_ns, belief, watch, course, asked, law, after, acted), tick
+    return put_away(state, t_ns, belief, watch, course, asked, law, after, driven), tick
 
 
-def gains(state: AxisState, asked: Asked) -> Controller:
-    """The law with its gains from now on."""
-    if asked.law is not None:
-        return asked.law
-    return state.law
-
-
-def act(
+def actuate(
     course: Course, state: int, m: Measurement, e: Estimate, last_v: float, law: Controller, p: AxisParameters
-) -> Acted:
+) -> Driven:
     """What an engaged axis asks of the valve.
 
     Args:
@@ -126,11 +111,9 @@ def act(
         law_v = homing.command(course.homing, m, e, p.homing, law)
         out = emit(law_v, last_v, dt, p.output)
         command = Command(out.voltage_v, out.enable, out.saturated, law_v, 0.0, 0.0)
-        return Acted(course.controller, command, out.faults)
+        return Driven(course.controller, command, out.faults)
     assert course.controller is not None
-    driven = drive(course.controller, e, course.reference, last_v, dt, law, p.output)
-    command = Command(driven.voltage_v, driven.enable, driven.saturated, driven.law_v, driven.s, driven.ustar)
-    return Acted(driven.controller, command, driven.faults)
+    return drive(course.controller, e, course.reference, last_v, dt, law, p.output)
 
 
 def put_away(
@@ -142,7 +125,7 @@ def put_away(
     asked: Asked,
     law: Controller,
     after: Supervisor,
-    acted: Acted,
+    driven: Driven,
 ) -> AxisState:
     """All that has to be remembered of this tick.
 
@@ -155,7 +138,7 @@ def put_away(
         asked: what becomes of a request.
         law: with its gains from now on.
         after: the state of the state machine.
-        acted: what leaves for the valve.
+        driven: what leaves for the valve.
     """
     plan, profile, reference = course.plan, state.profile, state.reference
     if plan.phase != NONE and not is_engaged(after.state):
@@ -166,15 +149,15 @@ def put_away(
         reference = asked.reference
     return AxisState(
         supervisor=after,
-        controller=acted.controller,
+        controller=driven.controller,
         t_ns=t_ns,
         sampled_ns=belief.sampled_ns,
         read_ns=belief.read_ns,
         started_ns=belief.started_ns,
         plan=plan,
         profile=profile,
-        last_v=acted.command.voltage_v,
-        limited=acted.command.saturated,
+        last_v=driven.command.voltage_v,
+        limited=driven.command.saturated,
         watch=watch,
         law=law,
         zero_m=course.zero_m,

@@ -180,14 +180,11 @@ def _arm(
     if not track:
         return Asked(TAKEN, ARM, resting(e.position_m, now_ns))
     first = sine(0.0, configured)
+    plan = _join(first, here, now_ns, p)
     if p.join_at_once:
-        reachable = abs(first.position_m - e.position_m) <= p.limits.tracking_error_m
-        plan = Plan(FOLLOWING, now_ns, still(first.position_m))
-    else:
-        path = transfer(here, first, p.transfer)
-        reachable = stays(path, p.limits.travel_min_m, p.limits.travel_max_m)
-        plan = Plan(JOINING, now_ns, path)
-    return Asked(TAKEN, TRACK, plan) if reachable else Asked(BLOCKED, faults=1 << F.UNREACHABLE)
+        near = abs(first.position_m - e.position_m) <= p.limits.tracking_error_m
+        plan = Plan(FOLLOWING, now_ns, still(first.position_m)) if near else None
+    return Asked(TAKEN, TRACK, plan) if plan is not None else Asked(BLOCKED, faults=1 << F.UNREACHABLE)
 
 
 def _home(s: Supervisor, present: int, p: AxisParameters) -> Asked:

@@ -14,7 +14,7 @@ from pneud.safety.faults import NO_SENSORS, F
 from pneud.safety.output import OutputLimits, emit
 from pneud.safety.supervisor import is_engaged
 from pneud.safety.watch import Seen, is_disagreeing, look
-from pneud.signals import ALL_SOURCES, Estimate, Measurement, Reference, Source
+from pneud.signals import ALL_SOURCES, Command, Estimate, Measurement, Reference, Source
 
 NAN = float("nan")
 NO_ESTIMATE = Estimate(NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN)
@@ -42,16 +42,11 @@ class Sensed(NamedTuple):
 
 
 class Driven(NamedTuple):
-    """What a reference comes to."""
+    """What leaves for the valve."""
 
-    controller: ControllerState
-    law_v: float  # what the law asks for
-    s: float
-    ustar: float
-    voltage_v: float
-    enable: int
-    saturated: int
-    faults: int
+    controller: ControllerState | None
+    command: Command
+    faults: int  # bits of those found on the way out
 
 
 def sense(state: AxisState, m: Measurement, arming: bool, t_ns: int, p: AxisParameters) -> Sensed:
@@ -170,6 +165,5 @@ def drive(
     """
     controller, answer = act(controller, e, r, law)
     out = emit(answer.u_v, last_v, dt, output)
-    return Driven(
-        controller, answer.u_v, answer.s, answer.ustar, out.voltage_v, out.enable, out.saturated, out.faults
-    )
+    command = Command(out.voltage_v, out.enable, out.saturated, answer.u_v, answer.s, answer.ustar)
+    return Driven(controller, command, out.faults)

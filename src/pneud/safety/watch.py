@@ -71,7 +71,24 @@ class Watch(NamedTuple):
     seen: Seen
 
 
-INITIAL = Watch(_NEVER, Seen(0.0, 0.0, NAN, NAN, NAN, 0, 0, NAN, NAN, 0, NAN, NAN, NAN))
+INITIAL = Watch(
+    _NEVER,
+    Seen(
+        command_v=0.0,
+        earlier_v=0.0,
+        position_m=NAN,
+        x3_n=NAN,
+        velocity_m_s=NAN,
+        changed_ns=0,
+        still=0,
+        p1_pa=NAN,
+        p2_pa=NAN,
+        pressure_ns=0,
+        changed1_m=NAN,
+        changed2_m=NAN,
+        supply_pa=NAN,
+    ),
+)
 
 
 def is_disagreeing(w: Watch) -> bool:
