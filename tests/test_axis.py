@@ -10,6 +10,7 @@ from types import ModuleType
 import pytest
 
 import pneud.axis.cycle
+import pneud.axis.guidance
 import pneud.axis.sensing
 from axis_rig import ARM, CLEAR, DISARM, ENCODER, PERIOD_NS, PRESSURE, SHUTDOWN, Rig, loaded, ready, tracking
 from pneud.axis.cycle import FOLLOWING, Axis
@@ -201,7 +202,7 @@ def test_shutdown_asked_in_the_tick_of_an_exception_holds(monkeypatch: pytest.Mo
         (pneud.axis.sensing, "act"),
         (pneud.axis.sensing, "emit"),
         (pneud.axis.cycle, "advance"),
-        (pneud.axis.cycle, "follow"),
+        (pneud.axis.guidance, "follow"),
     ],
 )
 def test_an_exception_anywhere_centres_and_the_first_one_is_kept(

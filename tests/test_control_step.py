@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneud.axis.cycle import AxisParameters
+from pneud.axis.state import AxisParameters
 from pneud.config.conversions import axis_of, lead_s, plant_of
 from pneud.config.models import Config, ConfigError, load_config, parse
 from pneud.control.prediction import Spool

@@ -6,7 +6,7 @@ import math
 from itertools import islice
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from axis_rig import loaded
@@ -54,6 +54,7 @@ def test_the_same_frames_make_the_same_records_however_they_come(records: list[R
     assert [repr(take(turn, record, at_once)) for record in records] == [repr(record) for record in records]
 
 
+@settings(deadline=None)
 @given(st.integers(1, 399))
 def test_a_frozen_exchange_goes_on_the_same(records: list[Record], at: int) -> None:
     first, second = fresh(), fresh()

@@ -194,6 +194,27 @@ def both_of_one_name(x: float) -> float:
 
 
 NUMBERS = ((0,), (1,), (5,), (7,), (-1,), (62,), (63,), (64,), (-(1 << 63),))
+
+
+def turned(p: Pair, n: int) -> Pair:
+    """Changes its own record, never the caller's."""
+    while n > 0:
+        p, n = Pair(p.b, p.a + n), n - 1
+    return p
+
+
+def looked_at(p: Pair, q: Pair, c: Chain) -> float:
+    return p.a - 2.0 * q.a + 3.0 * c.T
+
+
+def by_reference(p: Pair, c: Chain) -> tuple[Pair, Pair, float]:
+    q = turned(p, 3)
+    q = turned(q, 1)
+    p, q = turned(q, 2), turned(p, 0)
+    c = c._replace(T=looked_at(q, turned(p, 1), c))
+    return p, q, looked_at(c.links[0], Pair(c.T, 1.0), c)
+
+
 SAME: dict[Callable[..., Any], tuple[tuple[Any, ...], ...]] = {
     asserted: ((Pair(1.0, 2.0),), (None,)),
     of_none: ((Pair(1.0, 2.0),), (None,)),
@@ -219,6 +240,7 @@ SAME: dict[Callable[..., Any], tuple[tuple[Any, ...], ...]] = {
     swapped: ((1.0, 2.0),),
     named_as_in_c: ((1.0, 2.0), (-3.0, 0.5)),
     both_of_one_name: ((1.0,), (2.5,)),
+    by_reference: ((Pair(1.0, 2.0), START), (Pair(-0.0, 0.5), START._replace(T=0.25))),
 }
 
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import pytest
 
 from axis_rig import ARM, CLEAR, DISARM, Rig, loaded, ready
-from pneud.axis.requests import AxisParameters
+from pneud.axis.state import AxisParameters
 from pneud.config import conversions
 from pneud.config.models import parse
 from pneud.log.files.reader import read_log

@@ -8,9 +8,19 @@ from typing import Any
 
 import pytest
 
+from pneud.safety import watch as watch_module
 from pneud.safety.checks import Limits
-from pneud.safety.faults import TABLE, F, names
-from pneud.safety.watch import CHAMBER_PA, HORIZON_S, INITIAL, LASTING, SUPPLY_S, VALVE_V, Watch
+from pneud.safety.faults import TABLE, F, Fault, names
+from pneud.safety.watch import (
+    CHAMBER_PA,
+    HORIZON_S,
+    INITIAL,
+    LASTING,
+    STILL_READINGS,
+    SUPPLY_S,
+    VALVE_V,
+    Watch,
+)
 from pneud.signals import ALL_SOURCES, Estimate, Host, Measurement, Source, State, ValveState
 from test_safety_checks import GOOD, LIMITS, STILL, above, below
 from watching import watch
@@ -396,3 +406,194 @@ def test_the_memory_is_plain_numbers(axis: Axis) -> None:
     flat = [*axis.w.since_ns, *axis.w.seen]
     assert all(type(value) in (int, float) for value in flat)
     assert isinstance(axis.m, Measurement)
+
+
+# each check by itself: just inside, on and just outside its limit
+
+SEEN = INITIAL.seen._replace(
+    position_m=0.5,
+    x3_n=50.0,
+    velocity_m_s=0.0,
+    p1_pa=3e5,
+    p2_pa=3e5,
+    changed1_m=0.5,
+    changed2_m=0.5,
+    supply_pa=6e5,
+)
+EXACT = LIMITS._replace(
+    stuck_travel_m=0.25,
+    dead_length_1_m=0.0,
+    dead_length_2_m=0.0,
+    swing_1_pa_m_s=1_024_000.0,
+    swing_2_pa_m_s=2_048_000.0,
+    acceleration_m_s2=64.0,
+    still_m=0.25,
+)
+
+
+@pytest.mark.parametrize("field", ["changed1_m", "changed2_m"])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_stuck_pressure_is_told_by_the_way_since_it_changed(field: str, sign: float) -> None:
+    for way_m, found in ((below(0.25), 0), (0.25, 0), (0.25 + 2.0**-40, 1 << F.PRESSURE_STUCK)):
+        changed: dict[str, Any] = {field: 0.5 - sign * way_m}
+        w = SEEN._replace(**changed)
+        assert watch_module.pressure_stuck(w, GOOD, EXACT) == found
+        moved: dict[str, Any] = {field.replace("changed", "p").replace("_m", "_pa"): above(3e5)}
+        assert watch_module.pressure_stuck(w, GOOD._replace(**moved), EXACT) == 0
+
+
+@pytest.mark.parametrize(("field", "swing"), [("p1_pa", 1_024_000.0), ("p2_pa", 2_048_000.0)])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_jump_is_told_by_the_time_since_the_pressures_were_read(
+    field: str, swing: float, sign: float
+) -> None:
+    w = SEEN._replace(pressure_ns=7 * MS)
+    m = GOOD._replace(t_ns=9 * MS)
+    most = CHAMBER_PA + swing * (2 * MS * 1e-9) / 0.5
+    for change, found in ((most - 0.25, 0), (most, 0), (most + 0.25, 1 << F.PRESSURE_JUMP)):
+        changed: dict[str, Any] = {field: 3e5 + sign * change}
+        assert watch_module.pressure_jump(w, m._replace(**changed), EXACT) == found
+
+
+def test_a_falling_supply_is_told_by_where_it_will_be() -> None:
+    limits = LIMITS._replace(supply_min_pa=4.5e5)
+    slow = 6e5
+    edge = (4.5e5 + HORIZON_S / SUPPLY_S * slow) / (1.0 + HORIZON_S / SUPPLY_S)  # exact: 5.7e5
+    for supply, found in ((edge + 1.0, 0), (edge, 0), (edge - 1.0, 1 << F.SUPPLY_FALLING)):
+        m = GOOD._replace(supply_pa=supply)
+        assert watch_module.supply_falling(SEEN, m, limits) == found
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_load_that_cannot_have_stopped_is_told_by_speed_and_time(sign: float) -> None:
+    # after 1/8 s: braking takes 1/2 m off the way
+    now = SEEN._replace(still=STILL_READINGS, changed_ns=500 * MS)
+    m = GOOD._replace(t_ns=600 * MS, encoder_offset_ns=25 * MS)
+    for speed, found in ((5.9375, 0), (6.0, 0), (6.0625, 1 << F.ENCODER_STUCK)):
+        moved = now._replace(velocity_m_s=sign * speed)
+        assert watch_module.encoder_stuck_in_motion(moved, m, EXACT) == found
+        assert watch_module.encoder_stuck_in_motion(moved._replace(still=1), m, EXACT) == 0
+        assert watch_module.encoder_stuck_in_motion(moved._replace(still=3), m, EXACT) == found
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_reading_that_stands_under_a_changing_force(sign: float) -> None:
+    for change, found in ((199.0, 0), (200.0, 0), (201.0, 1 << F.ENCODER_STUCK)):
+        e = STILL._replace(x3_n=50.0 + sign * change)
+        tracking, homing = int(State.TRACKING), int(State.HOMING)
+        assert watch_module.encoder_stuck_under_force(SEEN, e, tracking, LIMITS) == found
+        assert watch_module.encoder_stuck_under_force(SEEN, e, homing, LIMITS) == 0
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_force_between_pressures_and_motion(sign: float) -> None:
+    limit = LIMITS.disagreement_n
+    for force, found in ((below(limit), 0), (limit, 0), (above(limit), 1 << F.FORCE_DISAGREES)):
+        assert watch_module.force_disagrees(STILL._replace(force_n=sign * force), LIMITS) == found
+
+
+@pytest.mark.parametrize("place", range(3))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_valve_node_follows_one_of_three_commands(place: int, sign: float) -> None:
+    for near, found in ((below(VALVE_V), 0), (VALVE_V, 0), (above(VALVE_V), 1 << F.VALVE_DISAGREES)):
+        sent = [5.0, 5.0, 5.0]
+        sent[place] = sign * near
+        w = SEEN._replace(command_v=sent[1], earlier_v=sent[2])
+        for before in (False, True):  # once heard, it is what it says
+            assert watch_module.valve_disagrees(w, GOOD, sent[0], before) == found
+            m = GOOD._replace(valve_state=int(ValveState.CENTRED))
+            assert watch_module.valve_disagrees(w, m, sent[0], before) == 0
+        silent = GOOD._replace(fresh=int(ALL_SOURCES & ~Source.VALVE))
+        assert watch_module.valve_disagrees(w, silent, sent[0], False) == 0
+        assert watch_module.valve_disagrees(w, silent, sent[0], True) == 1 << F.VALVE_DISAGREES
+
+
+def all_at_once(source: Source) -> tuple[int, int]:
+    """What is found where only one source is read, and all of it is wrong."""
+    w = SEEN._replace(changed2_m=0.0, velocity_m_s=9.0, still=5, command_v=5.0, earlier_v=5.0)
+    m = GOOD._replace(fresh=int(source), t_ns=125 * MS, p1_pa=9e6, supply_pa=1e5, applied_v=0.0)
+    _, lasting, bits = watch_module.look(w, m, STILL, int(State.TRACKING), True, 5.0, 0, False, EXACT)
+    return lasting, bits
+
+
+def test_each_check_is_made_where_its_source_is_read() -> None:
+    assert all_at_once(Source.ENCODER) == (0, 1 << F.ENCODER_STUCK)
+    assert all_at_once(Source.PRESSURE) == (
+        1 << F.SUPPLY_FALLING,
+        1 << F.PRESSURE_STUCK | 1 << F.PRESSURE_JUMP,
+    )
+    assert all_at_once(Source.VALVE) == (1 << F.VALVE_DISAGREES, 0)
+
+
+@pytest.mark.parametrize("row", [row for row in TABLE if LASTING >> row.bit & 1], ids=lambda row: row.name)
+def test_each_condition_lasts_as_long_as_the_table_says(row: Fault) -> None:
+    forever = dict.fromkeys((r.debounce for r in TABLE if LASTING >> r.bit & 1), 1 << 60)
+    limits = LIMITS._replace(**{**forever, row.debounce: 3 * MS})
+    w, bit = INITIAL, 1 << row.bit
+    for t_ns, found in ((MS, 0), (4 * MS - 1, 0), (4 * MS, bit), (9 * MS, bit)):
+        w, lasted = watch_module.remember(w, SEEN, LASTING, t_ns, limits)
+        assert lasted & bit == found
+        assert lasted & ~bit in (0, 1 << F.SEND_BLOCKED, 1 << F.VALVE_DISAGREES)  # which share a time
+    assert set(w.since_ns) == {MS}
+    w, lasted = watch_module.remember(w, SEEN, LASTING & ~bit, 10 * MS, limits)
+    assert (sorted(w.since_ns), lasted & bit) == ([-1, *[MS] * 6], 0)
+    w, lasted = watch_module.remember(w, SEEN, LASTING, 13 * MS - 1, limits)
+    assert (sorted(w.since_ns), lasted & bit) == ([*[MS] * 6, 13 * MS - 1], 0)
+
+
+def test_the_memory_of_positions_can_be_lost() -> None:
+    w = watch_module.forget_position(Watch(INITIAL.since_ns, SEEN))
+    assert w.since_ns == INITIAL.since_ns
+    gone = [name for name, value in w.seen._asdict().items() if math.isnan(value)]
+    assert gone == ["position_m", "changed1_m", "changed2_m"]
+    kept = w.seen._replace(position_m=0.5, changed1_m=0.5, changed2_m=0.5)
+    assert kept == SEEN
+
+
+def test_conditions_that_a_single_number_shows() -> None:
+    assert [watch_module.saturated_long(n) for n in (0, 1)] == [0, 1 << F.SATURATED_LONG]
+    assert [watch_module.overloaded(GOOD._replace(skipped=n)) for n in (0, 1, 2)] == [
+        0,
+        1 << F.OVERLOADED,
+        1 << F.OVERLOADED,
+    ]
+    failed, down = int(Host.SEND_FAILED), int(Host.LINK_DOWN)
+    assert [watch_module.send_blocked(GOOD._replace(host=n)) for n in (0, failed, down, failed | down)] == [
+        0,
+        1 << F.SEND_BLOCKED,
+        0,
+        0,
+    ]
+
+
+@pytest.mark.parametrize("engaged", [True, False])
+def test_what_is_not_read_stays_as_it_was_seen(engaged: bool) -> None:
+    m = Measurement(10 * MS, 0, 0.7, 4e5, 2e5, 5e5, 1.0, 1, 2, 0, 0, 0, 0, 0, 0, -MS, 0, 0)
+    e = STILL._replace(x3_n=70.0, velocity_m_s=0.3)
+    unread = SEEN._replace(command_v=3.0, earlier_v=2.0)
+    assert watch_module.seen(SEEN._replace(command_v=2.0), m, e, engaged, 3.0) == unread
+    encoder = watch_module.seen(SEEN, m._replace(fresh=int(Source.ENCODER)), e, engaged, 0.0)
+    assert encoder == SEEN._replace(position_m=0.7, x3_n=70.0, velocity_m_s=0.3, changed_ns=9 * MS)
+    pressure = watch_module.seen(SEEN, m._replace(fresh=int(Source.PRESSURE)), e, engaged, 0.0)
+    assert pressure.supply_pa == pytest.approx(6e5 - 1e5 * 0.01 / SUPPLY_S)
+    assert pressure == SEEN._replace(
+        p1_pa=4e5,
+        p2_pa=2e5,
+        pressure_ns=10 * MS,
+        changed1_m=0.7,
+        changed2_m=0.7,
+        supply_pa=pressure.supply_pa,
+    )
+
+
+def test_what_is_read_again_counts_as_still_only_while_the_axis_is_engaged() -> None:
+    w = SEEN._replace(still=4, changed_ns=2 * MS)
+    m = GOOD._replace(t_ns=10 * MS, encoder_offset_ns=-MS)
+    again = watch_module.seen(w, m, STILL, True, 0.0)
+    assert (again.still, again.changed_ns) == (5, 2 * MS)
+    again = watch_module.seen(w, m, STILL, False, 0.0)
+    assert (again.still, again.changed_ns) == (0, 9 * MS)
+    moved = m._replace(position_m=0.6)
+    one, other = (watch_module.seen(w, moved, STILL, engaged, 0.0) for engaged in (True, False))
+    assert (one.changed1_m, one.changed2_m) == (0.5, 0.5)
+    assert (other.changed1_m, other.changed2_m) == (0.6, 0.6)

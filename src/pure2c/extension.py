@@ -132,7 +132,7 @@ class Extension:
         types = [plain(hint) for hint in hints.values()]
         declared = "".join(f"  {self._translator.type(t)} a{i};\n" for i, t in enumerate(types))
         taken = " && ".join(f"{self._take(t)}(args[{i}], &a{i})" for i, t in enumerate(types)) or "1"
-        given = ", ".join(f"a{i}" for i in range(len(types)))
+        given = self._translator.given(f, [f"a{i}" for i in range(len(types))], types)
         return (
             f"static PyObject *call_{index}(PyObject *self, PyObject *const *args, Py_ssize_t n,"
             f" PyObject *names) {{\n{declared}  if (!names && n == {len(types)} && {taken}) {{\n"

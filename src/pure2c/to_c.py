@@ -15,6 +15,7 @@ import ast
 import builtins
 import inspect
 import math
+import re
 import textwrap
 import types
 from collections.abc import Callable, Sequence
@@ -36,6 +37,7 @@ from pure2c.types import (
 _HELPERS = Path(__file__).with_name("helpers.h")
 _BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.BitOr: "|", ast.BitAnd: "&"}
 _WHOLE = {ast.Add: "plus_", ast.Sub: "minus_", ast.Mult: "times_"}  # of integers, which Python lets grow
+_PLACE = re.compile(r"(\w+|\(\*\w+\))(\.\w+)*")  # C that stands for a variable or a part of one
 _COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 _MATH = {
     "atan",
@@ -59,6 +61,7 @@ class Translator:
     def __init__(self) -> None:
         self._structs: dict[Any, str] = {}
         self._functions: dict[Any, str] = {}
+        self._by_value: set[Any] = set()
         self._parts: list[str] = []
 
     def text(self) -> str:
@@ -70,7 +73,8 @@ class Translator:
 
         Args:
             f: the function.
-            name: what to call it in C; else its own name with its module's before it.
+            name: what to call it in C, for a caller in C who gives it records as they are; else it is called
+                by its own name with its module's before it, and gets them by reference.
 
         Raises:
             TranslationError: it does something that is not provided for.
@@ -78,15 +82,27 @@ class Translator:
         if f not in self._functions:
             if not isinstance(f, types.FunctionType):
                 raise TranslationError(f"{f!r} is no plain function")
+            if name:
+                self._by_value.add(f)
+            by_reference = not name
             name = name or f"{f.__module__.rpartition('.')[2]}_{f.__name__}"
             taken = self._functions.values()
             self._functions[f] = name if name not in taken else f"{name}_{len(taken)}"
             try:
-                self._parts.append(_Function(self, f).text(self._functions[f]))
+                self._parts.append(_Function(self, f, by_reference).text(self._functions[f]))
             except TranslationError:
                 del self._functions[f]
                 raise
         return self._functions[f]
+
+    def given(self, f: Callable[..., Any], codes: Sequence[str], types: Sequence[Type]) -> str:
+        """Arguments as a function takes them."""
+        if f in self._by_value:
+            return ", ".join(codes)
+        return ", ".join(
+            code if t in PLAIN else f"&{code}" if _PLACE.fullmatch(code) else f"({self.type(t)}[1]){{{code}}}"
+            for code, t in zip(codes, types, strict=True)
+        )
 
     def constant(self, name: str, value: Any) -> None:
         """Define a constant NamedTuple."""
@@ -155,13 +171,15 @@ class Translator:
 class _Function:
     """One function on its way into C."""
 
-    def __init__(self, translator: Translator, f: types.FunctionType) -> None:
+    def __init__(self, translator: Translator, f: types.FunctionType, by_reference: bool) -> None:
         self._t = translator
         self._f = f
         self._globals = f.__globals__
         hints = get_type_hints(f)
         self._result = plain(hints.pop("return"))
         self._parameters = {name: plain(hint) for name, hint in hints.items()}
+        self._referred = {n for n, t in self._parameters.items() if by_reference and t not in PLAIN}
+        self._places: dict[str, str] = {}  # of what is looked at where the caller has it
         self._locals: dict[str, Type] = dict(self._parameters)
         self._count = 0
         code = f.__code__
@@ -170,11 +188,18 @@ class _Function:
     def text(self, name: str) -> str:
         tree = ast.parse(textwrap.dedent(inspect.getsource(self._f))).body[0]
         assert isinstance(tree, ast.FunctionDef)
+        changed = {n.id for n in ast.walk(tree) if _is_stored(n)}
+        self._places = {n: f"(*at_{n}_)" for n in self._referred - changed}
         body = self._block(tree.body, 1)
         c = self._t.type
-        parameters = ", ".join(f"{c(t)} {_local(n)}" for n, t in self._parameters.items())
+        parameters = ", ".join(
+            f"const {c(t)} *at_{n}_" if n in self._referred else f"{c(t)} {_local(n)}"
+            for n, t in self._parameters.items()
+        )
         declared = "".join(
-            f"  {c(t)} {_local(n)};\n" for n, t in self._locals.items() if n not in self._parameters
+            f"  {c(t)} {_local(n)}{f' = *at_{n}_' if n in self._referred else ''};\n"
+            for n, t in self._locals.items()
+            if n not in self._places and (n in self._referred or n not in self._parameters)
         )
         return f"static {c(self._result)} {name}({parameters}) {{\n{declared}{body}}}\n"
 
@@ -367,7 +392,7 @@ class _Function:
             return Typed(self._t.literal(constant), float if isinstance(constant, float) else int)
         match node:
             case ast.Name(id=name) if name in self._locals:
-                return Typed(_local(name), self._locals[name])
+                return Typed(self._places.get(name, _local(name)), self._locals[name])
             case ast.Attribute(value=value, attr=attr):
                 whole = self._some(self._expr(value))
                 named = dict(fields_of(whole.type))
@@ -544,7 +569,9 @@ class _Function:
                 raise self._fail(node)
         if is_record:
             return Typed(self._struct(called, codes), called)
-        return Typed(f"{self._t.function(called)}({', '.join(codes)})", plain(hints["return"]))
+        made = self._t.function(called)
+        passed = self._t.given(called, codes, [plain(hints[n]) for n in wanted])
+        return Typed(f"{made}({passed})", plain(hints["return"]))
 
     def _replaced(self, whole: Typed, keywords: list[ast.keyword], node: ast.expr) -> Typed:
         """A record with some fields changed."""

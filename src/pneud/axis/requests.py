@@ -10,7 +10,7 @@ from itertools import zip_longest
 from operator import gt, lt
 from typing import NamedTuple
 
-from pneud.control.homing import HomingParameters
+from pneud.axis.state import AxisParameters
 from pneud.control.plan import COMING_TO_REST, FOLLOWING, GOING, JOINING, Plan, halting, resting
 from pneud.control.profile import (
     LONGEST_S,
@@ -40,9 +40,7 @@ from pneud.control.reference import (
 )
 from pneud.control.step import Controller
 from pneud.control.tunables import TUNABLE, is_sound, is_stable, tuned
-from pneud.safety.checks import Limits
 from pneud.safety.faults import BLOCKS_ARM, CENTRES, STOPS, F
-from pneud.safety.output import OutputLimits
 from pneud.safety.supervisor import BLOCKS, Supervisor, is_engaged
 from pneud.signals import Answer, Estimate, Reference, Request, RequestKind, State
 
@@ -79,21 +77,6 @@ COUNTS = {
     GAINS: (len(TUNABLE), len(TUNABLE) + len(Sine._fields)),
     HOME: (0,),
 }
-
-
-class AxisParameters(NamedTuple):
-    """All parameters of an axis."""
-
-    controller: Controller
-    output: OutputLimits
-    limits: Limits
-    reference: Sine
-    transfer: Bounds  # of ways that join a reference
-    motion: Bounds  # of all other ways
-    travel_margin_m: float  # how far from the ends of the travel a way to a position stays
-    homing: HomingParameters
-    stop_centres: bool  # after a stop that was asked for
-    join_at_once: bool  # start on the reference without a transfer
 
 
 def soft_limits(p: AxisParameters) -> tuple[float, float]:
@@ -198,14 +181,11 @@ def _arm(
     if not track:
         return Asked(TAKEN, ARM, resting(e.position_m, now_ns))
     first = sine(0.0, configured)
+    plan = _join(first, here, now_ns, p)
     if p.join_at_once:
-        reachable = abs(first.position_m - e.position_m) <= p.limits.tracking_error_m
-        plan = Plan(FOLLOWING, now_ns, still(first.position_m))
-    else:
-        path = transfer(here, first, p.transfer)
-        reachable = stays(path, p.limits.travel_min_m, p.limits.travel_max_m)
-        plan = Plan(JOINING, now_ns, path)
-    return Asked(TAKEN, TRACK, plan) if reachable else Asked(BLOCKED, faults=1 << F.UNREACHABLE)
+        near = abs(first.position_m - e.position_m) <= p.limits.tracking_error_m
+        plan = Plan(FOLLOWING, now_ns, still(first.position_m)) if near else None
+    return Asked(TAKEN, TRACK, plan) if plan is not None else Asked(BLOCKED, faults=1 << F.UNREACHABLE)
 
 
 def _home(s: Supervisor, present: int, p: AxisParameters) -> Asked:

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from pneud.axis.state import AxisParameters, AxisState
 from pneud.control.step import Controller, ControllerState, act, observe, start
 from pneud.safety import checks
-from pneud.safety.checks import Limits
 from pneud.safety.faults import NO_SENSORS, F
 from pneud.safety.output import OutputLimits, emit
-from pneud.safety.supervisor import Supervisor, is_engaged
-from pneud.safety.watch import Seen, look
-from pneud.signals import ALL_SOURCES, Estimate, Measurement, Reference, Source
+from pneud.safety.supervisor import is_engaged
+from pneud.safety.watch import Seen, is_disagreeing, look
+from pneud.signals import ALL_SOURCES, Command, Estimate, Measurement, Reference, Source
 
 NAN = float("nan")
 NO_ESTIMATE = Estimate(NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN)
@@ -22,10 +22,11 @@ ENCODER, VALVE = int(Source.ENCODER), int(Source.VALVE)
 UNSETTLED, MOVING, ENCODER_JUMP = 1 << F.UNSETTLED, 1 << F.MOVING, 1 << F.ENCODER_JUMP
 
 
-class Instants(NamedTuple):
-    """When what is known of the load was so [ns]."""
+class Belief(NamedTuple):
+    """What is known of the load, and since when [ns]."""
 
-    tick_ns: int  # SYNC of the last tick
+    controller: ControllerState | None  # None as long as not all sensors have spoken
+    estimate: Estimate
     sampled_ns: int  # the instant that the estimate holds for
     read_ns: int  # of the last encoder reading
     started_ns: int  # since when there have been estimates
@@ -34,67 +35,86 @@ class Instants(NamedTuple):
 class Sensed(NamedTuple):
     """What a measurement comes to."""
 
-    controller: ControllerState | None  # None as long as not all sensors have spoken
-    estimate: Estimate
-    instants: Instants
+    belief: Belief
     seen: Seen
     lasting: int  # bits of conditions that have to last
     present: int  # bits of the faults that hold now
 
 
 class Driven(NamedTuple):
-    """What a reference comes to."""
+    """What leaves for the valve."""
 
-    controller: ControllerState
-    law_v: float  # what the law asks for
-    s: float
-    ustar: float
-    voltage_v: float
-    enable: int
-    saturated: int
-    faults: int
+    controller: ControllerState | None
+    command: Command
+    faults: int  # bits of those found on the way out
 
 
-def sense(
-    controller: ControllerState | None,
-    instants: Instants,
-    seen: Seen,
-    disagreeing: bool,
-    before: Supervisor,
-    last_v: float,
-    limited: int,
-    m: Measurement,
-    t_ns: int,
-    arming: bool,
-    law: Controller,
-    limits: Limits,
-) -> Sensed:
+def sense(state: AxisState, m: Measurement, arming: bool, t_ns: int, p: AxisParameters) -> Sensed:
     """Take one measurement in.
 
     Args:
-        controller: after the last tick.
-        instants: of the last tick.
-        seen: what was seen last.
-        disagreeing: the valve node did not follow when last heard of.
-        before: the supervisor after the last tick.
-        last_v: the last command that left [V].
-        limited: 1 where that was less than the law had asked for.
+        state: after the last tick.
         m: the measurement.
-        t_ns: this tick's SYNC.
         arming: a disarmed axis is asked to arm.
-        law: with its present gains.
-        limits: what is compared with.
+        t_ns: this tick's SYNC.
+        p: parameters.
     """
-    h = law.h
+    before, limits, h = state.supervisor, p.limits, state.law.h
     engaged = is_engaged(before.state)
     present = checks.lacking(m, limits)
+    belief = believe(state, m, t_ns, engaged, present, limits.sensor_timeout_ns)
+    estimate = belief.estimate
+    seen, lasting, bits = look(
+        state.watch.seen,
+        m,
+        estimate,
+        before.state,
+        engaged,
+        state.last_v,
+        state.limited,
+        is_disagreeing(state.watch),
+        limits,
+    )
+    present |= checks.measured(m, limits) | bits
+    if belief.controller is not None:
+        present |= checks.believed(estimate, (belief.read_ns - state.read_ns) * 1e-9, limits)
+        if not engaged:
+            present |= checks.unready(estimate, belief.sampled_ns - belief.started_ns, h)
+            astray = abs(estimate.x3_hat_n - estimate.x3_n) > limits.disagreement_n
+            if present & ENCODER_JUMP or (astray and not present & MOVING):
+                # one absurd reading leaves the estimates wrong for long: they begin anew with the next tick
+                belief = belief._replace(controller=None)
+                present |= UNSETTLED
+    elif not present & NO_SENSORS:
+        # sensors that never answer together are not lacking, but there is nothing to arm on
+        present |= UNSETTLED
+    if engaged:
+        present |= checks.engaged(m, estimate, before.state, before.ticks, h, limits)
+    else:
+        present |= checks.disengaged(m, before.ticks, arming)
+    return Sensed(belief, seen, lasting, present)
+
+
+def believe(
+    state: AxisState, m: Measurement, t_ns: int, engaged: bool, lacking: int, timeout_ns: int
+) -> Belief:
+    """What is known of the load with one more measurement.
+
+    Args:
+        state: after the last tick.
+        m: the measurement.
+        t_ns: this tick's SYNC.
+        engaged: the axis was engaged in the last tick.
+        lacking: bits of faults; of sources that have been silent for too long nothing is believed.
+        timeout_ns: nor is, after so long without a tick, what a disengaged axis knew.
+    """
     measured = m.fresh & ENCODER != 0
     # without a reading the offset belongs to an old one
-    sampled_ns = t_ns + m.encoder_offset_ns if measured else instants.sampled_ns + t_ns - instants.tick_ns
-    read_ns, started_ns = instants.read_ns, instants.started_ns
-    elapsed_ns = sampled_ns - instants.sampled_ns
+    sampled_ns = t_ns + m.encoder_offset_ns if measured else state.sampled_ns + t_ns - state.t_ns
+    elapsed_ns = sampled_ns - state.sampled_ns
+    controller, read_ns, started_ns = state.controller, state.read_ns, state.started_ns
     estimate = NO_ESTIMATE
-    if present & NO_SENSORS or (not engaged and elapsed_ns > limits.sensor_timeout_ns):
+    if lacking & NO_SENSORS or (not engaged and elapsed_ns > timeout_ns):
         controller = None
     if controller is not None:
         controller, estimate = observe(
@@ -104,44 +124,17 @@ def sense(
             m.p1_pa,
             m.p2_pa,
             m.supply_pa,
-            m.applied_v if m.fresh & VALVE else last_v,
-            elapsed_ns * 1e-9 if elapsed_ns > 0 else h,
-            law,
+            m.applied_v if m.fresh & VALVE else state.last_v,
+            elapsed_ns * 1e-9 if elapsed_ns > 0 else state.law.h,
+            state.law,
         )
         if measured:
             read_ns = sampled_ns
     elif m.fresh == ALL_SOURCES:
-        controller = start(m.position_m, m.p1_pa, m.p2_pa, m.supply_pa, law)
+        controller = start(m.position_m, m.p1_pa, m.p2_pa, m.supply_pa, state.law)
         estimate = first_estimate(controller)
         read_ns, started_ns = sampled_ns, sampled_ns
-
-    present |= checks.measured(m, limits)
-    seen, lasting, bits = look(seen, m, estimate, before.state, engaged, last_v, limited, disagreeing, limits)
-    present |= bits
-    if controller is not None:
-        present |= checks.believed(estimate, (read_ns - instants.read_ns) * 1e-9, limits)
-        if not engaged:
-            present |= checks.unready(estimate, sampled_ns - started_ns, h)
-            astray = abs(estimate.x3_hat_n - estimate.x3_n) > limits.disagreement_n
-            if present & ENCODER_JUMP or (astray and not present & MOVING):
-                # one absurd reading leaves the estimates wrong for long: they begin anew with the next tick
-                controller = None
-                present |= UNSETTLED
-    elif not present & NO_SENSORS:
-        # sensors that never answer together are not lacking, but there is nothing to arm on
-        present |= UNSETTLED
-    if engaged:
-        present |= checks.engaged(m, estimate, before.state, before.ticks, h, limits)
-    else:
-        present |= checks.disengaged(m, before.ticks, arming)
-    return Sensed(
-        controller,
-        estimate,
-        Instants(t_ns, sampled_ns, read_ns, started_ns),
-        seen,
-        lasting,
-        present,
-    )
+    return Belief(controller, estimate, sampled_ns, read_ns, started_ns)
 
 
 def first_estimate(s: ControllerState) -> Estimate:
@@ -172,6 +165,5 @@ def drive(
     """
     controller, answer = act(controller, e, r, law)
     out = emit(answer.u_v, last_v, dt, output)
-    return Driven(
-        controller, answer.u_v, answer.s, answer.ustar, out.voltage_v, out.enable, out.saturated, out.faults
-    )
+    command = Command(out.voltage_v, out.enable, out.saturated, answer.u_v, answer.s, answer.ustar)
+    return Driven(controller, command, out.faults)

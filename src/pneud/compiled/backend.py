@@ -10,7 +10,8 @@ import random
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from pneud.axis.cycle import Axis, AxisParameters, cycle
+from pneud.axis.cycle import Axis, cycle
+from pneud.axis.state import AxisParameters
 from pneud.bus import wire
 from pneud.log.live import packing
 from pneud.rig import dynamics

@@ -1,38 +1,108 @@
-"""From a configuration to the plain numbers that the loop runs on."""
+"""All that makes plain numbers of a configuration: for the plant, the controller, safety and the axis."""
 
 from __future__ import annotations
 
 import math
 
-from pneud.axis.cycle import AxisParameters
-from pneud.config.models import (
-    BusConfig,
-    Config,
-    RealtimeConfig,
-    cylinder_of,
-    friction_of,
-    gas_of,
-    plant_of,
-    valve_of,
-)
+from pneud.axis.state import AxisParameters
+from pneud.config.models import BusConfig, Config, FrictionConfig, RealtimeConfig
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.homing import HomingParameters
-from pneud.control.homogeneous import feedback
+from pneud.control.homogeneous import Feedback, feedback
 from pneud.control.motion import MotionFilter, kalman, quickened, triple_pole
 from pneud.control.reference import Bounds, Sine
 from pneud.control.sliding import Sliding
 from pneud.control.step import Controller
+from pneud.physics import cylinder as cyl
+from pneud.physics import gas as gas_
+from pneud.physics.friction import Friction
+from pneud.physics.plant import PlantParameters
 from pneud.physics.valve import Valve, spool_transition
 from pneud.safety.checks import Limits
 from pneud.safety.output import OutputLimits
-
-__all__ = ["axis_of", "command_delay_s", "plant_of"]
 
 COMPUTING_S = 80e-6  # from the last sensor frame to the command's place on the wire
 FRAME_BITS, STUFFING = 47, 1.1
 LONGEST_SHARE, LONGEST_S = 2.0, 10.0  # a stroke of homing may take so much longer than at its speed
 LEAST_STILL_M, STILL_STEPS = 5e-5, 10.0  # travel that a reading cannot hide: at least, and in encoder steps
 BLEND_S = 0.1  # in which one set of gains gives way to another
+
+
+def gas_of(c: Config) -> gas_.Gas:
+    """The gas as plain numbers."""
+    g = c.gas
+    return gas_.gas(
+        k=g.heat_capacity_ratio,
+        R=g.gas_constant_j_kg_k,
+        temperature_k=g.temperature_k,
+        atmosphere_pa=g.atmosphere_pa,
+        supply_pa=g.supply_pa,
+    )
+
+
+def cylinder_of(c: Config) -> cyl.Cylinder:
+    """The cylinder as plain numbers."""
+    k = c.cylinder
+    return cyl.cylinder(
+        A1=k.piston_area_1_m2,
+        A2=k.piston_area_2_m2,
+        M=k.moving_mass_kg,
+        stroke_m=k.stroke_m,
+        x_e1=k.dead_length_1_m,
+        x_e2=k.dead_length_2_m,
+        orifice_m2=c.valve.orifice_area_m2,
+        u_max_v=c.valve.u_max_v,
+        g=gas_of(c),
+    )
+
+
+def valve_of(c: Config) -> Valve:
+    """The valve the controller believes in, as plain numbers."""
+    v = c.valve
+    return Valve(v.u_max_v, 2.0 * math.pi * v.bandwidth_hz, v.damping, v.dead_zone_v)
+
+
+def friction_of(f: FrictionConfig) -> Friction:
+    """A friction as plain numbers."""
+    return Friction(
+        coulomb_n=f.coulomb_n,
+        static_n=f.static_n,
+        stribeck_m_s=f.stribeck_speed_m_s,
+        viscous_n_s_m=f.viscous_n_s_m,
+        sigma0_n_m=f.bristle_stiffness_n_m,
+        sigma1_n_s_m=f.bristle_damping_n_s_m,
+    )
+
+
+def plant_of(c: Config) -> PlantParameters:
+    """The true plant as plain numbers."""
+    p = c.plant
+    cylinder = cylinder_of(c)
+    if not p.rod_force:
+        cylinder = cylinder._replace(rod_force_n=0.0)
+    return PlantParameters(
+        gas=gas_of(c),
+        cylinder=cylinder,
+        valve=Valve(
+            c.valve.u_max_v, 2.0 * math.pi * p.valve.bandwidth_hz, p.valve.damping, p.valve.dead_zone_v
+        ),
+        friction=friction_of(p.friction),
+        polytropic_exponent=p.polytropic_exponent or c.gas.heat_capacity_ratio,
+        reverse_flow=p.reverse_flow,
+        step_s=p.step_us * 1e-6,
+        initial_x1=p.initial_x1_m,
+        initial_p2_pa=p.initial_p2_pa,
+        disturbance=("none", "case1", "case2").index(p.disturbance),
+        dac_bits=p.valve.dac_bits,
+        valve_timeout_s=c.bus.valve_timeout_ms * 1e-3,
+        encoder_resolution_m=p.sensors.encoder_resolution_m,
+        pressure_resolution_pa=p.sensors.pressure_resolution_pa,
+        pressure_noise_pa=p.sensors.pressure_noise_pa,
+        encoder_zero_m=p.initial_x1_m - cylinder.x_e1 if c.encoder.kind == "incremental" else 0.0,
+        encoder_referenced=c.encoder.kind == "absolute",
+        bitrate_bit_s=p.bitrate_bit_s,
+        node_delay_s=p.node_delay_us * 1e-6,
+    )
 
 
 def command_delay_s(bus: BusConfig) -> float:
@@ -68,6 +138,86 @@ def motion_of(c: Config) -> MotionFilter:
     return quickened(found, triple_pole(m.push_bandwidth_rad_s, h), m.push_beyond_m)
 
 
+def gains_of(c: Config) -> Feedback:
+    """The gains of the feedback."""
+    return feedback(c.control.k1, c.control.k2, c.control.k3, c.control.alpha)
+
+
+def controller_of(c: Config) -> Controller:
+    """The controller's parameters."""
+    h = 1.0 / c.loop.rate_hz
+    law = c.control
+    valve = valve_of(c)
+    delay_s = min(command_delay_s(c.bus), h)
+    ahead_s = lead_s(delay_s, valve) if law.predict else 0.0
+    cylinder = cylinder_of(c) if law.rod_force else cylinder_of(c)._replace(rod_force_n=0.0)
+    return Controller(
+        h=h,
+        delay_s=delay_s,
+        spool_before=spool_transition(delay_s, valve),
+        lead_s=ahead_s,
+        spool_ahead=spool_transition(0.5 * ahead_s, valve),
+        gas=gas_of(c),
+        cylinder=cylinder._replace(reverse_flow=law.reverse_flow),
+        valve=valve,
+        friction=friction_of(law.friction),
+        motion=motion_of(c),
+        observer=Observer(
+            law.observer.lambda0,
+            law.observer.lambda1,
+            law.observer.gain_n_s2,
+            {"explicit": EXPLICIT, "implicit": IMPLICIT, "matched": MATCHED}[law.observer.discretisation],
+        ),
+        sliding=Sliding(
+            gains=gains_of(c),
+            eta=law.eta_m_s3,
+            implicit=law.discretisation == "implicit",
+            horizon_s=ahead_s,  # feedback any faster would fight its own dead time
+            compensate_d=law.law == "composite",
+            M=c.cylinder.moving_mass_kg,
+            invert_dead_zone=law.compensate_dead_zone,
+            hold_v=law.dead_zone_hold_v,
+        ),
+        use_x3_hat=law.smooth_x3,
+        use_force=law.estimate_force,
+        force_rate_gain=1.0 - math.exp(-law.force_rate_bandwidth_rad_s * h),
+        blend_kept=math.exp(-h / BLEND_S),
+    )
+
+
+def limits_of(c: Config) -> Limits:
+    """What the axis may never exceed, and for how long what may last."""
+    k, limits, bus = c.cylinder, c.limits, c.bus
+    swing_1_pa_m_s, swing_2_pa_m_s = _swings_pa_m_s(c)
+    return Limits(
+        travel_min_m=limits.travel_min_m,
+        travel_max_m=limits.travel_max_m,
+        speed_m_s=limits.speed_m_s,
+        tracking_error_m=limits.tracking_error_m,
+        chamber_min_pa=limits.chamber_min_pa,
+        chamber_max_pa=limits.chamber_max_pa,
+        supply_min_pa=limits.supply_min_pa,
+        supply_max_pa=limits.supply_max_pa,
+        sensor_timeout_ns=round(bus.sensor_timeout_ms * 1e6),
+        valve_timeout_ns=round(bus.valve_timeout_ms * 1e6),
+        deadline_timeout_ns=round(bus.deadline_timeout_ms * 1e6),
+        overload_ns=round(bus.overload_timeout_ms * 1e6),
+        innovation_m=limits.innovation_m,
+        acceleration_m_s2=limits.chamber_max_pa * k.piston_area_1_m2 / k.moving_mass_kg,
+        braking_m_s2=limits.braking_m_s2,
+        disagreement_n=limits.disagreement_n,
+        saturation_ns=round(limits.saturation_s * 1e9),
+        still_m=max(LEAST_STILL_M, STILL_STEPS * c.control.motion.encoder_resolution_m),
+        stuck_force_n=limits.stuck_force_n,
+        stuck_travel_m=limits.stuck_travel_m,
+        stroke_m=k.stroke_m,
+        dead_length_1_m=k.dead_length_1_m,
+        dead_length_2_m=k.dead_length_2_m,
+        swing_1_pa_m_s=swing_1_pa_m_s,
+        swing_2_pa_m_s=swing_2_pa_m_s,
+    )
+
+
 def _swings_pa_m_s(c: Config) -> tuple[float, float]:
     """Fastest change of each chamber's pressure by valve and piston together, times the chamber's length."""
     g, k = gas_of(c), cylinder_of(c)
@@ -77,7 +227,8 @@ def _swings_pa_m_s(c: Config) -> tuple[float, float]:
     return flow / k.A1 + moved, flow / k.A2 + moved
 
 
-def _homing_of(c: Config) -> HomingParameters:
+def homing_of(c: Config) -> HomingParameters:
+    """How the axis finds its zero."""
     h = c.encoder.homing
     rear = h.stop == "rear"
     return HomingParameters(
@@ -106,73 +257,11 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
         c: the configuration.
         command_lsb_v: step of the command on the wire, from the DBC [V].
     """
-    h = 1.0 / c.loop.rate_hz
-    law, limits = c.control, c.limits
-    valve = valve_of(c)
-    delay_s = min(command_delay_s(c.bus), h)
-    ahead_s = lead_s(delay_s, valve) if law.predict else 0.0
-    cylinder = cylinder_of(c) if law.rod_force else cylinder_of(c)._replace(rod_force_n=0.0)
-    controller = Controller(
-        h=h,
-        delay_s=delay_s,
-        spool_before=spool_transition(delay_s, valve),
-        lead_s=ahead_s,
-        spool_ahead=spool_transition(0.5 * ahead_s, valve),
-        gas=gas_of(c),
-        cylinder=cylinder._replace(reverse_flow=law.reverse_flow),
-        valve=valve,
-        friction=friction_of(law.friction),
-        motion=motion_of(c),
-        observer=Observer(
-            law.observer.lambda0,
-            law.observer.lambda1,
-            law.observer.gain_n_s2,
-            {"explicit": EXPLICIT, "implicit": IMPLICIT, "matched": MATCHED}[law.observer.discretisation],
-        ),
-        sliding=Sliding(
-            gains=feedback(law.k1, law.k2, law.k3, law.alpha),
-            eta=law.eta_m_s3,
-            implicit=law.discretisation == "implicit",
-            horizon_s=ahead_s,  # feedback any faster would fight its own dead time
-            compensate_d=law.law == "composite",
-            M=c.cylinder.moving_mass_kg,
-            invert_dead_zone=law.compensate_dead_zone,
-            hold_v=law.dead_zone_hold_v,
-        ),
-        use_x3_hat=law.smooth_x3,
-        use_force=law.estimate_force,
-        force_rate_gain=1.0 - math.exp(-law.force_rate_bandwidth_rad_s * h),
-        blend_kept=math.exp(-h / BLEND_S),
-    )
+    limits = c.limits
     return AxisParameters(
-        controller=controller,
+        controller=controller_of(c),
         output=OutputLimits(c.valve.u_max_v, limits.slew_v_s, command_lsb_v),
-        limits=Limits(
-            limits.travel_min_m,
-            limits.travel_max_m,
-            limits.speed_m_s,
-            limits.tracking_error_m,
-            limits.chamber_min_pa,
-            limits.chamber_max_pa,
-            limits.supply_min_pa,
-            limits.supply_max_pa,
-            round(c.bus.sensor_timeout_ms * 1e6),
-            round(c.bus.valve_timeout_ms * 1e6),
-            round(c.bus.deadline_timeout_ms * 1e6),
-            round(c.bus.overload_timeout_ms * 1e6),
-            limits.innovation_m,
-            limits.chamber_max_pa * c.cylinder.piston_area_1_m2 / c.cylinder.moving_mass_kg,
-            limits.braking_m_s2,
-            limits.disagreement_n,
-            round(limits.saturation_s * 1e9),
-            max(LEAST_STILL_M, STILL_STEPS * c.control.motion.encoder_resolution_m),
-            limits.stuck_force_n,
-            limits.stuck_travel_m,
-            c.cylinder.stroke_m,
-            c.cylinder.dead_length_1_m,
-            c.cylinder.dead_length_2_m,
-            *_swings_pa_m_s(c),
-        ),
+        limits=limits_of(c),
         reference=reference_of(c),
         transfer=Bounds(
             limits.transfer.speed_m_s, limits.transfer.acceleration_m_s2, limits.transfer.jerk_m_s3
@@ -183,7 +272,7 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
             limits.motion.jerk_m_s3,
         ),
         travel_margin_m=limits.motion.margin_m,
-        homing=_homing_of(c),
+        homing=homing_of(c),
         stop_centres=limits.stop_then == "centre",
         join_at_once=c.reference.join == "at_once",
     )

@@ -1,4 +1,4 @@
-"""One axis as a TOML file: what may stand in it, its bounds, and the plain parameters that come of it.
+"""One axis as a TOML file: what may stand in it, and its bounds.
 
 Unknown keys are errors; units are part of the names. Nothing here is read inside the loop.
 """
@@ -16,11 +16,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from pneud import resources
 from pneud.config.places import line_of, meant
-from pneud.physics import cylinder as cyl
-from pneud.physics import gas as gas_
-from pneud.physics.friction import Friction
-from pneud.physics.plant import PlantParameters
-from pneud.physics.valve import Valve
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -487,79 +482,6 @@ class Config(Section):
                     f"bus.{key} = {getattr(self.bus, key):g} is shorter than two ticks ({2 * period_ms:g} ms)"
                 )
         return self
-
-
-def gas_of(c: Config) -> gas_.Gas:
-    """The gas as plain numbers."""
-    g = c.gas
-    return gas_.gas(
-        g.heat_capacity_ratio, g.gas_constant_j_kg_k, g.temperature_k, g.atmosphere_pa, g.supply_pa
-    )
-
-
-def cylinder_of(c: Config) -> cyl.Cylinder:
-    """The cylinder as plain numbers."""
-    k = c.cylinder
-    return cyl.cylinder(
-        k.piston_area_1_m2,
-        k.piston_area_2_m2,
-        k.moving_mass_kg,
-        k.stroke_m,
-        k.dead_length_1_m,
-        k.dead_length_2_m,
-        c.valve.orifice_area_m2,
-        c.valve.u_max_v,
-        gas_of(c),
-    )
-
-
-def valve_of(c: Config) -> Valve:
-    """The valve the controller believes in, as plain numbers."""
-    v = c.valve
-    return Valve(v.u_max_v, 2.0 * math.pi * v.bandwidth_hz, v.damping, v.dead_zone_v)
-
-
-def friction_of(f: FrictionConfig) -> Friction:
-    """A friction as plain numbers."""
-    return Friction(
-        f.coulomb_n,
-        f.static_n,
-        f.stribeck_speed_m_s,
-        f.viscous_n_s_m,
-        f.bristle_stiffness_n_m,
-        f.bristle_damping_n_s_m,
-    )
-
-
-def plant_of(c: Config) -> PlantParameters:
-    """The true plant as plain numbers."""
-    p = c.plant
-    cylinder = cylinder_of(c)
-    if not p.rod_force:
-        cylinder = cylinder._replace(rod_force_n=0.0)
-    return PlantParameters(
-        gas=gas_of(c),
-        cylinder=cylinder,
-        valve=Valve(
-            c.valve.u_max_v, 2.0 * math.pi * p.valve.bandwidth_hz, p.valve.damping, p.valve.dead_zone_v
-        ),
-        friction=friction_of(p.friction),
-        polytropic_exponent=p.polytropic_exponent or c.gas.heat_capacity_ratio,
-        reverse_flow=p.reverse_flow,
-        step_s=p.step_us * 1e-6,
-        initial_x1=p.initial_x1_m,
-        initial_p2_pa=p.initial_p2_pa,
-        disturbance=("none", "case1", "case2").index(p.disturbance),
-        dac_bits=p.valve.dac_bits,
-        valve_timeout_s=c.bus.valve_timeout_ms * 1e-3,
-        encoder_resolution_m=p.sensors.encoder_resolution_m,
-        pressure_resolution_pa=p.sensors.pressure_resolution_pa,
-        pressure_noise_pa=p.sensors.pressure_noise_pa,
-        encoder_zero_m=p.initial_x1_m - cylinder.x_e1 if c.encoder.kind == "incremental" else 0.0,
-        encoder_referenced=c.encoder.kind == "absolute",
-        bitrate_bit_s=p.bitrate_bit_s,
-        node_delay_s=p.node_delay_us * 1e-6,
-    )
 
 
 def parse(text: str, name: str) -> Config:

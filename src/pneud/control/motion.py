@@ -56,15 +56,11 @@ def quickened(p: MotionFilter, fast: MotionFilter, noise_m: float) -> MotionFilt
         fast: for what lies beyond.
         noise_m: the bound, counted from the edge of the blind band [m].
     """
-    return MotionFilter(
-        p.alpha,
-        p.beta,
-        p.gamma,
-        p.blind_m,
-        noise_m,
-        fast.alpha - p.alpha,
-        fast.beta - p.beta,
-        fast.gamma - p.gamma,
+    return p._replace(
+        noise_m=noise_m,
+        more_alpha=fast.alpha - p.alpha,
+        more_beta=fast.beta - p.beta,
+        more_gamma=fast.gamma - p.gamma,
     )
 
 

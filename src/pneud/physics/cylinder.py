@@ -42,7 +42,15 @@ def cylinder(
     half = 0.5 * g.supply_pa
     per_length = signed_flow(g.supply_pa, half, g) + signed_flow(half, g.atmosphere_pa, g)
     return Cylinder(
-        A1, A2, M, stroke_m, x_e1, length, c1, c1 * per_length / (0.5 * length), g.atmosphere_pa * (A1 - A2)
+        A1=A1,
+        A2=A2,
+        M=M,
+        stroke_m=stroke_m,
+        x_e1=x_e1,
+        L=length,
+        c1=c1,
+        F1_nominal=c1 * per_length / (0.5 * length),
+        rod_force_n=g.atmosphere_pa * (A1 - A2),
     )
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from pneud.config.conversions import command_delay_s, lead_s
-from pneud.config.models import Config, FrictionConfig, cylinder_of, gas_of, valve_of
+from pneud.config.conversions import command_delay_s, cylinder_of, gains_of, gas_of, lead_s, valve_of
+from pneud.config.models import Config, FrictionConfig
 from pneud.control.homogeneous import Feedback, feedback
 from pneud.control.tunables import MOST_H_OMEGA, bandwidth, delay_margin, is_hurwitz
 from pneud.physics.cylinder import F0
@@ -117,11 +117,6 @@ def acceleration_noise(c: Config) -> float:
     s, k = c.plant.sensors, c.cylinder
     each_pa = math.sqrt(s.pressure_noise_pa**2 + s.pressure_resolution_pa**2 / 12.0)
     return each_pa * math.hypot(k.piston_area_1_m2, k.piston_area_2_m2) / k.moving_mass_kg
-
-
-def gains_of(c: Config) -> Feedback:
-    """The gains in a configuration."""
-    return feedback(c.control.k1, c.control.k2, c.control.k3, c.control.alpha)
 
 
 def designed(c: Config, omega_rad_s: float, error_m: float, alpha: float) -> Config:

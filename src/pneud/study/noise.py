@@ -5,9 +5,16 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from pneud.config.conversions import command_delay_s, lead_s, motion_of
-from pneud.config.models import Config, cylinder_of, gas_of, valve_of
-from pneud.control.homogeneous import feedback
+from pneud.config.conversions import (
+    command_delay_s,
+    cylinder_of,
+    gains_of,
+    gas_of,
+    lead_s,
+    motion_of,
+    valve_of,
+)
+from pneud.config.models import Config
 from pneud.control.motion import MotionState, correct, predict
 from pneud.control.prediction import Motion, Rates, Spool, ahead, follow
 from pneud.physics.cylinder import F0
@@ -71,7 +78,7 @@ def passed(k: float, a: float, size: float) -> float:
 def slopes_at(c: Config, sizes: list[float], x3_noise_n: float) -> Slopes:
     """The gains for noise of these standard deviations in w1, w2, w3, s and x3."""
     law, h = c.control, 1.0 / c.loop.rate_hz
-    g = feedback(law.k1, law.k2, law.k3, law.alpha)
+    g = gains_of(c)
     n1, n2, n3 = passed(g.k1, g.a1, sizes[0]), passed(g.k2, g.a2, sizes[1]), passed(g.k3, g.a3, sizes[2])
     T = horizon_s(c)
     reaching = math.erf(law.eta_m_s3 * T / (math.sqrt(2.0) * sizes[3])) / T

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from pneud.axis.cycle import AxisParameters
-from pneud.config.conversions import axis_of
-from pneud.config.models import Config, friction_of, plant_of
+from pneud.config.conversions import axis_of, friction_of, plant_of
+from pneud.config.models import Config
 from pneud.control.reference import rest, sine, stays, transfer
 from pneud.physics.cylinder import F0, F1_exhaust, F1_fill
 from pneud.physics.friction import stribeck

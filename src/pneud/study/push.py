@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pneud.axis.cycle import AxisParameters
+from pneud.axis.state import AxisParameters
 from pneud.control.step import start
 from pneud.physics.plant import PlantParameters
 from pneud.rig.dynamics import initial_state

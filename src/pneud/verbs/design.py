@@ -7,7 +7,7 @@ import math
 import sys
 from typing import NamedTuple
 
-from pneud.config.conversions import axis_of, plant_of
+from pneud.config.conversions import axis_of, gains_of, plant_of
 from pneud.config.models import Config, ConfigError
 from pneud.control.tunables import is_hurwitz
 from pneud.loading import load
@@ -47,7 +47,7 @@ def design(o: DesignOptions) -> int:
     c = rules.designed(loaded.config, o.bandwidth_rad_s, 1e-3 * o.error_mm, alpha)
     p = rules.predict(c, 1e-3 * o.error_mm)
     doubts = rules.warnings(c, p)
-    good = is_hurwitz(rules.gains_of(c))
+    good = is_hurwitz(gains_of(c))
     runs: list[tuple[float, Service]] = []
     if o.simulate and good:
         axis, plant = axis_of(c, loaded.codecs.command_lsb_v), plant_of(c)

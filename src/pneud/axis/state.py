@@ -1,0 +1,93 @@
+"""What an axis is: its parameters, and all that it remembers from tick to tick."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from pneud.control.homing import NOWHERE, Homing, HomingParameters
+from pneud.control.plan import IDLE, Plan
+from pneud.control.profile import Profile
+from pneud.control.reference import Bounds, Sine, Way
+from pneud.control.step import Controller, ControllerState
+from pneud.safety import supervisor, watch
+from pneud.safety.checks import Limits
+from pneud.safety.output import OutputLimits
+
+
+class AxisParameters(NamedTuple):
+    """All parameters of an axis."""
+
+    controller: Controller
+    output: OutputLimits
+    limits: Limits
+    reference: Sine
+    transfer: Bounds  # of ways that join a reference
+    motion: Bounds  # of all other ways
+    travel_margin_m: float  # how far from the ends of the travel a way to a position stays
+    homing: HomingParameters
+    stop_centres: bool  # after a stop that was asked for
+    join_at_once: bool  # start on the reference without a transfer
+
+
+class AxisState(NamedTuple):
+    """All state of an axis: freeze it, thaw it, and the same ticks follow."""
+
+    supervisor: supervisor.Supervisor
+    controller: ControllerState | None  # None until all sensors have spoken
+    t_ns: int  # of the last tick
+    sampled_ns: int  # instant that the estimate holds for
+    read_ns: int  # instant of the last encoder reading
+    started_ns: int  # since when there have been estimates
+    plan: Plan  # what the reference is doing
+    profile: Profile  # as uploaded
+    last_v: float  # last command that left
+    limited: int  # 1 where it was less than the law had asked for
+    watch: watch.Watch
+    law: Controller  # with its present gains
+    zero_m: float  # where an incremental encoder shows 0
+    referenced: bool  # whether that is known
+    homing: Homing
+    reference: Sine | None = None  # the configured one, where it has been changed
+
+    @property
+    def phase(self) -> int:
+        """What the reference is doing."""
+        return self.plan.phase
+
+    @property
+    def phase_ns(self) -> int:
+        """When it began to."""
+        return self.plan.since_ns
+
+    @property
+    def path(self) -> Way:
+        """The way that it goes."""
+        return self.plan.path
+
+
+def switched_on(p: AxisParameters) -> AxisState:
+    """The state of an axis that knows nothing yet."""
+    return AxisState(
+        supervisor=supervisor.INITIAL,
+        controller=None,
+        t_ns=0,
+        sampled_ns=0,
+        read_ns=0,
+        started_ns=0,
+        plan=IDLE,
+        profile=(),
+        last_v=0.0,
+        limited=0,
+        watch=watch.INITIAL,
+        law=p.controller,
+        zero_m=0.0,
+        referenced=False,
+        homing=NOWHERE,
+    )
+
+
+def configured(state: AxisState, p: AxisParameters) -> Sine:
+    """The reference that the axis tracks when it is told to."""
+    if state.reference is not None:
+        return state.reference
+    return p.reference
