@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from axis_rig import ARM, ready
 from pneud.config.conversions import axis_of
 from pneud.control.disturbance import ObserverState
+from pneud.control.laws.sliding import SlidingState
 from pneud.control.motion import MotionState
 from pneud.control.prediction import Spool
-from pneud.control.sliding import SlidingState
 from pneud.control.step import Controller, ControllerState, act, change
 from pneud.control.tunables import LAWS, TUNABLE, is_sound, is_stable, tunables, tuned
 from pneud.loading import load

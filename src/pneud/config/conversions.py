@@ -18,9 +18,9 @@ from pneud.config.models import (
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.homing import HomingParameters
 from pneud.control.homogeneous import feedback
+from pneud.control.laws.sliding import Sliding
 from pneud.control.motion import MotionFilter, kalman, quickened, triple_pole
 from pneud.control.reference import Bounds, Sine
-from pneud.control.sliding import Sliding
 from pneud.control.step import Controller
 from pneud.physics.valve import Valve, spool_transition
 from pneud.safety.checks import Limits
