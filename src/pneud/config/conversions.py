@@ -8,6 +8,7 @@ from pneud.axis.cycle import AxisParameters
 from pneud.config.models import (
     BusConfig,
     Config,
+    ControlConfig,
     RealtimeConfig,
     cylinder_of,
     friction_of,
@@ -19,6 +20,7 @@ from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.homing import HomingParameters
 from pneud.control.homogeneous import feedback
 from pneud.control.laws.sliding import Sliding
+from pneud.control.laws.slot import IN_SLOT, SLIDING, Slot
 from pneud.control.motion import MotionFilter, kalman, quickened, triple_pole
 from pneud.control.reference import Bounds, Sine
 from pneud.control.step import Controller
@@ -91,6 +93,16 @@ def _homing_of(c: Config) -> HomingParameters:
     )
 
 
+def slot_of(law: ControlConfig, h: float) -> Slot:
+    """The laws beside the sliding one for a sample time [s], and whether one of them runs."""
+    kind = next((entry.kind for entry in IN_SLOT if entry.name == law.law), SLIDING)
+    tables = ((entry, getattr(law, entry.name)) for entry in IN_SLOT)
+    return Slot(
+        kind,
+        **{e.name: e.made(tuple(getattr(table, name) for name in e.tunable), h) for e, table in tables},
+    )
+
+
 def reference_of(c: Config) -> Sine:
     """The configured reference, in the stroke coordinate."""
     r = c.reference
@@ -143,6 +155,7 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
         use_force=law.estimate_force,
         force_rate_gain=1.0 - math.exp(-law.force_rate_bandwidth_rad_s * h),
         blend_kept=math.exp(-h / BLEND_S),
+        slot=slot_of(law, h),
     )
     return AxisParameters(
         controller=controller,

@@ -7,9 +7,10 @@ import json as json_
 from pneud import resources
 from pneud.axis.cycle import Axis
 from pneud.config import conversions
+from pneud.control.tunables import in_slot
 from pneud.loading import is_scenario, load, load_axis, load_scenario
 from pneud.scenario import verdict
-from pneud.study.gains import predict, warnings
+from pneud.study.linear import doubts_of
 
 
 def check(config_file: str, json: bool) -> int:
@@ -25,7 +26,7 @@ def check(config_file: str, json: bool) -> int:
     c, codecs = loaded.config, loaded.codecs
     Axis(conversions.axis_of(c, codecs.command_lsb_v))
     conversions.plant_of(c)
-    doubts = warnings(c, predict(c))
+    doubts = doubts_of(c)
     if json:
         print(
             json_.dumps(
@@ -36,7 +37,8 @@ def check(config_file: str, json: bool) -> int:
     print(f"{loaded.path}: fine")
     stroke, mass = c.cylinder.stroke_m, c.cylinder.moving_mass_kg
     print(f"axis {c.name}: {stroke:g} m stroke, {mass:g} kg, {c.loop.rate_hz:g} Hz")
-    print(f"law {c.control.law}, {c.control.discretisation}, on {c.bus.channel} with {loaded.dbc.name}")
+    form = "" if in_slot(c.control.law) else f"{c.control.discretisation}, "
+    print(f"law {c.control.law}, {form}on {c.bus.channel} with {loaded.dbc.name}")
     for doubt in doubts:
         print(f"warning: {doubt}")
     return 0

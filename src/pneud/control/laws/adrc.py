@@ -87,7 +87,7 @@ def extend(own: AdrcState, s: Situation, g: Adrc) -> AdrcState:
 
 
 def demand(own: AdrcState, s: Situation, g: Adrc) -> float:
-    """Rate of the force [N/s] for M x''' = F0 x' + F1 u + M f, with f estimated, or x'' known by the pressures."""
+    """Rate of the force [N/s] in M x''' = F0 x' + F1 u + M f, f estimated or x'' known by the pressures."""
     motion, known = s.motion, s.friction.rate_n_s + s.force_rate
     if g.observer_rad_s > 0.0:
         known = s.friction.rate_n_s - s.M * own.f
@@ -119,7 +119,7 @@ def is_sound(g: Adrc) -> bool:
 
 
 def loop(g: Adrc) -> Loop:
-    """(k3 s² + k2 s + k1)/s³, stable where k2 k3 > k1; with the observer of fourth order where there is one."""
+    """(k3 s² + k2 s + k1)/s³, stable where k2 k3 > k1; or with the observer of fourth order in it."""
     k1, k2, k3 = g.k1, g.k2, g.k3
     numerator: tuple[float, ...] = (k3, k2, k1)
     denominator: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)

@@ -67,11 +67,11 @@ def loop(g: Pid) -> Loop:
     """Kf (s³ + kd s² + kp s + ki)/s⁴, stable where kf (kd kp − ki) > kp²."""
     return Loop(
         hurwitz=g.kf * (g.kd * g.kp - g.ki) > g.kp * g.kp,
-        criterion="kf (kd kp - ki) > kp²",
+        criterion="kf·(kd·kp - ki) > kp²",
         bandwidth_rad_s=cube_root(g.kf * g.kp),
         fastest_rad_s=g.kf,
         numerator=(g.kf, g.kf * g.kd, g.kf * g.kp, g.kf * g.ki),
-        integrators=4,
+        denominator=(1.0, 0.0, 0.0, 0.0, 0.0),
     )
 
 
