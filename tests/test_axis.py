@@ -16,9 +16,9 @@ from axis_rig import ARM, CLEAR, DISARM, ENCODER, PERIOD_NS, PRESSURE, SHUTDOWN,
 from pneud.axis.cycle import FOLLOWING, Axis
 from pneud.bus.inbox import Inbox
 from pneud.config import conversions
+from pneud.control.laws.situation import LawOutput
 from pneud.control.plan import COMING_TO_REST, JOINING, SETTLE_NS
 from pneud.control.reference import along, sine, stays, to_rest
-from pneud.control.sliding import SlidingOutput
 from pneud.safety.checks import SETTLING_NS
 from pneud.safety.faults import names
 from pneud.safety.supervisor import START_TICKS, is_engaged
@@ -381,7 +381,7 @@ def test_the_slew_limit_counts_the_time_since_the_last_command(
     rig = tracking()
     p = rig.axis.parameters
     rig.axis.parameters = p._replace(output=p.output._replace(slew_v_s=10.0))
-    monkeypatch.setattr(pneud.axis.sensing, "act", lambda state, *_: (state, SlidingOutput(5.0, 0.0, 0.0)))
+    monkeypatch.setattr(pneud.axis.sensing, "act", lambda state, *_: (state, LawOutput(5.0, 0.0, 0.0)))
     last_v = rig.axis.state.last_v
     command = rig.tick(skipped=skipped).command
     assert command.voltage_v == pytest.approx(last_v + 0.01 * (1 + skipped), abs=3e-4)

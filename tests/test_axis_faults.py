@@ -14,7 +14,7 @@ import pneud.axis.sensing
 from axis_rig import ARM, CLEAR, ENCODER, PERIOD_NS, PRESSURE, VALVE, Rig, ready, tracking
 from commands import pneud_here
 from pneud.control import step
-from pneud.control.sliding import SlidingOutput
+from pneud.control.laws.situation import LawOutput
 from pneud.safety.faults import TABLE, F, Reaction, names
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import (
@@ -156,11 +156,11 @@ def raises(rig: Rig, patch: pytest.MonkeyPatch) -> None:
 def too_much(rig: Rig, patch: pytest.MonkeyPatch) -> None:
     p = rig.axis.parameters
     patch.setattr(rig.axis, "parameters", p._replace(output=p.output._replace(u_max_v=6.0)))
-    patch.setattr(pneud.axis.sensing, "act", lambda state, *_: (state, SlidingOutput(6.0, 0.0, 0.0)))
+    patch.setattr(pneud.axis.sensing, "act", lambda state, *_: (state, LawOutput(6.0, 0.0, 0.0)))
 
 
 def law_without_number(rig: Rig, patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(pneud.axis.sensing, "act", lambda state, *_: (state, SlidingOutput(math.nan, 0.0, 0.0)))
+    patch.setattr(pneud.axis.sensing, "act", lambda state, *_: (state, LawOutput(math.nan, 0.0, 0.0)))
 
 
 SENSORS = [

@@ -34,13 +34,11 @@ from pneud.study.comparison import LAWS, Comparison, Row, as_json, behind, compa
 from pneud.study.tuned import (
     ADRC3,
     ADRC4,
-    AS_CONFIGURED,
     COMPOSITE_PAPER,
     EXTENDED,
     EXTENDED_TUNED,
     ISMC_PAPER,
     PID_FF,
-    Setting,
     setting,
 )
 from pneud.study.tuner import _moved, course, parts, tune
@@ -107,8 +105,7 @@ def test_each_plant_of_the_spread_differs_in_what_its_name_says() -> None:
 def test_a_delay_of_several_samples_moves_the_plant_as_much_later() -> None:
     c = case(BENCH, move_of(BENCH, 0.01, 0.1, 0.02), (0.2, 0.3), start_error_m=0.02)
     late = c._replace(rig=c.rig._replace(delay_s=c.rig.delay_s + 5e-3))
-    s = Setting(BENCH.controller, AS_CONFIGURED)
-    runs = [trace_of(BENCH, s, one)[1] for one in (c, late)]
+    runs = [trace_of(BENCH, BENCH.controller, one)[1] for one in (c, late)]
     first = [int(np.nonzero(np.abs(t[:, 2]) > 5e-3)[0][0]) for t in runs]
     assert first[1] - first[0] in range(4, 7)
 
@@ -134,7 +131,7 @@ def test_figures_settle_where_the_error_stays_small() -> None:
     assert f.rms_m <= f.max_m
     assert f.settled_s < 0.2
     weak = BENCH.controller.sliding._replace(gains=feedback(1.0, 1.0, 1.0, 0.9))
-    standing = Setting(BENCH.controller._replace(sliding=weak), AS_CONFIGURED)
+    standing = BENCH.controller._replace(sliding=weak)
     assert figures(BENCH, standing, c).settled_s == math.inf
 
 

@@ -96,7 +96,7 @@ def test_bristles_in_long_sliding_carry_the_stribeck_force() -> None:
 
 def test_without_friction_there_is_none() -> None:
     r = Reference(0.1, 0.2, 0.3, 0.4)
-    assert friction_ahead(0.0, r, later(r, LEAD), 1e-3, LEAD, NONE) == (0.0, 0.0, 0.0, 0.0)
+    assert friction_ahead(0.0, r, later(r, LEAD), 1e-3, LEAD, NONE) == (0.0,) * 5
     assert bristles_after(1e-4, 0.1, relaxation_rate(0.1, NONE), 1e-3) == 0.0
     assert bristles_under(30.0, NONE) == 0.0
 

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pneud.control.homogeneous import feedback
-from pneud.control.sliding import Sliding, SlidingOutput, SlidingState, engage, law, reaching
+from pneud.control.laws.situation import LawOutput
+from pneud.control.laws.sliding import Sliding, SlidingState, engage, law, reaching
 from pneud.physics.valve import Valve, opening
 
 VALVE = Valve(5.0, 0.0, 0.7, 0.1)
@@ -24,7 +25,7 @@ def answer(
     d_hat: float = 0.0,
     force_rate: float = 0.0,
     last_v: float = 0.0,
-) -> tuple[SlidingState, SlidingOutput]:
+) -> tuple[SlidingState, LawOutput]:
     return law(
         engage(w[2]) if state is None else state,
         *w, jerk_d, drift, d_hat, force_rate, FILL, EXHAUST, H, p, VALVE, last_v,

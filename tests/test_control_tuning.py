@@ -12,11 +12,14 @@ from hypothesis import strategies as st
 from axis_rig import ARM, ready
 from pneud.config.conversions import axis_of
 from pneud.control.disturbance import ObserverState
+from pneud.control.laws.adrc import AdrcState
+from pneud.control.laws.pid import PidState
+from pneud.control.laws.sliding import SlidingState
+from pneud.control.laws.slot import SlotState
 from pneud.control.motion import MotionState
 from pneud.control.prediction import Spool
-from pneud.control.sliding import SlidingState
 from pneud.control.step import Controller, ControllerState, act, change
-from pneud.control.tunables import LAWS, TUNABLE, is_sound, is_stable, tunables, tuned
+from pneud.control.tunables import LAWS, SLIDING_LAWS, TUNABLE, is_sound, is_stable, tunables, tuned
 from pneud.loading import load
 from pneud.signals import REQUEST_VALUES, Answer, Estimate, Reference, RequestKind, State
 
@@ -30,6 +33,7 @@ def controller(name: str = "virtual.toml") -> Controller:
 
 P = controller()
 NOW = tunables(P)
+PID_CODE, ADRC_CODE = float(LAWS.index("pid")), float(LAWS.index("adrc"))
 
 
 def changed(**values: float) -> tuple[float, ...]:
@@ -40,7 +44,7 @@ def test_the_tunables_fit_into_a_request_and_come_back() -> None:
     assert len(TUNABLE) == len(NOW) <= REQUEST_VALUES
     assert NOW[0] == LAWS.index("composite-implicit")
     assert tuned(NOW, P) == P
-    for code in range(len(LAWS)):
+    for code in range(len(SLIDING_LAWS)):
         other = changed(law=float(code), k1=9e4, eta_m_s3=0.2, lambda0=4.0)
         assert tunables(tuned(other, P)) == other
 
@@ -119,8 +123,13 @@ states = st.builds(
     bristles_m=real(3e-4),
     force_step_n=real(1.0),
     blend=real(20.0),
+    own=st.builds(
+        SlotState,
+        pid=st.builds(PidState, real(200.0)),
+        adrc=st.builds(AdrcState, st.floats(0.1, 0.9), real(0.5), real(5.0), real(100.0)),
+    ),
 )
-sets = st.builds(
+sliding = st.builds(
     lambda law, size, alpha, eta, l0, gain: changed(
         law=float(law),
         k1=95000.0 * size**3,
@@ -138,6 +147,20 @@ sets = st.builds(
     st.floats(1.0, 6.0),
     st.floats(100.0, 1e4),
 )
+reaches = st.floats(1e-3, 0.05)
+pids = st.builds(
+    lambda w, reach, most: (PID_CODE, w * w, 0.25 * w**3, 1.5 * w, 4.0 * w, reach, 1e-5, most),
+    st.floats(10.0, 60.0),
+    reaches,
+    st.floats(0.0, 300.0),
+)
+adrcs = st.builds(
+    lambda w, reach, observer: (ADRC_CODE, w**3, 3.0 * w * w, 3.0 * w, reach, observer),
+    st.floats(10.0, 90.0),
+    reaches,
+    st.just(0.0) | st.floats(50.0, 500.0),
+)
+sets = sliding | pids | adrcs
 
 
 @given(
@@ -146,7 +169,7 @@ sets = st.builds(
     new=sets,
     errors=st.tuples(real(5e-3), real(0.2), real(2.0), real(50.0)),
 )
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=600, deadline=None)
 def test_the_command_of_the_change_is_the_one_without_it(
     state: ControllerState, old: tuple[float, ...], new: tuple[float, ...], errors: tuple[float, ...]
 ) -> None:

@@ -93,9 +93,7 @@ def test_one_sync_and_a_command_for_each_axis_in_every_tick(axes: int) -> None:
     for other in lanes[1:]:
         assert [r.frames for r in records(other)] == [r.frames for r in records(lanes[0])]
     # all have heard the same, so all say the same, until a command has held up a SYNC that came late
-    offsets = zip(
-        *([r.tick.measurement.encoder_offset_ns for r in records(one)] for one in lanes), strict=True
-    )
+    found = ([r.tick.measurement.encoder_offset_ns for r in records(one)] for one in lanes)
     alike = sum(1 for _ in takewhile(lambda offsets: len(set(offsets)) == 1, zip(*found, strict=True)))
     for other in lanes[1:]:
         assert [r.tick for r in records(other)][:alike] == [r.tick for r in records(lanes[0])][:alike]

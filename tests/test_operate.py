@@ -23,8 +23,8 @@ from pneud.config.models import load_config
 from pneud.console import endpoint
 from pneud.console.client import Client
 from pneud.console.endpoint import PlaceError
-from pneud.console.tuning import NAMES, REFERENCE, values_of
-from pneud.control.tunables import LAWS, TUNABLE, tunables
+from pneud.console.tuning import NAMES, REFERENCE, chosen, values_of
+from pneud.control.tunables import LAWS, TUNABLE, names_of, tunables
 from pneud.signals import Answer, RequestKind
 
 
@@ -261,7 +261,7 @@ def test_tuning_changes_compares_and_saves_and_the_comments_stay(tmp_path: Path)
         assert object_of(pneud_here("tune", "set", *settings, *at))["changed"] == words
         assert b.requests[-1].values[:2] == (3.0, 90000.0)
         assert len(b.requests[-1].values) == len(TUNABLE)
-        assert object_of(pneud_here("tune", "set", "law=pid", *at))["error"]["type"] == "invalid"
+        assert object_of(pneud_here("tune", "set", "law=lqr", *at))["error"]["type"] == "invalid"
         assert set(object_of(pneud_here("tune", "diff", *at))["changes"]) == {"law", "k1", "gain_n_s2"}
         assert object_of(pneud_here("tune", "save", *at))["changed"] == words
         saved = text.replace('law = "composite"', 'law = "ismc"').replace("95000.0", "90000.0")
@@ -322,6 +322,50 @@ def test_the_reference_is_tuned_like_a_gain(tmp_path: Path) -> None:
         assert object_of(pneud_here("tune", "get", *at))["gains"]["reference.amplitude_m"] == 0.03
 
 
+def test_another_law_is_set_with_its_gains_saved_and_left_again(tmp_path: Path) -> None:
+    file = tmp_path / "axis.toml"
+    text = (resources.configs() / "virtual.toml").read_text()
+    file.write_text(text)
+    with served(tmp_path, file) as b:
+        at = ("--socket", b.path, "--json")
+        for settings, words in (
+            (("pid.kp=2000",), "pid.kp is no value of composite-implicit"),
+            (("law=pid", "k1=90000"), "k1 is no value of pid"),
+            (("law=3",), "law is one of"),
+        ):
+            error = object_of(pneud_here("tune", "set", *settings, *at))["error"]
+            assert error["type"] == "invalid"
+            assert words in error["message"]
+        assert pneud_here("tune", "set", "pid.kq=1", *at).returncode == 2
+        assert b.requests == []
+        changed = object_of(pneud_here("tune", "set", "law=pid", "pid.kp=2000", *at))["changed"]
+        assert changed == "law composite-implicit → pid, pid.kp 2540 → 2000"
+        assert b.requests[-1].values == (4.0, 2000.0, 32000.0, 75.6, 202.0, 0.01, 2e-5, 200.0)
+        gains = object_of(pneud_here("tune", "get", *at))["gains"]
+        assert tuple(gains) == (*names_of("pid"), *REFERENCE)
+        assert object_of(pneud_here("tune", "diff", *at))["changes"] == {
+            "law": {"file": "composite-implicit", "running": "pid"},
+            "pid.kp": {"file": 2540.0, "running": 2000.0},
+        }
+        assert object_of(pneud_here("tune", "save", *at))["changed"] == changed
+        saved = load_config(file)
+        assert (saved.control.law, saved.control.pid.kp) == ("pid", 2000.0)
+        assert saved.control.discretisation == "implicit"
+        assert "# cap end, bore 40 mm" in file.read_text()
+
+        wanted = ("law=adrc", "adrc.observer_rad_s=220", "reference.amplitude_m=0.03")
+        pneud_here("tune", "set", *wanted, *at)
+        assert list(b.requests[-1].values)[:6] == [5.0, 373000.0, 15600.0, 216.0, 0.02, 220.0]
+        assert len(b.requests[-1].values) == 9
+        file.write_text(text + "\n[control.adrc]\nk1 = 300000.0\n")
+        back = object_of(pneud_here("tune", "reload", *at))
+        assert back["at_restart"] == []
+        assert back["changed"] == "law adrc → composite-implicit, reference.amplitude_m 0.03 → 0.05"
+        assert len(b.requests[-1].values) == len(TUNABLE) + 3
+        pneud_here("tune", "set", "law=adrc", *at)
+        assert b.requests[-1].values == (5.0, 300000.0, 15600.0, 216.0, 0.02, 0.0)
+
+
 def test_how_a_reference_is_joined_waits_for_the_next_start(tmp_path: Path) -> None:
     file = tmp_path / "axis.toml"
     text = (resources.configs() / "virtual.toml").read_text()
@@ -338,7 +382,8 @@ def test_how_a_reference_is_joined_waits_for_the_next_start(tmp_path: Path) -> N
 def test_the_values_of_a_file_are_those_of_the_loop(name: str) -> None:
     config = load_config(resources.configs() / name)
     values = values_of(config)
-    assert tuple(values) == NAMES == (*TUNABLE, *REFERENCE)
+    assert tuple(values) == NAMES
+    assert tuple(chosen(values)) == (*TUNABLE, *REFERENCE)
     running = tunables(axis_of(config, 0.0005).controller)
     assert [values[n] for n in TUNABLE if n != "law"] == list(running[1:])
     assert LAWS[int(running[0])] == values["law"]

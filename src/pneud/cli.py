@@ -349,6 +349,10 @@ def design(
         float, typer.Option("--error-mm", metavar="A", help="Error at which the gains are those of a line.")
     ],
     file: Annotated[str, typer.Argument(metavar="FILE", help="Configuration.")] = "virtual.toml",
+    law: Annotated[
+        str | None,
+        typer.Option("--law", metavar="LAW", help="composite, ismc, pid, adrc; default as in FILE."),
+    ] = None,
     alpha: Annotated[
         float | None, typer.Option("--alpha", metavar="X", help="Exponent; default the configuration's.")
     ] = None,
@@ -362,7 +366,7 @@ def design(
     from pneud.verbs.design import DesignOptions
     from pneud.verbs.design import design as verb
 
-    _exit(verb, DesignOptions(file, bandwidth, error_mm, alpha, rate, simulate, json))
+    _exit(verb, DesignOptions(file, bandwidth, error_mm, alpha, rate, simulate, json, law))
 
 
 @app.command()

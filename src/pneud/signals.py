@@ -104,7 +104,7 @@ class RequestKind(IntEnum):
     JOG = 10  # (velocity, lease in ticks)
     TRACK = 11  # (0.0,): the configured reference; (1.0,): the uploaded profile
     PIECE = 12  # (T, c0 … c7): one more piece of the profile; (): empty it
-    GAINS = 13  # all tunables in their order; behind them the configured reference, where it changes
+    GAINS = 13  # a law's code and its gains; behind them the configured reference, where it changes
 
 
 REQUEST_VALUES = 12  # the most that a request carries

@@ -39,7 +39,7 @@ from pneud.control.reference import (
     way,
 )
 from pneud.control.step import Controller
-from pneud.control.tunables import TUNABLE, is_sound, is_stable, tuned
+from pneud.control.tunables import LAWS, is_sound, is_stable, names_of, parted, tuned
 from pneud.safety.faults import BLOCKS_ARM, CENTRES, STOPS, F
 from pneud.safety.supervisor import BLOCKS, Supervisor, is_engaged
 from pneud.signals import Answer, Estimate, Reference, Request, RequestKind, State
@@ -74,7 +74,7 @@ COUNTS = {
     JOG: (2,),
     TRACK: (1,),
     PIECE: (0, 9),
-    GAINS: (len(TUNABLE), len(TUNABLE) + len(Sine._fields)),
+    GAINS: tuple({len(names_of(law)) + more for law in LAWS for more in (0, len(Sine._fields))}),
     HOME: (0,),
 }
 
@@ -199,9 +199,9 @@ def _home(s: Supervisor, present: int, p: AxisParameters) -> Asked:
 def _tune(
     values: tuple[float, ...], plan: Plan, now: Reference, now_ns: int, law: Controller, p: AxisParameters
 ) -> Asked:
-    """Other gains, and perhaps another configured reference: both or neither."""
-    gains, motion = values[: len(TUNABLE)], values[len(TUNABLE) :]
-    if not is_sound(gains):
+    """Another law or other gains, and perhaps another configured reference: all or nothing."""
+    gains, motion = parted(values) or ((), ())
+    if not gains or len(motion) not in (0, len(Sine._fields)) or not is_sound(gains):
         return Asked(MALFORMED)
     if not is_stable(gains, law):
         return Asked(UNSTABLE)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 
 from pneud.axis.state import AxisParameters
-from pneud.config.models import BusConfig, Config, FrictionConfig, RealtimeConfig
+from pneud.config.models import BusConfig, Config, ControlConfig, FrictionConfig, RealtimeConfig
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.homing import HomingParameters
 from pneud.control.homogeneous import Feedback, feedback
+from pneud.control.laws.sliding import Sliding
+from pneud.control.laws.slot import IN_SLOT, SLIDING, Slot
 from pneud.control.motion import MotionFilter, kalman, quickened, triple_pole
 from pneud.control.reference import Bounds, Sine
-from pneud.control.sliding import Sliding
 from pneud.control.step import Controller
 from pneud.physics import cylinder as cyl
 from pneud.physics import gas as gas_
@@ -182,6 +183,7 @@ def controller_of(c: Config) -> Controller:
         use_force=law.estimate_force,
         force_rate_gain=1.0 - math.exp(-law.force_rate_bandwidth_rad_s * h),
         blend_kept=math.exp(-h / BLEND_S),
+        slot=slot_of(law, h),
     )
 
 
@@ -239,6 +241,16 @@ def homing_of(c: Config) -> HomingParameters:
         force_n=h.force_n,
         back_off_m=h.back_off_m,
         longest_ns=round((LONGEST_SHARE * c.cylinder.stroke_m / h.speed_m_s + LONGEST_S) * 1e9),
+    )
+
+
+def slot_of(law: ControlConfig, h: float) -> Slot:
+    """The laws beside the sliding one for a sample time [s], and whether one of them runs."""
+    kind = next((entry.kind for entry in IN_SLOT if entry.name == law.law), SLIDING)
+    tables = ((entry, getattr(law, entry.name)) for entry in IN_SLOT)
+    return Slot(
+        kind,
+        **{e.name: e.made(tuple(getattr(table, name) for name in e.tunable), h) for e, table in tables},
     )
 
 

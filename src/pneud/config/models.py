@@ -16,6 +16,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from pneud import resources
 from pneud.config.places import line_of, meant
+from pneud.control.laws import adrc, pid
+from pneud.control.laws.loop import Loop
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -236,10 +238,47 @@ class FrictionConfig(Section):
         return self
 
 
-class ControlConfig(Section):
-    """The law."""
+class PidConfig(Section):
+    """PID with feed-forward: a position loop around a force loop."""
 
-    law: Literal["composite", "ismc"] = "composite"
+    kp: Positive = 2540.0
+    ki: NonNegative = 32000.0
+    kd: Positive = 75.6
+    kf: Positive = 202.0
+    reach_m: Positive = 0.01  # error that feedback takes at most
+    quiet_m: NonNegative = 20e-6  # the integral rests within this error
+    force_max_n: NonNegative = 200.0  # greatest integral
+
+    @model_validator(mode="after")
+    def _hurwitz(self) -> PidConfig:
+        _check_hurwitz(pid.loop(pid.Pid(**self.model_dump())))
+        return self
+
+
+class AdrcConfig(Section):
+    """Active disturbance rejection control."""
+
+    k1: Positive = 373000.0
+    k2: Positive = 15600.0
+    k3: Positive = 216.0
+    reach_m: Positive = 0.02  # error that feedback takes at most
+    observer_rad_s: Annotated[float, Field(ge=0, le=5_000)] = 0.0  # of an observer without pressures; 0: none
+
+    @model_validator(mode="after")
+    def _hurwitz(self) -> AdrcConfig:
+        _check_hurwitz(adrc.loop(adrc.Adrc(**self.model_dump())))
+        return self
+
+
+def _check_hurwitz(loop: Loop) -> None:
+    if not loop.hurwitz:
+        raise ValueError(f"gains are not Hurwitz: needs {loop.criterion}")
+
+
+class ControlConfig(Section):
+    """The law, and the gains of all: of composite and ISMC here, of the others in their tables."""
+
+    law: Literal["composite", "ismc", "pid", "adrc"] = "composite"
     discretisation: Literal["explicit", "implicit"] = "implicit"
     k1: Positive
     k2: Positive
@@ -257,6 +296,8 @@ class ControlConfig(Section):
     observer: ObserverConfig
     motion: MotionConfig
     friction: FrictionConfig = FrictionConfig()  # as identified; fed forward along the reference
+    pid: PidConfig = PidConfig()
+    adrc: AdrcConfig = AdrcConfig()
 
     @model_validator(mode="after")
     def _force_is_used(self) -> ControlConfig:

@@ -9,21 +9,27 @@ from pneud.config.conversions import reference_of
 from pneud.config.models import Config, ConfigError, load_config
 from pneud.console.protocol import Error, ProtocolError
 from pneud.console.server import Plan
-from pneud.control.tunables import LAWS, TUNABLE
+from pneud.control.tunables import LAWS, SLIDING_LAWS, names_of
 from pneud.signals import Request, RequestKind
 
 Values = dict[str, float | str]
-"""By name, in the order of NAMES; the law by its name, all others numbers."""
+"""By name; the law by its name, all others numbers."""
 
 REFERENCE = ("reference.effective_centre_m", "reference.amplitude_m", "reference.frequency_hz")
-NAMES = (*TUNABLE, *REFERENCE)
+NAMES = (*dict.fromkeys(name for law in LAWS for name in names_of(law)), *REFERENCE)
 _OBSERVER = ("lambda0", "lambda1", "gain_n_s2")
 
 
 def values_of(c: Config) -> Values:
-    """What a configuration says."""
-    law = f"{c.control.law}-{c.control.discretisation}"
+    """What a configuration says, also of laws that it has not chosen."""
+    sliding = f"{c.control.law}-{c.control.discretisation}"
+    law = sliding if sliding in SLIDING_LAWS else c.control.law
     return {name: law if name == "law" else _value(c, name) for name in NAMES}
+
+
+def chosen(values: Values) -> Values:
+    """The values of the law among them, in their order, and the reference."""
+    return {name: values[name] for name in (*names_of(str(values["law"])), *REFERENCE)}
 
 
 def _value(c: Config, name: str) -> float:
@@ -40,7 +46,7 @@ def keys(name: str) -> tuple[tuple[str, ...], ...]:
         return ("control", "law"), ("control", "discretisation")
     if name in REFERENCE:
         return (tuple(name.split(".")),)
-    return (("control", "observer", name) if name in _OBSERVER else ("control", name),)
+    return (("control", "observer", name) if name in _OBSERVER else ("control", *name.split(".")),)
 
 
 def difference(old: Values, new: Values) -> str:
@@ -49,7 +55,7 @@ def difference(old: Values, new: Values) -> str:
     def shown(value: float | str) -> str:
         return value if isinstance(value, str) else f"{value:.10g}"
 
-    return ", ".join(f"{n} {shown(old[n])} → {shown(new[n])}" for n in NAMES if old[n] != new[n])
+    return ", ".join(f"{n} {shown(old[n])} → {shown(v)}" for n, v in new.items() if old[n] != v)
 
 
 class Tuning:
@@ -63,10 +69,15 @@ class Tuning:
             path: its file.
             text: the file's, as it was loaded.
         """
-        self.running = values_of(config)
+        self._values = values_of(config)
         self._config = config
         self._path = path
         self._text = text
+
+    @property
+    def running(self) -> Values:
+        """The values of the law that runs, and the reference."""
+        return chosen(self._values)
 
     def changed_on_disk(self) -> bool:
         """Whether the file is another one than that whose values were taken last."""
@@ -79,7 +90,7 @@ class Tuning:
         """Change some of the values.
 
         Raises:
-            ProtocolError: there is no such value, or no such law.
+            ProtocolError: there is no such value or law, or a value is of another law.
         """
         unknown = [name for name in values if name not in NAMES]
         if unknown:
@@ -88,7 +99,14 @@ class Tuning:
             if (name == "law") != isinstance(value, str):
                 kind = f"one of {', '.join(LAWS)}" if name == "law" else "a number"
                 raise ProtocolError(Error.INVALID, f"{name} is {kind}")
-        return self._plan("tune", {**self.running, **values}, {})
+        wanted = self._values | values
+        law = wanted["law"]
+        if law not in LAWS:
+            raise ProtocolError(Error.INVALID, f"law is one of {', '.join(LAWS)}")
+        strange = [name for name in values if name not in chosen(wanted)]
+        if strange:
+            raise ProtocolError(Error.INVALID, f"{strange[0]} is no value of {law}; set law=… along with it")
+        return self._plan("tune", wanted, {})
 
     def reload(self) -> Plan:
         """Take the values of the file; limits never, and everything else at the next start.
@@ -126,17 +144,15 @@ class Tuning:
         return plan._replace(words=words, done=done)
 
     def _plan(self, words: str, wanted: Values, more: dict[str, Any]) -> Plan:
-        law = wanted["law"]
-        if law not in LAWS:
-            raise ProtocolError(Error.INVALID, f"law is one of {', '.join(LAWS)}")
-        values = tuple(float(LAWS.index(law)) if n == "law" else float(wanted[n]) for n in TUNABLE)
-        if any(wanted[n] != self.running[n] for n in REFERENCE):
+        law, *gains = (wanted[name] for name in names_of(str(wanted["law"])))
+        values = (float(LAWS.index(str(law))), *map(float, gains))
+        if any(wanted[n] != self._values[n] for n in REFERENCE):
             values += self._sine(wanted)
-        changes = difference(self.running, wanted)
+        changes = difference(self._values, chosen(wanted))
 
         def done() -> dict[str, Any]:
-            self.running = wanted
-            return {"gains": wanted, "changed": changes, **more}
+            self._values = wanted
+            return {"gains": self.running, "changed": changes, **more}
 
         requests = (Request(RequestKind.GAINS, values),) if changes else ()
         return Plan(f"{words}: {changes or 'nothing to change'}", requests, done=done)

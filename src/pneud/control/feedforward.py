@@ -20,6 +20,7 @@ class FrictionAhead(NamedTuple):
     step_n: float  # gained until the next sample
     ahead_n: float  # gained until the command has its effect
     rate_n_s: float  # at that instant
+    now_n: float  # at the sample
 
 
 def bristles_after(z: float, v: float, a: float, time_s: float) -> float:
@@ -39,11 +40,18 @@ def bristles_after(z: float, v: float, a: float, time_s: float) -> float:
     return z - (v / a - z) * math.expm1(-x)
 
 
+def held_by_bristles(force_n: float, f: Friction) -> float:
+    """What the bristles of a load at rest bear of a force [N]."""
+    if f.sigma0_n_m <= 0.0:
+        return 0.0
+    return max(-f.coulomb_n, min(f.coulomb_n, force_n))
+
+
 def bristles_under(force_n: float, f: Friction) -> float:
     """Deflection [m] of a load at rest that its bristles hold against a force."""
     if f.sigma0_n_m <= 0.0:
         return 0.0
-    return max(-f.coulomb_n, min(f.coulomb_n, force_n)) / f.sigma0_n_m
+    return held_by_bristles(force_n, f) / f.sigma0_n_m
 
 
 def friction_ahead(
@@ -71,4 +79,4 @@ def friction_ahead(
         rate += f.sigma0_n_m * zdot  # σ1 z̈ is small beside it
         gained1 += f.sigma0_n_m * z1 + f.sigma1_n_s_m * (v1 - a1 * z1)
         gained2 += f.sigma0_n_m * z2 + f.sigma1_n_s_m * zdot
-    return FrictionAhead(z1, gained1, gained2, rate)
+    return FrictionAhead(z1, gained1, gained2, rate, force)

@@ -10,16 +10,19 @@ from typing import NamedTuple
 
 from pneud.control.disturbance import Observer, ObserverState
 from pneud.control.disturbance import observe as observe_disturbance
-from pneud.control.feedforward import FrictionAhead, bristles_under, friction_ahead
+from pneud.control.feedforward import bristles_under, friction_ahead, held_by_bristles
+from pneud.control.laws.situation import LawOutput, Situation, errors
+from pneud.control.laws.sliding import Sliding, SlidingState, command, engage, law, resistance
+from pneud.control.laws.slot import SLIDING, Slot, SlotState, afterwards, demand, joined, taken_over
 from pneud.control.motion import MotionFilter, MotionState, at_rest, correct, predict
 from pneud.control.prediction import Motion, Rates, Spool, ahead, follow, later
-from pneud.control.sliding import Sliding, SlidingOutput, SlidingState, engage, law, resistance
 from pneud.physics.cylinder import F0, Cylinder, F1_exhaust, F1_fill, x3_of
 from pneud.physics.friction import Friction
 from pneud.physics.gas import Gas
 from pneud.physics.valve import SpoolTransition, Valve, opening, spool_transition
 from pneud.signals import Estimate, Reference
 
+NAN = float("nan")
 X1_MARGIN = 1e-3  # least chamber length the model is evaluated at [m]
 
 
@@ -42,6 +45,7 @@ class Controller(NamedTuple):
     use_force: bool  # F̂ in w3
     force_rate_gain: float  # of the low-pass for the rate of F̂ in Z; 0 leaves it out
     blend_kept: float = 0.0  # part of the blend that is left a sample later
+    slot: Slot = Slot()  # which law runs
 
 
 class ControllerState(NamedTuple):
@@ -58,7 +62,8 @@ class ControllerState(NamedTuple):
     force_rate: float  # rate of F̂ beyond the friction fed forward [N/s]
     bristles_m: float  # of the friction fed forward
     force_step_n: float  # that friction's gain until the next sample
-    blend: float = 0.0  # leads from one set of gains to another [m/s³]
+    blend: float = 0.0  # leads from one law or set of gains to another [m/s³]
+    own: SlotState = SlotState()
 
 
 def start(position_m: float, p1_pa: float, p2_pa: float, supply_pa: float, p: Controller) -> ControllerState:
@@ -152,73 +157,116 @@ def observe(
             state.bristles_m,
             0.0,  # until `act` knows better
             state.blend,
+            state.own,
         ),
         Estimate(motion.x, motion.v, motion.F, x3, observer.x_hat, observer.d_hat, motion.innovation, u_mean),
     )
 
 
+def at_sample(e: Estimate, p: Controller) -> Motion:
+    """The motion when the sample was taken, with all forces that are known."""
+    x3 = e.x3_hat_n if p.use_x3_hat else e.x3_n
+    force = x3 - p.cylinder.rod_force_n - (e.force_n if p.use_force else 0.0)
+    return Motion(e.position_m, e.velocity_m_s, force)
+
+
 def at_effect(state: ControllerState, e: Estimate, gained_n: float, p: Controller) -> Motion:
     """The motion when this tick's command has its effect, the unmatched force having gained `gained_n`."""
-    c = p.cylinder
-    x3 = e.x3_hat_n if p.use_x3_hat else e.x3_n
-    force = x3 - c.rod_force_n - (e.force_n if p.use_force else 0.0)
-    now = Motion(e.position_m, e.velocity_m_s, force)
+    now = at_sample(e, p)
     if p.lead_s <= 0.0:
         return now
     rest = (e.d_hat_n_s if p.sliding.compensate_d else 0.0) - gained_n / p.lead_s
     rates = Rates(state.f0, state.f1_fill, state.f1_exhaust, rest)
-    return ahead(now, state.spool, state.applied_v, 0.5 * p.lead_s, p.spool_ahead, c.M, rates, p.valve)
+    return ahead(
+        now, state.spool, state.applied_v, 0.5 * p.lead_s, p.spool_ahead, p.cylinder.M, rates, p.valve
+    )
 
 
-def outlook(
-    state: ControllerState, e: Estimate, r: Reference, p: Controller
-) -> tuple[FrictionAhead, Motion, Reference]:
-    """Friction, motion and reference at the instant at which this tick's command has its effect."""
+def situation(state: ControllerState, e: Estimate, r: Reference, p: Controller) -> Situation:
+    """What a law is asked about, for an estimate and a reference of the same instant."""
+    M = p.cylinder.M
     goal = later(r, p.lead_s)
     friction = friction_ahead(state.bristles_m, r, goal, p.h, p.lead_s, p.friction)
-    return friction, at_effect(state, e, friction.ahead_n + p.lead_s * state.force_rate, p), goal
-
-
-def errors(m: Motion, r: Reference, M: float) -> tuple[float, float, float]:
-    """w1, w2, w3 of (9), w3 with all forces that are known [m, m/s, m/s²]."""
-    return r.position_m - m.x, r.velocity_m_s - m.v, r.acceleration_m_s2 - m.force_n / M
+    motion = at_effect(state, e, friction.ahead_n + p.lead_s * state.force_rate, p)
+    w1, w2, w3 = errors(motion, goal, M)
+    return Situation(
+        e,
+        at_sample(e, p),
+        motion,
+        goal,
+        w1,
+        w2,
+        w3,
+        motion.force_n + (e.force_n if p.use_force else 0.0),
+        friction,
+        state.force_rate,
+        state.f0,
+        state.f1_fill,
+        state.f1_exhaust,
+        state.spool,
+        state.applied_v,
+        p.h,
+        M,
+        p.lead_s,
+        p.spool_ahead,
+        p.valve,
+        p.motion,
+    )
 
 
 def join(state: ControllerState, e: Estimate, r: Reference, p: Controller) -> ControllerState:
     """The state with s(0) = 0 for a law that takes over now; the bristles take what force they can."""
-    state = carried(state, state.sliding, bristles_under(e.force_n, p.friction), 0.0, 0.0)
-    _, motion, goal = outlook(state, e, r, p)
-    return carried(state, engage(errors(motion, goal, p.cylinder.M)[2]), state.bristles_m, 0.0, 0.0)
+    bristles_m = bristles_under(e.force_n, p.friction)
+    state = carried(state, state.sliding, bristles_m, 0.0, 0.0, state.own)
+    s = situation(state, e, r, p)
+    own = joined(s, e.force_n - held_by_bristles(e.force_n, p.friction), p.slot)
+    return carried(state, engage(s.w3), bristles_m, 0.0, 0.0, own)
 
 
 def change(
     state: ControllerState, e: Estimate, r: Reference, before: Controller, after: Controller
 ) -> ControllerState:
-    """The state with which the next command under other gains is that of the gains before."""
-    blend = state.blend + _resistance(state, e, r, before) - _resistance(state, e, r, after)
-    return carried(state, state.sliding, state.bristles_m, state.force_step_n, blend)
+    """The state with which the next command under another law or other gains is that of the one before."""
+    s = situation(state, e, r, after)
+    sliding, own = state.sliding, taken_over(state.own, s, before.slot, after.slot)
+    if before.slot.kind != SLIDING:
+        sliding = engage(s.w3)
+    changed = carried(state, sliding, state.bristles_m, state.force_step_n, state.blend, own)
+    blend = state.blend + _resistance(state, e, r, before) - _resistance(changed, e, r, after)
+    return carried(changed, sliding, state.bristles_m, state.force_step_n, blend, own)
 
 
 def _resistance(state: ControllerState, e: Estimate, r: Reference, p: Controller) -> float:
-    _, motion, goal = outlook(state, e, r, p)
-    w1, w2, w3 = errors(motion, goal, p.cylinder.M)
-    drift = state.f0 * motion.v / p.cylinder.M
-    return drift + resistance(state.sliding, w1, w2, w3, e.d_hat_n_s, p.h, p.sliding)
+    """What the law in the slot takes from the jerk of the reference, without blend [m/s³]."""
+    s = situation(state, e, r, p)
+    if p.slot.kind == SLIDING:
+        drift = state.f0 * s.motion.v / s.M
+        return drift + resistance(state.sliding, s.w1, s.w2, s.w3, e.d_hat_n_s, p.h, p.sliding)
+    _, Z = demand(state.own, s, p.slot)
+    return s.goal.jerk_m_s3 + (s.friction.rate_n_s + s.force_rate - Z) / s.M
 
 
 def act(
     state: ControllerState, e: Estimate, r: Reference, p: Controller
-) -> tuple[ControllerState, SlidingOutput]:
+) -> tuple[ControllerState, LawOutput]:
     """The law's command for an estimate and a reference of the same instant."""
-    friction, motion, goal = outlook(state, e, r, p)
-    w1, w2, w3 = errors(motion, goal, p.cylinder.M)
+    s = situation(state, e, r, p)
+    friction, blend = s.friction, state.blend * p.blend_kept
+    if p.slot.kind != SLIDING:
+        own, Z = demand(state.own, s, p.slot)
+        Z -= s.M * state.blend
+        wanted = Z / (s.f1_fill if Z >= 0.0 else s.f1_exhaust)
+        own = afterwards(own, s, Z, abs(wanted) <= p.valve.u_max_v, p.slot)
+        u_v = command(wanted, state.applied_v, p.sliding, p.valve)
+        state = carried(state, state.sliding, friction.bristles_m, friction.step_n, blend, own)
+        return state, LawOutput(u_v, NAN, NAN)
     sliding, out = law(
         state.sliding,
-        w1,
-        w2,
-        w3,
-        goal.jerk_m_s3,
-        state.f0 * motion.v,
+        s.w1,
+        s.w2,
+        s.w3,
+        s.goal.jerk_m_s3,
+        state.f0 * s.motion.v,
         e.d_hat_n_s,
         friction.rate_n_s + state.force_rate,
         state.f1_fill,
@@ -229,11 +277,16 @@ def act(
         state.applied_v,
         state.blend,
     )
-    return carried(state, sliding, friction.bristles_m, friction.step_n, state.blend * p.blend_kept), out
+    return carried(state, sliding, friction.bristles_m, friction.step_n, blend, state.own), out
 
 
 def carried(
-    s: ControllerState, sliding: SlidingState, bristles_m: float, force_step_n: float, blend: float
+    s: ControllerState,
+    sliding: SlidingState,
+    bristles_m: float,
+    force_step_n: float,
+    blend: float,
+    own: SlotState,
 ) -> ControllerState:
     """The state with what a law leaves in it; written out, since numba knows no _replace."""
     return ControllerState(
@@ -249,4 +302,5 @@ def carried(
         bristles_m,
         force_step_n,
         blend,
+        own,
     )

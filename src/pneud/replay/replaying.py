@@ -12,7 +12,7 @@ from pneud.compiled.backend import backend
 from pneud.config import conversions
 from pneud.config.models import Config, ConfigError, parse
 from pneud.control.step import Controller
-from pneud.control.tunables import TUNABLE, tunables, tuned
+from pneud.control.tunables import parted, tunables, tuned
 from pneud.loading import at_rate, codecs_of
 from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LoggedState, LogReader
@@ -194,12 +194,12 @@ class _Gains:
 
     def asked(self, request: Request | None) -> Request | None:
         """The request in the place of one in the log; one for another reference brings the gains along."""
-        count = len(TUNABLE)
         if request is None or self._own is None or request.kind != RequestKind.GAINS:
             return request
-        if tuple(request.values[:count]) != self._own:
+        gains, motion = parted(request.values) or ((), ())
+        if gains != self._own:
             return request
-        return Request(request.kind, (*tunables(self._law), *request.values[count:]))
+        return Request(request.kind, (*tunables(self._law), *motion))
 
 
 def _thawed(log: LogReader, state: LoggedState) -> Snapshot:

@@ -16,7 +16,6 @@ from pneud.loading import Loaded
 from pneud.physics.plant import PlantParameters
 from pneud.rig.dynamics import initial_state
 from pneud.study.closed_loop import run
-from pneud.study.tuned import Setting
 
 Array = NDArray[np.float64]
 Model = TypeVar("Model")
@@ -219,24 +218,24 @@ def with_(model: Model, **changes: Any) -> Model:
     return copied
 
 
-def trace_of(bench: Bench, s: Setting, c: Case, seed: int = 0) -> tuple[Array, Array]:
+def trace_of(bench: Bench, p: Controller, c: Case, seed: int = 0) -> tuple[Array, Array]:
     """Commands (n,) and trace (n, 4) of a run, as `closed_loop.run` fills them."""
     n = len(c.references)
     plant = c.rig.plant._replace(initial_x1=c.start_m + c.rig.plant.cylinder.x_e1)
     begin = initial_state(plant)
-    state = start(c.start_m, begin.p1, begin.p2, plant.gas.supply_pa, s.controller)
+    state = start(c.start_m, begin.p1, begin.p2, plant.gas.supply_pa, p)
     noise = np.random.default_rng(seed).normal(0.0, plant.pressure_noise_pa, (n, 3))
     commands, trace = np.zeros(n), np.zeros((n, 4))
     bench.compiled(
-        state, begin, s.controller, s.law, plant, c.rig.delay_s, c.rig.command_step_v, c.references,
+        state, begin, p, plant, c.rig.delay_s, c.rig.command_step_v, c.references,
         noise, c.force_n, commands, trace,
     )  # fmt: skip
     return commands, trace
 
 
-def figures(bench: Bench, s: Setting, c: Case, seed: int = 0) -> Figures:
+def figures(bench: Bench, p: Controller, c: Case, seed: int = 0) -> Figures:
     """What a run came to."""
-    commands, trace = trace_of(bench, s, c, seed)
+    commands, trace = trace_of(bench, p, c, seed)
     h = bench.controller.h
     a, b = round(c.judged[0] / h), round(c.judged[1] / h)
     error = trace[a:b, 0]

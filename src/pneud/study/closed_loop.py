@@ -9,8 +9,6 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from pneud.control.baselines import Law, LawState, act_any
-from pneud.control.baselines import begin as begin_law
 from pneud.control.reference import Sine, sine
 from pneud.control.step import Controller, ControllerState, act, join, observe
 from pneud.physics.gas import signed_flow
@@ -97,7 +95,6 @@ def run(
     state: ControllerState,
     rig: PlantState,
     controller: Controller,
-    law: Law,
     plant: PlantParameters,
     delay_s: float,
     command_step_v: float,
@@ -112,8 +109,7 @@ def run(
     Args:
         state: state of the controller to begin with; the law joins with s(0) = 0.
         rig: state of the plant to begin with.
-        controller: parameters of the controller.
-        law: which law.
+        controller: parameters of the controller, with its law.
         plant: parameters of the plant.
         delay_s: from the sampling instant until the command acts on the spool; may exceed a sample.
         command_step_v: step of the DAC, 0 for a continuous one [V].
@@ -123,7 +119,6 @@ def run(
         commands: array (n,), filled with the commands.
         trace: array (n, 4), filled with error [m], position [m], velocity [m/s], flow from supply [kg/s].
     """
-    own = LawState(0.0, 0.0, 0.0, 0.0, 0.0)
     applied_v = 0.0
     h, u_max = controller.h, controller.valve.u_max_v
     whole = math.floor(delay_s / h)
@@ -139,9 +134,8 @@ def run(
         r = Reference(references[k, 0], references[k, 1], references[k, 2], references[k, 3])
         if k == 0:
             state = join(state, e, r, controller)
-            own = begin_law(e)
-        state, own, u = act_any(state, own, e, r, controller, law)
-        applied_v = quantised(max(-u_max, min(u_max, u)), command_step_v)
+        state, out = act(state, e, r, controller)
+        applied_v = quantised(max(-u_max, min(u_max, out.u_v)), command_step_v)
         commands[k] = applied_v
         trace[k, 0] = r.position_m - true_m
         trace[k, 1] = true_m

@@ -7,11 +7,12 @@ and of the pure chain (13), each with what it leaves out.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pneud.config.conversions import command_delay_s, cylinder_of, gains_of, gas_of, lead_s, valve_of
 from pneud.config.models import Config, FrictionConfig
 from pneud.control.homogeneous import Feedback, feedback
+from pneud.control.laws.slot import IN_SLOT
 from pneud.control.tunables import MOST_H_OMEGA, bandwidth, delay_margin, is_hurwitz
 from pneud.physics.cylinder import F0
 from pneud.study.noise import horizon_s, mean_step_v
@@ -130,6 +131,26 @@ def designed(c: Config, omega_rad_s: float, error_m: float, alpha: float) -> Con
     g = scaled_gains(omega_rad_s, error_m, alpha)
     gain = max(disturbance_rate(c), 1.0)  # a reference at rest still has a model that drifts
     law = c.control
+    observer = law.observer.model_copy(
+        update={"discretisation": "implicit", "lambda0": 5.3, "lambda1": 1.1, "gain_n_s2": rounded(gain)}
+    )
+    control = law.model_copy(
+        update={
+            "k1": rounded(g.k1),
+            "k2": rounded(g.k2),
+            "k3": rounded(g.k3),
+            "alpha": alpha,
+            "eta_m_s3": rounded(REACHING_MARGIN * h * gain / c.cylinder.moving_mass_kg),
+            "observer": observer,
+            **filters(c, omega_rad_s),
+        }
+    )
+    return c.model_copy(update={"control": control})
+
+
+def filters(c: Config, omega_rad_s: float) -> dict[str, Any]:
+    """What of [control] filters, for a bandwidth of the loop."""
+    h, law = 1.0 / c.loop.rate_hz, c.control
     rate = min(FORCE_RATE_PER_BANDWIDTH * omega_rad_s, 1.0 / h) if law.estimate_force else 0.0
     slow = min(FILTER_PER_BANDWIDTH * omega_rad_s, FASTEST_FILTER / h)
     fast = None if law.motion.push_bandwidth_rad_s is None else rounded(PUSH_PER_FILTER * slow)
@@ -141,22 +162,7 @@ def designed(c: Config, omega_rad_s: float, error_m: float, alpha: float) -> Con
             "force_walk_n_rs": None,
         }
     )
-    observer = law.observer.model_copy(
-        update={"discretisation": "implicit", "lambda0": 5.3, "lambda1": 1.1, "gain_n_s2": rounded(gain)}
-    )
-    control = law.model_copy(
-        update={
-            "k1": rounded(g.k1),
-            "k2": rounded(g.k2),
-            "k3": rounded(g.k3),
-            "alpha": alpha,
-            "eta_m_s3": rounded(REACHING_MARGIN * h * gain / c.cylinder.moving_mass_kg),
-            "force_rate_bandwidth_rad_s": rounded(rate),
-            "motion": motion,
-            "observer": observer,
-        }
-    )
-    return c.model_copy(update={"control": control})
+    return {"force_rate_bandwidth_rad_s": rounded(rate), "motion": motion}
 
 
 def rounded(x: float) -> float:
@@ -258,10 +264,20 @@ def warnings(c: Config, p: Prediction) -> list[str]:
     return found
 
 
+def table_of(c: Config) -> dict[str, Any]:
+    """[control] of a configuration, without the tables of laws that are neither chosen nor given."""
+    table = c.control.model_dump(exclude_none=True)
+    for law in IN_SLOT:
+        own = getattr(c.control, law.name)
+        if law.name != c.control.law and own == type(own)():
+            del table[law.name]
+    return table
+
+
 def toml(c: Config) -> str:
     """The [control] tables of a configuration, ready to paste."""
     tables: dict[str, list[str]] = {"control": []}
-    for key, value in c.control.model_dump(exclude_none=True).items():
+    for key, value in table_of(c).items():
         if isinstance(value, dict):
             if key == "friction" and c.control.friction == FrictionConfig():
                 continue

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 from pneud.control.disturbance import EXPLICIT, Observer, ObserverState
 from pneud.control.disturbance import observe as observe_disturbance
 from pneud.control.homogeneous import Feedback, explicit_ustar, implicit_ustar
+from pneud.control.laws.sliding import Sliding, engage, law
 from pneud.control.reference import Sine, sine
-from pneud.control.sliding import Sliding, engage, law
 from pneud.physics.cylinder import F0, F1_FLOOR, Cylinder, F1_exhaust, F1_fill, x3_of
 from pneud.physics.gas import Gas, signed_flow
 from pneud.physics.plant import PlantParameters

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
 
-from pneud.control.baselines import ADRC, PID, SLIDING, Adrc, Law, Pid, quadruple_pole
 from pneud.control.homogeneous import feedback
+from pneud.control.laws import adrc
+from pneud.control.laws.pid import Pid
+from pneud.control.laws.slot import ADRC, PID, Slot
 from pneud.control.motion import quickened, triple_pole
 from pneud.control.step import Controller
 
-NO_PID = Pid(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-NO_ADRC = Adrc(0.0, 0.0, 0.0, True, 0.0, 0.0, 0.0, 0.0)
-AS_CONFIGURED = Law(SLIDING, 1.0, NO_PID, NO_ADRC)
 PID_FF, ADRC4, ADRC3, ISMC, COMPOSITE = "PID + FF", "ADRC, ESO 4", "ADRC, ESO 3", "ISMC", "composite"
 ISMC_PAPER, COMPOSITE_PAPER = "ISMC, paper's gains", "composite, paper's gains"
 EXTENDED, EXTENDED_TUNED = "extended composite", "extended, tuned alike"
@@ -78,15 +76,8 @@ GAINS: dict[str, dict[str, float]] = {
 }
 
 
-class Setting(NamedTuple):
-    """A law ready to run."""
-
-    controller: Controller
-    law: Law
-
-
-def setting(name: str, base: Controller, gains: Mapping[str, float] | None = None) -> Setting:
-    """A law with its tuned gains, or with others.
+def setting(name: str, base: Controller, gains: Mapping[str, float] | None = None) -> Controller:
+    """The controller with a law and its tuned gains, or others.
 
     Every law shares the plant's model, prediction, motion filter, dead-zone inverse and friction feed-forward
     of `base`, the extended composite as configured.
@@ -97,14 +88,14 @@ def setting(name: str, base: Controller, gains: Mapping[str, float] | None = Non
         gains: other gains than those in `GAINS`.
     """
     if name == EXTENDED:
-        return Setting(base, AS_CONFIGURED)
+        return base
     s, h = base.sliding, base.h
     if name in (ISMC_PAPER, COMPOSITE_PAPER):
         ismc = name == ISMC_PAPER
         paper = feedback(200.0, 500.0, 400.0, 0.9) if ismc else feedback(220.0, 450.0, 350.0, 0.8)
         s = s._replace(gains=paper, eta=20.0, compensate_d=not ismc, implicit=True)
         observer = base.observer._replace(lambda0=10.0, lambda1=5.0, L=5.0)
-        return Setting(without_force(base)._replace(sliding=s, observer=observer), AS_CONFIGURED)
+        return without_force(base)._replace(sliding=s, observer=observer)
     g = GAINS[name] if gains is None else gains
     s = s._replace(hold_v=g["hold"])
     base = base._replace(sliding=s)
@@ -119,14 +110,13 @@ def setting(name: str, base: Controller, gains: Mapping[str, float] | None = Non
     if name in (ISMC, COMPOSITE, EXTENDED_TUNED):
         powers = feedback(g["k1"], g["k2"], g["k3"], g["alpha"])
         base = base._replace(sliding=s._replace(gains=powers, eta=g["eta"], compensate_d=name != ISMC))
-        return Setting(base if name == EXTENDED_TUNED else without_force(base), AS_CONFIGURED)
+        return base if name == EXTENDED_TUNED else without_force(base)
     base = base._replace(sliding=s._replace(compensate_d=False), use_x3_hat=False)
     if name == PID_FF:
-        pid = Pid(g["kp"], g["ki"], g["kd"], g["kf"], 20e-6, 200.0)
-        return Setting(base, Law(PID, g["reach"], pid, NO_ADRC))
-    eso = quadruple_pole(g["eso"], h) if name == ADRC4 else (0.0, 0.0, 0.0, 0.0)
-    adrc = Adrc(g["k1"], g["k2"], g["k3"], name == ADRC3, *eso)
-    return Setting(base, Law(ADRC, g["reach"], NO_PID, adrc))
+        pid = Pid(g["kp"], g["ki"], g["kd"], g["kf"], g["reach"], 20e-6, 200.0)
+        return base._replace(slot=Slot(PID, pid=pid))
+    made = adrc.made((g["k1"], g["k2"], g["k3"], g["reach"], g.get("eso", 0.0)), h)
+    return base._replace(slot=Slot(ADRC, adrc=made))
 
 
 def without_force(base: Controller) -> Controller:

@@ -11,10 +11,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from pneud.control.step import Controller
 from pneud.loading import load
 from pneud.study import cases
 from pneud.study.cases import Bench, Case, Figures, bench_of, figures
-from pneud.study.tuned import ADRC3, ADRC4, COMPOSITE, EXTENDED_TUNED, ISMC, PID_FF, Setting, setting
+from pneud.study.tuned import ADRC3, ADRC4, COMPOSITE, EXTENDED_TUNED, ISMC, PID_FF, setting
 
 Gains = dict[str, float]
 STARTS: dict[str, Gains] = {
@@ -106,14 +107,14 @@ def parts(name: str, f: Figures) -> list[float]:
     return [mm / 0.2]
 
 
-def cost(bench: Bench, s: Setting, over: dict[str, Case], limit: float = math.inf) -> float:
+def cost(bench: Bench, p: Controller, over: dict[str, Case], limit: float = math.inf) -> float:
     """Sum of log(1 + ratio²): counts what is far off, without drowning the rest in it.
 
     Stops where it exceeds `limit`.
     """
     total = 0.0
     for name, c in over.items():
-        for ratio in parts(name, figures(bench, s, c)):
+        for ratio in parts(name, figures(bench, p, c)):
             if not math.isfinite(ratio):
                 return UNSTABLE
             total += math.log1p(ratio * ratio)

@@ -9,10 +9,11 @@ from pneud.axis.cycle import Axis
 from pneud.config import conversions
 from pneud.config.models import ConfigError
 from pneud.config.places import line_of
+from pneud.control.tunables import in_slot
 from pneud.loading import Loaded, load
 from pneud.scenario import verdict
 from pneud.scenario.files import is_scenario, load_axis, load_scenario
-from pneud.study.gains import predict, warnings
+from pneud.study import gains, linear
 from pneud.study.plausibility import Finding, findings
 
 
@@ -29,11 +30,12 @@ def check(config_file: str, json: bool) -> int:
     c, codecs = loaded.config, loaded.codecs
     Axis(conversions.axis_of(c, codecs.command_lsb_v))
     conversions.plant_of(c)
-    prediction = predict(c)
-    found = findings(c, codecs.command_lsb_v, prediction.bandwidth_rad_s)
+    entry = in_slot(c.control.law)
+    bandwidth = (gains.predict(c) if entry is None else linear.predict(c, entry)).bandwidth_rad_s
+    found = findings(c, codecs.command_lsb_v, bandwidth)
     if wrong := [_placed(loaded, finding) for finding in found if finding.is_error]:
         raise ConfigError(f"{loaded.path}: {'; '.join(wrong)}")
-    doubts = [_placed(loaded, finding) for finding in found] + warnings(c, prediction)
+    doubts = [_placed(loaded, finding) for finding in found] + linear.doubts_of(c)
     if json:
         print(
             json_.dumps(
@@ -44,7 +46,8 @@ def check(config_file: str, json: bool) -> int:
     print(f"{loaded.path}: {'fine' if not doubts else f'usable, {len(doubts)} to look at'}")
     stroke, mass = c.cylinder.stroke_m, c.cylinder.moving_mass_kg
     print(f"axis {c.name}: {stroke:g} m stroke, {mass:g} kg, {c.loop.rate_hz:g} Hz")
-    print(f"law {c.control.law}, {c.control.discretisation}, on {c.bus.channel} with {loaded.dbc.name}")
+    form = "" if entry is not None else f"{c.control.discretisation}, "
+    print(f"law {c.control.law}, {form}on {c.bus.channel} with {loaded.dbc.name}")
     for doubt in doubts:
         print(f"warning: {doubt}")
     return 0

@@ -99,7 +99,7 @@ def diff(socket: str | None, json: bool) -> int:
     """
     running, path = _running(socket)
     found = values_of(load_config(path))
-    changes = {n: {"file": found[n], "running": running[n]} for n in NAMES if found[n] != running[n]}
+    changes = {n: {"file": found[n], "running": v} for n, v in running.items() if found[n] != v}
     show({"config": str(path), "changes": changes}, json, difference(found, running) or "nothing differs")
     return 0
 
@@ -136,15 +136,14 @@ def _running(socket: str | None) -> tuple[Values, Path]:
 
 def _with(text: str, old: Values, new: Values) -> str:
     document = tomlkit.parse(text)
-    for name in NAMES:
-        if new[name] == old[name]:
+    for name, value in new.items():
+        if value == old[name]:
             continue
-        value = new[name]
         parts = value.split("-") if isinstance(value, str) else [value]
-        for key, part in zip(keys(name), parts, strict=True):
+        for key, part in zip(keys(name), parts, strict=False):  # not each law has a form
             table: Any = document
             for step in key[:-1]:
-                table = table[step]
+                table = table.setdefault(step, tomlkit.table())
             table[key[-1]] = part
     return tomlkit.dumps(document)
 

@@ -9,6 +9,7 @@ import math
 from typing import NamedTuple
 
 from pneud.control.homogeneous import Feedback, explicit_ustar, implicit_ustar
+from pneud.control.laws.situation import LawOutput
 from pneud.physics.valve import Valve, dead_zone_inverse
 
 
@@ -29,14 +30,6 @@ class SlidingState(NamedTuple):
     """What the law carries from tick to tick."""
 
     integral: float  # ∫u* of (12) [m/s²]
-
-
-class SlidingOutput(NamedTuple):
-    """The law's answer in one tick."""
-
-    u_v: float  # command it asks for [V], not limited
-    s: float  # sliding variable (12) [m/s²]
-    ustar: float  # (19) [m/s³]
 
 
 def engage(w3: float) -> SlidingState:
@@ -68,6 +61,15 @@ def resistance(
     return feedback_ustar(w1, w2, w3, ahead_s, p) - reaching(s, ahead_s, p.eta, p.implicit) + d / p.M
 
 
+def command(wanted_v: float, last_v: float, p: Sliding, valve: Valve) -> float:
+    """Command [V] for an opening; the last one, within the dead zone, where that is not worth crossing it."""
+    if not p.invert_dead_zone:
+        return wanted_v
+    if abs(wanted_v) <= p.hold_v:
+        return max(-valve.dead_zone_v, min(valve.dead_zone_v, last_v))
+    return dead_zone_inverse(wanted_v, valve, 0.0)
+
+
 def law(
     state: SlidingState,
     w1: float,
@@ -84,7 +86,7 @@ def law(
     valve: Valve,
     last_v: float = 0.0,
     blend: float = 0.0,
-) -> tuple[SlidingState, SlidingOutput]:
+) -> tuple[SlidingState, LawOutput]:
     """One tick of the law.
 
     Args:
@@ -118,12 +120,8 @@ def law(
     f1 = f1_fill if Z >= 0.0 else f1_exhaust
     wanted = Z / f1
     coming = max(-valve.u_max_v, min(valve.u_max_v, wanted))
-    u = wanted
-    if p.invert_dead_zone:
-        if abs(wanted) <= p.hold_v:
-            coming = 0.0
-            u = max(-valve.dead_zone_v, min(valve.dead_zone_v, last_v))
-        else:
-            u = dead_zone_inverse(wanted, valve, 0.0)
+    if p.invert_dead_zone and abs(wanted) <= p.hold_v:
+        coming = 0.0
+    u = command(wanted, last_v, p, valve)
     rate = ustar if coming == wanted else (known - f1 * coming) / p.M
-    return SlidingState(state.integral + h * rate), SlidingOutput(u, s, ustar)
+    return SlidingState(state.integral + h * rate), LawOutput(u, s, ustar)

@@ -1,0 +1,1 @@
+"""The laws: the sliding one of the paper (composite and ISMC), and those of the slot beside it."""
