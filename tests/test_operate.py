@@ -355,7 +355,8 @@ def test_another_law_is_set_with_its_gains_saved_and_left_again(tmp_path: Path) 
 
         wanted = ("law=adrc", "adrc.observer_rad_s=220", "reference.amplitude_m=0.03")
         pneud_here("tune", "set", *wanted, *at)
-        assert list(b.requests[-1].values)[:6] == [5.0, 373000.0, 15600.0, 216.0, 0.02, 220.0]
+        sent = list(map(float, b.requests[-1].values))
+        assert sent[:6] == [5.0, 373000.0, 15600.0, 216.0, 0.02, 220.0]
         assert len(b.requests[-1].values) == 9
         file.write_text(text + "\n[control.adrc]\nk1 = 300000.0\n")
         back = object_of(pneud_here("tune", "reload", *at))
