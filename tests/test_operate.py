@@ -364,7 +364,7 @@ def test_another_law_is_set_with_its_gains_saved_and_left_again(tmp_path: Path) 
         assert back["changed"] == "law adrc → composite-implicit, reference.amplitude_m 0.03 → 0.05"
         assert len(b.requests[-1].values) == len(TUNABLE) + 3
         pneud_here("tune", "set", "law=adrc", *at)
-        assert b.requests[-1].values == (5.0, 300000.0, 15600.0, 216.0, 0.02, 0.0)
+        assert list(b.requests[-1].values) == [5.0, 300000.0, 15600.0, 216.0, 0.02, 0.0]
 
 
 def test_how_a_reference_is_joined_waits_for_the_next_start(tmp_path: Path) -> None:
