@@ -19,7 +19,7 @@ from pneud.rt.setup import Report
 from pneud.service import machine
 from pneud.service.machine import Facts, Interface
 from pneud.service.probe import Finding, Level, Wanted, examine
-from pneud.verbs.doctor import doctor, wanted_by
+from pneud.verbs.doctor import diagnose, wanted_by
 
 FACTS = Facts(
     kernel="Linux 6.1 x86_64",
@@ -260,19 +260,19 @@ def answers(facts: Facts, reports: list[Report]) -> dict[str, Callable[..., Any]
 
 
 def test_exit_is_0_only_where_everything_required_is_there(capsys: pytest.CaptureFixture[str]) -> None:
-    assert doctor("rig.toml", False, **answers(FACTS, GRANTED)) == 0
+    assert diagnose("rig.toml", False, **answers(FACTS, GRANTED)) == 0
     assert "all that axis rig requires is there; 1 warning" in capsys.readouterr().out
-    assert doctor("rig.toml", False, **answers(FACTS, refused("fifo"))) == 1
+    assert diagnose("rig.toml", False, **answers(FACTS, refused("fifo"))) == 1
     out = capsys.readouterr().out
     assert out.splitlines()[1].startswith("lack scheduling: refused")
     assert "cure a cure" in out
     assert "lacks 1 of what axis rig requires" in out
     assert "\x1b" not in out, "plain text where there is no terminal"
-    assert doctor("virtual.toml", False, **answers(FACTS, refused("fifo"))) == 0
+    assert diagnose("virtual.toml", False, **answers(FACTS, refused("fifo"))) == 0
 
 
 def test_the_object_carries_machine_and_findings(capsys: pytest.CaptureFixture[str]) -> None:
-    assert doctor("rig.toml", True, **answers(FACTS._replace(interface=None), GRANTED)) == 1
+    assert diagnose("rig.toml", True, **answers(FACTS._replace(interface=None), GRANTED)) == 1
     found = json.loads(capsys.readouterr().out)
     assert found["schema"] == 1
     assert found["ok"] is False

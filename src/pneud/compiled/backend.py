@@ -68,7 +68,7 @@ def law(mode: str, p: AxisParameters) -> Law:
             raise BuildError("the compiled law does not compute what Python does")
     except BuildError as e:
         if mode == "required":
-            raise
+            raise BuildError(f"loop.compiled: {e}") from None
         return INTERPRETED._replace(reason=str(e))
     return made
 

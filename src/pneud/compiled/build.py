@@ -34,6 +34,8 @@ _PATIENCE_S = 60.0
 class BuildError(Exception):
     """There is no compiled law; the text is one line for a person."""
 
+    exit_code = 3
+
 
 def compiler() -> Path:
     """The system's C compiler.

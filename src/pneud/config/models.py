@@ -30,6 +30,8 @@ MaybeInfinite = Annotated[float, Field(gt=0, allow_inf_nan=True)]
 class ConfigError(Exception):
     """A configuration cannot be used; the text is one line for a person."""
 
+    exit_code = 2
+
 
 class Section(BaseModel):
     """A table of the file: unknown keys, NaN and infinity are errors, and nothing changes afterwards."""

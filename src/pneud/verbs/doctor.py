@@ -1,11 +1,13 @@
-"""What this machine can and cannot do in real time, and the cure for each lack."""
+"""Say what this machine can and cannot do in real time, worst first, and what helps."""
 
 from __future__ import annotations
 
 import json as json_
+import sys
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Annotated, Any
 
+import typer
 from rich.console import Console
 from rich.padding import Padding
 from rich.text import Text
@@ -17,12 +19,27 @@ from pneud.rt.setup import Report, own_cpu
 from pneud.service import installation, machine
 from pneud.service.machine import Facts
 from pneud.service.probe import Finding, Level, Wanted, examine, worst_first
+from pneud.verbs import JsonOption, VerbError
 
 _STYLE = {Level.LACK: "bold red", Level.WARNING: "yellow", Level.OK: "green"}
 _SIGN = {Level.LACK: "lack", Level.WARNING: "warn", Level.OK: "ok"}
 
 
 def doctor(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="Configuration.")] = "virtual.toml",
+    json: JsonOption = False,
+) -> int:
+    """Examine this machine; see `diagnose`.
+
+    Raises:
+        VerbError: this is not Linux.
+    """
+    if sys.platform != "linux":
+        raise VerbError("the loop needs Linux, and so does its doctor", 3)
+    return diagnose(file, json)
+
+
+def diagnose(
     config_file: str,
     json: bool,
     read: Callable[..., Facts] = machine.read,
