@@ -12,7 +12,7 @@ DEBIAN_PYTHON := /usr/bin/python3
 PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 
 .DEFAULT_GOAL := help
-.PHONY: help virtual test lint types contracts ci-tests coverage mutation vm systemd install-service campaign campaign-vm soak clean
+.PHONY: help virtual test lint types contracts ci-tests coverage mutation lowest vm systemd install-service campaign campaign-vm soak clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 17
@@ -45,6 +45,9 @@ coverage: $(DEV) ## every branch of safety/ and control/ is taken by a test
 
 mutation: $(MUTATION) ## what of safety/ can be changed without a test that fails (minutes)
 	@exec .ci/mutation $(ARGS)
+
+lowest: $(DEV) ## the quick tests with the lowest versions of all that pneud says it works with
+	@exec .ci/lowest $(ARGS)
 
 vm: $(DEV) ## the tests over real SocketCAN, in a virtual machine (see hil/README.md)
 	@exec hil/vm/run -t 600 -- $(BIN)/python -m pytest -m vm -p no:cacheprovider tests/vm $(ARGS)

@@ -10,10 +10,10 @@ import math
 import shutil
 import subprocess
 import xml.etree.ElementTree as ET
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from random import Random
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 from hypothesis import given
@@ -29,7 +29,7 @@ from pneud.bench.tables import as_object, in_words
 from pneud.config.models import ConfigError
 from pneud.loading import Loaded, load
 from pneud.log.files.reader import read_log
-from pneud.verbs.bench import BenchOptions, Contestant, bench
+from pneud.verbs.bench import Contestant, bench
 from pure2c import TranslationError
 from pure2c.to_c import Translator
 
@@ -465,8 +465,13 @@ def turns_of(*counts: int) -> Contestant:
     return Contestant("made up", turn, False)
 
 
-def options(**changes: object) -> BenchOptions:
-    return BenchOptions("virtual.toml", "unixcan:x", 3, 0.0, None, True)._replace(**changes)  # type: ignore[arg-type]
+def measured(field: Mapping[str, Contestant] | None = None, **options: Any) -> int:
+    """The exit status of a benchmark of these contestants."""
+    with pytest.MonkeyPatch.context() as m:
+        if field is not None:
+            m.setattr("pneud.verbs.bench.CONTESTANTS", field)
+        all_options: dict[str, Any] = {"bus": "unixcan:x", "pairs": 3, "rate_s": 0.0, "json": True} | options
+        return bench(**all_options)
 
 
 def test_whoever_cannot_go_on_is_missing_and_the_rest_works(
@@ -474,7 +479,7 @@ def test_whoever_cannot_go_on_is_missing_and_the_rest_works(
 ) -> None:
     page = tmp_path / "bench.html"
     field = {"cyclictest": turns_of(), "pneud": turns_of(5, 5, 5), "empty": turns_of(5)}
-    assert bench(options(output=page, turn_s=0.01), field) == 0
+    assert measured(field, output=page, turn_s=0.01) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["missing"] == {"cyclictest": "had enough", "empty": "had enough"}
     assert {name: one["turns"] for name, one in found["contestants"].items()} == {"pneud": 3, "empty": 1}
@@ -484,7 +489,7 @@ def test_whoever_cannot_go_on_is_missing_and_the_rest_works(
 
 
 def test_without_pneud_itself_the_answer_is_no(capsys: pytest.CaptureFixture[str]) -> None:
-    assert bench(options(json=False), {"pneud": turns_of(), "empty": turns_of(5, 5, 5)}) == 1
+    assert measured({"pneud": turns_of(), "empty": turns_of(5, 5, 5)}, json=False) == 1
     assert "without pneud: had enough" in capsys.readouterr().out
 
 
@@ -503,7 +508,7 @@ def test_without_pneud_itself_the_answer_is_no(capsys: pytest.CaptureFixture[str
 )
 def test_what_cannot_be_measured_is_refused_at_once(changes: dict[str, object], says: str) -> None:
     with pytest.raises(ConfigError, match=says):
-        bench(options(**changes), {"pneud": turns_of()})
+        measured({"pneud": turns_of()}, **changes)
 
 
 def test_disturbances_are_compared_with_quiet_turns(
@@ -515,7 +520,7 @@ def test_disturbances_are_compared_with_quiet_turns(
         )
 
     monkeypatch.setattr(contestants, "pneud", run)
-    assert bench(options(disturb=True)) == 0
+    assert measured(disturb=True) == 0
     found = json.loads(capsys.readouterr().out)["disturbances"]
     assert set(found) == {"recorder", "disk", "console", "cpu"}
     for name, one in found.items():
@@ -523,7 +528,7 @@ def test_disturbances_are_compared_with_quiet_turns(
         assert one["own_over_quiet"]["p99"]["median"] == pytest.approx(expected, rel=0.02)
         assert one["own_over_quiet"]["pairs"] == 3
         assert (one["quiet"]["skipped"], one["disturbed"]["skipped"]) == (0, 3)
-    assert bench(options(disturb=True, json=False)) == 0
+    assert measured(disturb=True, json=False) == 0
     assert "0 → 3" in capsys.readouterr().out
 
 

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
+import re
 from pathlib import Path
 
 import pytest
 
 from commands import object_of, pneud, pneud_here
+from pneud.cli import ORDER, verbs
+from pneud.verbs import NEGATIVE_NUMBERS, check
 
 
 @pytest.mark.parametrize(
@@ -55,13 +60,73 @@ def test_log_is_never_overwritten(tmp_path: Path) -> None:
     assert log.read_bytes() == b"precious"
 
 
-@pytest.mark.parametrize(
-    "verb", ["plant", "sim", "replay", "recover", "check", "design", "reproduce", "doctor", "bench"]
-)
-def test_every_verb_has_help(verb: str) -> None:
+def test_every_verb_stands_in_its_order() -> None:
+    assert list(verbs()) == list(ORDER)
+
+
+@pytest.mark.parametrize("verb", ORDER)
+def test_what_help_says_of_a_verb_is_the_first_line_of_its_module(verb: str) -> None:
+    listed = " ".join(pneud_here("--help").stdout.split())
     done = pneud_here(verb, "--help")
     assert done.returncode == 0
-    assert "Usage" in done.stdout
+    assert f"Usage: pneud {verb} [OPTIONS]" in done.stdout
+    line = (ast.get_docstring(ast.parse(verbs()[verb].read_text())) or "").partition("\n")[0]
+    assert re.fullmatch(r"[A-Z].*\.", line)
+    assert f" {verb} {line}" in listed
+    assert line in " ".join(done.stdout.split())
+
+
+def test_verbs_of_a_verb_have_their_help() -> None:
+    listed = " ".join(pneud_here("tune", "--help").stdout.split())
+    module = importlib.import_module("pneud.verbs.tune")
+    assert list(module.VERBS) == ["get", "set", "diff", "save", "reload"]
+    for name, function in module.VERBS.items():
+        line = (function.__doc__ or "").partition("\n")[0]
+        assert f" {name} {line}" in listed
+        assert line in " ".join(pneud_here("tune", name, "--help").stdout.split())
+
+
+@pytest.mark.parametrize("verb", ["goto", "jog", "track"])
+def test_numbers_with_a_minus_sign_are_no_options(verb: str) -> None:
+    assert importlib.import_module(f"pneud.verbs.{verb}").SETTINGS == NEGATIVE_NUMBERS
+    done = pneud_here(verb, *(["steps"] if verb == "track" else []), "-5", "--socket", "/nowhere/at/all")
+    assert done.returncode == 3, done.stderr
+
+
+def test_a_verb_that_is_mistyped_is_guessed() -> None:
+    done = pneud_here("statsu")
+    assert done.returncode == 2
+    assert "Did you mean 'status'" in done.stderr
+
+
+class NoSuchThingError(Exception):
+    exit_code = 3
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "says"),
+    [
+        (NoSuchThingError("no such thing"), 3, "pneud: no such thing\n"),
+        (MemoryError(), 3, "pneud: not enough memory\n"),
+        (KeyboardInterrupt(), 130, ""),
+        (BrokenPipeError(), 0, ""),
+    ],
+)
+def test_what_people_can_do_something_about_is_one_line_and_a_status(
+    error: BaseException, status: int, says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(check, "load", fail)
+    done = pneud_here("check", "virtual.toml")
+    assert (done.returncode, done.stdout, done.stderr) == (status, "", says)
+
+
+def test_a_mistake_of_the_program_shows_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(check, "load", None)
+    with pytest.raises(TypeError, match="not callable"):
+        pneud_here("check", "virtual.toml")
 
 
 def test_version() -> None:

@@ -87,7 +87,7 @@ def test_messages_in_another_order_of_bytes(tmp_path: Path, monkeypatch: pytest.
         rest = type(message)()
         for field, value in message.ListFields():
             target = first if field.number == descriptor.number else rest
-            if field.is_repeated:
+            if hasattr(value, "extend"):
                 getattr(target, field.name).extend(value)
             elif field.message_type is not None:
                 getattr(target, field.name).CopyFrom(value)

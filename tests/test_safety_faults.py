@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
+from generators.safety import text
 from pneud.config.models import Config
 from pneud.safety.checks import Limits
-from pneud.safety.document import text
 from pneud.safety.faults import (
     BLOCKS_ARM,
     CENTRES,

@@ -61,7 +61,26 @@ except SystemExit:
     modules = loaded(program, "--help", cache=tmp_path)[-1].split()
     assert "pneud.cli" in modules
     assert not {name.partition(".")[0] for name in modules} & (HEAVY | {"pydantic", "asyncio"})
-    assert {name for name in modules if name.startswith("pneud.")} == {"pneud.cli"}
+    assert {name for name in modules if name.startswith("pneud.")} == {"pneud.cli", "pneud.verbs"}
+
+
+def test_completion_of_verbs_loads_none_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("_PNEUD_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", "pneud ")
+    monkeypatch.setenv("COMP_CWORD", "1")
+    program = """
+import sys
+sys.argv[0] = "pneud"
+from pneud.cli import main
+try:
+    main()
+except SystemExit:
+    print()
+    print(*sys.modules)
+"""
+    *offered, names = loaded(program, cache=tmp_path)
+    assert {"sim", "install-service", "import", "tune"} <= set(offered)
+    assert {name for name in names.split() if name.startswith("pneud.")} == {"pneud.cli", "pneud.verbs"}
 
 
 def test_the_loop_ticks_without_what_others_need(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

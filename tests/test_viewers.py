@@ -22,8 +22,8 @@ import numpy as np
 import pytest
 
 from commands import background, pneud_here
+from generators import log as document
 from mangled import simulated
-from pneud.log import document
 from pneud.log.files.reader import read_log
 from pneud.log.format.schema import tick_fields, topics
 from pneud.resources import configs
@@ -172,7 +172,7 @@ def field_names() -> set[str]:
 
 def test_the_document_of_the_log_is_made_from_the_schema() -> None:
     written = (Path(__file__).parent.parent / "docs" / "log.md").read_text()
-    assert written == document.text(), "write docs/log.md anew from pneud.log.document"
+    assert written == document.text(), "python docs/generators/log.py > docs/log.md"
     assert field_names() == set(document.MEANINGS)
     for topic in topics("compact"):
         assert f"`{topic.topic}`" in written

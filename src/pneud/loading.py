@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import tempfile
-import tomllib
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,6 +21,7 @@ from pneud.config.models import (
     load_with_text,
     parse,
 )
+from pneud.config.toml import tables_of
 
 SYNC_COUNTERS = 240  # SYNC counts 1 … 240
 
@@ -52,7 +52,7 @@ def load(
     """
     config, text, path = load_with_text(config_file)
     if change:
-        text = toml_text(_merged(tomllib.loads(text), change))
+        text = toml_text(_merged(tables_of(text), change))
         config = parse(text, f"{path} as changed")
     if rate_hz is not None:
         config = at_rate(config, rate_hz)

@@ -48,7 +48,10 @@ def find(name: str | Path, beside: Path | None = None) -> Path:
     Raises:
         FileNotFoundError: nowhere; the message lists where it was looked for.
     """
-    path = Path(name).expanduser()
+    try:
+        path = Path(name).expanduser()
+    except RuntimeError:
+        raise FileNotFoundError(f"{name}: no such user, or one without a home") from None
     tried = [path]
     if beside is not None:
         tried.insert(0, beside / path)

@@ -31,6 +31,8 @@ PLAIN = {float: "double", int: "long", object: "struct _object *"}
 class BuildError(Exception):
     """There is no compiled version; the text is one line for a person."""
 
+    exit_code = 3  # of a program that cannot do without
+
 
 class TranslationError(BuildError):
     """Something has no counterpart in C."""

@@ -46,6 +46,8 @@ _ROLES: dict[str, dict[str, float | None]] = {
 class DatabaseError(Exception):
     """A DBC cannot be used; the text is one line for a person."""
 
+    exit_code = 2
+
 
 @dataclass(frozen=True, slots=True)
 class Codec:

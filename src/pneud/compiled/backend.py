@@ -56,7 +56,7 @@ def backend(mode: str, p: AxisParameters) -> Backend:
             raise BuildError("the compiled law does not compute what Python does")
     except BuildError as e:
         if mode == "required":
-            raise
+            raise BuildError(f"loop.compiled: {e}") from None
         return INTERPRETED._replace(reason=str(e))
     return made
 

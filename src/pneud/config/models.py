@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from pneud import resources
 from pneud.config.places import line_of, meant
+from pneud.config.toml import TomlError, tables_of
 from pneud.control.laws import adrc, pid
 from pneud.control.laws.loop import Loop
 
@@ -29,6 +29,8 @@ MaybeInfinite = Annotated[float, Field(gt=0, allow_inf_nan=True)]
 
 class ConfigError(Exception):
     """A configuration cannot be used; the text is one line for a person."""
+
+    exit_code = 2
 
 
 class Section(BaseModel):
@@ -536,9 +538,9 @@ def parse(text: str, name: str) -> Config:
         ConfigError: names the file, the key, the value and the bound.
     """
     try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as e:
-        raise ConfigError(f"{name}: not valid TOML: {e}") from None
+        data = tables_of(text)
+    except TomlError as e:
+        raise ConfigError(f"{name}: {e}") from None
     try:
         return Config.model_validate(data)
     except ValidationError as e:
@@ -557,9 +559,9 @@ def with_settings(text: str, name: str, settings: Sequence[str]) -> Config:
         ConfigError: as `parse`, or a setting has not this form.
     """
     try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as e:
-        raise ConfigError(f"{name}: not valid TOML: {e}") from None
+        data = tables_of(text)
+    except TomlError as e:
+        raise ConfigError(f"{name}: {e}") from None
     for setting in settings:
         key, equals, value = setting.partition("=")
         *tables, last = key.strip().split(".")
@@ -571,8 +573,8 @@ def with_settings(text: str, name: str, settings: Sequence[str]) -> Config:
             if not isinstance(table, dict):
                 raise ConfigError(f"--set {setting}: {part} is no table")
         try:
-            table[last] = tomllib.loads(f"x = {value}")["x"]
-        except tomllib.TOMLDecodeError:
+            table[last] = tables_of(f"x = {value}")["x"]
+        except TomlError:
             table[last] = value.strip()
     try:
         return Config.model_validate(data)
@@ -593,7 +595,7 @@ def load_with_text(file: str | Path) -> tuple[Config, str, Path]:
     """As `load_config`, with the file's text and where it was found."""
     try:
         path = resources.find(file)
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError as e:
         raise ConfigError(str(e)) from None
     except (OSError, UnicodeDecodeError) as e:

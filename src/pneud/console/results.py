@@ -4,9 +4,41 @@ from __future__ import annotations
 
 import json as json_
 import sys
+from collections.abc import Callable
 from typing import Any
 
-from pneud.console.client import RefusedError
+from pneud.console.client import Client, RefusedError
+
+
+def ask(
+    socket: str | None,
+    json: bool,
+    verb: str,
+    words: Callable[[dict[str, Any]], str] = lambda reply: str(reply.get("state", "done")),
+    **fields: Any,
+) -> int:
+    """Ask for one thing and print what came of it: for people, the state that the axis is in afterwards.
+
+    Args:
+        socket: the daemon's, or None for the one that runs.
+        json: print an object.
+        verb: what to ask for.
+        words: what to say of a reply instead.
+        fields: of the request.
+
+    Returns:
+        Exit status: 0, or 1 where it was refused.
+
+    Raises:
+        PlaceError: no daemon to talk to.
+    """
+    with Client(socket) as client:
+        try:
+            reply = client.ask(verb, **fields)
+        except RefusedError as e:
+            return refused(e, json)
+    show(reply, json, words(reply))
+    return 0
 
 
 def show(reply: dict[str, Any], json: bool, words: str) -> None:

@@ -14,6 +14,7 @@ from pneud.bus.inbox import NEVER_NS
 from pneud.config.models import Config, parse
 from pneud.loading import at_rate, codecs_of
 from pneud.log.files.columns import Block, blocks
+from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LogReader
 from pneud.log.format.records import LoggedEvent
 from pneud.report.decimate import Envelope, Path, Points
@@ -152,13 +153,9 @@ def gather(log: LogReader, window: Window = EVERYTHING, buckets: int = 8192) -> 
     Raises:
         ConfigError: the configuration in the log cannot be used by this version.
         DatabaseError: nor its DBC.
-        EmptyError: there is no tick in the window.
+        LogError: there is no tick in the window.
     """
     return _Gatherer(log, buckets).run(window)
-
-
-class EmptyError(Exception):
-    """There is nothing to report on; the text is one line for a person."""
 
 
 class _Gatherer:
@@ -191,7 +188,7 @@ class _Gatherer:
         for block, t_s in self._windowed(window):
             self._take(block, t_s)
         if not self.ticks:
-            raise EmptyError(f"{self.log.path}: no tick in it")
+            raise LogError(f"{self.log.path}: no tick in it")
         self._name_marks()
         end_s = self.last_s + 1e-9 * self.period_ns
         log = self.log

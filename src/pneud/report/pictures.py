@@ -21,6 +21,8 @@ SIZE = (10.0, 3.2)
 class PicturesError(Exception):
     """Pictures cannot be drawn here; the text is one line for a person."""
 
+    exit_code = 2
+
 
 def require() -> None:
     """Make sure that pictures can be drawn, before anything takes time.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +9,7 @@ from pydantic import ValidationError
 
 from pneud import resources
 from pneud.config.models import ConfigError, explain
+from pneud.config.toml import TomlError, tables_of
 from pneud.loading import Loaded, load
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def load_scenario(file: str | Path) -> Scenario:
     name = str(file)
     try:
         path = resources.find(name if name.endswith(".toml") else f"{name}.toml")
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise ConfigError(
             f"{file}: no such scenario; those of pneud are in {resources.scenarios()}"
@@ -51,8 +51,8 @@ def load_scenario(file: str | Path) -> Scenario:
         raise ConfigError(f"{file}: cannot be read: {e}") from None
     try:
         return parse_scenario(text)
-    except tomllib.TOMLDecodeError as e:
-        raise ConfigError(f"{path}: not valid TOML: {e}") from None
+    except TomlError as e:
+        raise ConfigError(f"{path}: {e}") from None
     except ValidationError as e:
         raise ConfigError(f"{path}: {explain(e)}") from None
 
@@ -60,6 +60,6 @@ def load_scenario(file: str | Path) -> Scenario:
 def is_scenario(file: str | Path) -> bool:
     """Whether a file says what it expects, as a scenario does and a configuration does not."""
     try:
-        return "expect" in tomllib.loads(resources.find(file).read_text(encoding="utf-8"))
+        return "expect" in tables_of(resources.find(file).read_text(encoding="utf-8"))
     except (OSError, ValueError):  # whoever loads it will say what is wrong
         return False

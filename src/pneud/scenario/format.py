@@ -5,10 +5,11 @@ Unknown keys are errors; units are part of the names.
 
 from __future__ import annotations
 
-import tomllib
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from pneud.config.toml import tables_of
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -374,7 +375,7 @@ def parse_scenario(text: str) -> Scenario:
     """A scenario from the text of its file.
 
     Raises:
-        tomllib.TOMLDecodeError: not TOML.
+        TomlError: not TOML.
         pydantic.ValidationError: not a scenario.
     """
-    return Scenario.model_validate(tomllib.loads(text))
+    return Scenario.model_validate(tables_of(text))

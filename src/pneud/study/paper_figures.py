@@ -29,6 +29,8 @@ GREY = "#777777"
 class FiguresError(Exception):
     """Figures cannot be drawn here; the text is one line for a person."""
 
+    exit_code = 3
+
 
 class Picture(NamedTuple):
     """One figure."""

@@ -1,4 +1,4 @@
-"""How punctual the loop is on this machine, beside references that take turns with it."""
+"""Measure how punctual the loop is here, taking turns with cyclictest and other references."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
+
+import typer
 
 from pneud.bench import contestants, rates
 from pneud.bench.chart import page
@@ -23,8 +25,7 @@ from pneud.loop.summary import finite
 from pneud.rt.outputs import write_whole
 from pneud.rt.setup import own_cpu
 from pneud.service import machine
-
-TURN_S = 1.0
+from pneud.verbs import BusOption, ConfigOption, JsonOption, VerbError
 
 
 class Contestant(NamedTuple):
@@ -56,26 +57,28 @@ CONTESTANTS: Mapping[str, Contestant] = {
 }
 
 
-class BenchOptions(NamedTuple):
-    """What was asked for on the command line."""
-
-    config: str
-    bus: str | None
-    pairs: int
-    rate_s: float  # how long a rate is to be held; 0 leaves the rates out
-    output: Path | None
-    json: bool
-    rate_hz: float | None = None  # other than the configuration's, on a bus whose frames take no time
-    turn_s: float = TURN_S
-    disturb: bool = False  # look at disturbances instead
-
-
-def bench(o: BenchOptions, field: Mapping[str, Contestant] = CONTESTANTS) -> int:
+def bench(
+    config: ConfigOption = None,
+    bus: BusOption = None,
+    pairs: Annotated[int, typer.Option("--pairs", metavar="N", help="Turns for each.")] = 20,
+    rate_s: Annotated[
+        float,
+        typer.Option("--rate-seconds", metavar="S", help="How long a rate must be held; 0 leaves that out."),
+    ] = 3.0,
+    rate_hz: Annotated[
+        float | None,
+        typer.Option("--rate", metavar="HZ", help="Another rate, on a bus whose frames take no time."),
+    ] = None,
+    turn_s: Annotated[float, typer.Option("--turn", metavar="S", help="Length of a turn.")] = 1.0,
+    disturb: Annotated[
+        bool, typer.Option("--disturb", help="Pneud with and without disturbances, instead of references.")
+    ] = False,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write the report as HTML, too.")
+    ] = None,
+    json: JsonOption = False,
+) -> int:
     """Measure and report.
-
-    Args:
-        o: what was asked for.
-        field: who takes part.
 
     Returns:
         Exit status: 0, or 1 where pneud itself could not be measured.
@@ -84,28 +87,34 @@ def bench(o: BenchOptions, field: Mapping[str, Contestant] = CONTESTANTS) -> int
         ConfigError: the configuration or an option cannot be used.
         DatabaseError: the DBC cannot be used.
         LinkError: the bus cannot be used.
+        VerbError: this is not Linux, or pneud itself could not be measured with disturbances.
     """
-    if o.pairs < 1:
-        raise ConfigError(f"--pairs {o.pairs}: must be 1 or more")
-    if not 0.0 <= o.rate_s <= 3600.0:
-        raise ConfigError(f"--rate-seconds {o.rate_s:g}: must lie between 0 and 3600")
-    if not 0.0 < o.turn_s <= 3600.0:
-        raise ConfigError(f"--turn {o.turn_s:g}: must be positive, and at most 3600")
-    if o.disturb and o.output is not None:
+    if sys.platform != "linux":
+        raise VerbError("the loop needs Linux, and so does its benchmark", 3)
+    if pairs < 1:
+        raise ConfigError(f"--pairs {pairs}: must be 1 or more")
+    if not 0.0 <= rate_s <= 3600.0:
+        raise ConfigError(f"--rate-seconds {rate_s:g}: must lie between 0 and 3600")
+    if not 0.0 < turn_s <= 3600.0:
+        raise ConfigError(f"--turn {turn_s:g}: must be positive, and at most 3600")
+    if disturb and output is not None:
         raise ConfigError("--output shows the contestants, and --disturb has none")
-    if o.output is not None and not o.output.parent.is_dir():
-        raise ConfigError(f"{o.output}: there is no folder {o.output.parent}; create it or name another file")
-    axis = load(o.config)
+    if output is not None and not output.parent.is_dir():
+        raise ConfigError(f"{output}: there is no folder {output.parent}; create it or name another file")
+    axis = load(config or "virtual.toml")
     facts = machine.read(None, Path(tempfile.gettempdir()))
     with tempfile.TemporaryDirectory(prefix="pneud-bench-") as scratch:
-        track = _track(axis, o.bus, Path(scratch))
-        if o.rate_hz is not None:
-            track = rates.at(rates.without_bus_time(track), o.rate_hz)
-        if o.disturb:
-            return _disturb(track, o, facts._asdict())
-        series, missing = _take_turns(field, track, o.pairs, o.turn_s)
-        if o.rate_s > 0.0:
-            _find_rates(series, field, track, o.rate_s)
+        track = _track(axis, bus, Path(scratch))
+        if rate_hz is not None:
+            track = rates.at(rates.without_bus_time(track), rate_hz)
+        if disturb:
+            found = _disturb(track, pairs, turn_s)
+            report = finite({"schema": 1, "machine": facts._asdict(), "disturbances": found})
+            print(json_.dumps(report) if json else disturbances_in_words(report["disturbances"]))
+            return 0
+        series, missing = _take_turns(CONTESTANTS, track, pairs, turn_s)
+        if rate_s > 0.0:
+            _find_rates(series, CONTESTANTS, track, rate_s)
     setting = {
         "rate_hz": track.axis.config.loop.rate_hz,
         "priority": track.priority,
@@ -113,33 +122,32 @@ def bench(o: BenchOptions, field: Mapping[str, Contestant] = CONTESTANTS) -> int
         "cpu": track.cpu,
         "bus": track.bus or "unixcan",
         "config": str(axis.path),
-        "pairs": o.pairs,
-        "turn_s": o.turn_s,
-        "rate_s": o.rate_s,
+        "pairs": pairs,
+        "turn_s": turn_s,
+        "rate_s": rate_s,
     }
     report = as_object(series, missing, facts._asdict(), setting)
     words = in_words(report)
-    if o.output is not None:
-        write_whole(o.output, page(report, words))
-    print(json_.dumps(report) if o.json else words)
+    if output is not None:
+        write_whole(output, page(report, words))
+    print(json_.dumps(report) if json else words)
     return 0 if OURS in series else 1
 
 
-def _disturb(track: Track, o: BenchOptions, facts: Mapping[str, Any]) -> int:
+def _disturb(track: Track, pairs: int, turn_s: float) -> dict[str, Any]:
     rate_hz = track.axis.config.loop.rate_hz
     found: dict[str, Any] = {}
     for name, disturbance in DISTURBANCES.items():
         quiet, disturbed = Series("quiet", ""), Series("disturbed", "")
-        for number in range(o.pairs):
-            _progress(f"{name}, pair {number + 1} of {o.pairs}")
+        for number in range(pairs):
+            _progress(f"{name}, pair {number + 1} of {pairs}")
             both: list[tuple[Series, Disturb | None]] = [(quiet, None), (disturbed, disturbance)]
             for series, what in both if number % 2 == 0 else reversed(both):
                 try:
-                    series.add(contestants.pneud(track, rate_hz, o.turn_s, what), number)
+                    series.add(contestants.pneud(track, rate_hz, turn_s, what), number)
                 except AbsentError as e:
                     _progress("")
-                    print(f"pneud: {e}", file=sys.stderr)
-                    return 1
+                    raise VerbError(str(e), 1) from None
         found[name] = {
             "what": (disturbance.__doc__ or "").strip(),
             "own_over_quiet": ratio_of_turns(disturbed, quiet, "own"),
@@ -147,9 +155,7 @@ def _disturb(track: Track, o: BenchOptions, facts: Mapping[str, Any]) -> int:
             "disturbed": disturbed.as_object(),
         }
     _progress("")
-    report = finite({"schema": 1, "machine": dict(facts), "disturbances": found})
-    print(json_.dumps(report) if o.json else disturbances_in_words(report["disturbances"]))
-    return 0
+    return found
 
 
 def _track(axis: Loaded, bus: str | None, scratch: Path) -> Track:

@@ -1,8 +1,11 @@
-"""Validate a configuration and everything it names."""
+"""Validate a configuration and everything it names; say what is wrong where."""
 
 from __future__ import annotations
 
 import json as json_
+from typing import Annotated
+
+import typer
 
 from pneud import resources
 from pneud.axis.cycle import Axis
@@ -15,18 +18,22 @@ from pneud.scenario import verdict
 from pneud.scenario.files import is_scenario, load_axis, load_scenario
 from pneud.study import gains, linear
 from pneud.study.plausibility import Finding, findings
+from pneud.verbs import JsonOption
 
 
-def check(config_file: str, json: bool) -> int:
+def check(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="Configuration.")],
+    json: JsonOption = False,
+) -> int:
     """Load a configuration and its DBC as the daemon would, or a scenario, and say what they describe.
 
     Raises:
         ConfigError: names the file, the key, the value and the bound.
         DatabaseError: names the DBC, the message and the signal.
     """
-    if is_scenario(config_file):
-        return _check_scenario(config_file, json)
-    loaded = load(config_file)
+    if is_scenario(file):
+        return _check_scenario(file, json)
+    loaded = load(file)
     c, codecs = loaded.config, loaded.codecs
     Axis(conversions.axis_of(c, codecs.command_lsb_v))
     conversions.plant_of(c)

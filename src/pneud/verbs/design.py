@@ -1,11 +1,12 @@
-"""Gains for a bandwidth, and what they will do."""
+"""Gains for a bandwidth, as TOML, with what they will do and what is wrong with them."""
 
 from __future__ import annotations
 
 import json as json_
 import math
-import sys
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
+
+import typer
 
 from pneud.config.conversions import axis_of, gains_of, plant_of
 from pneud.config.models import Config, ConfigError
@@ -16,64 +17,70 @@ from pneud.study import gains as rules
 from pneud.study import linear
 from pneud.study.jit import JitError
 from pneud.study.push import Service, service
+from pneud.verbs import JsonOption, VerbError
 
 LAWS = (*dict.fromkeys(law.partition("-")[0] for law in EVERY_LAW),)
 
 
-class DesignOptions(NamedTuple):
-    """What the command line asks for."""
-
-    config: str
-    bandwidth_rad_s: float
-    error_mm: float
-    alpha: float | None
-    rate_hz: float | None
-    simulate: bool
-    json: bool
-    law: str | None = None
-
-
-def design(o: DesignOptions) -> int:
+def design(
+    bandwidth: Annotated[float, typer.Option("--bandwidth", metavar="RAD_S", help="Of the closed loop.")],
+    error_mm: Annotated[
+        float, typer.Option("--error-mm", metavar="A", help="Error at which the gains are those of a line.")
+    ],
+    file: Annotated[str, typer.Argument(metavar="FILE", help="Configuration.")] = "virtual.toml",
+    law: Annotated[
+        str | None,
+        typer.Option("--law", metavar="LAW", help="composite, ismc, pid, adrc; default as in FILE."),
+    ] = None,
+    alpha: Annotated[
+        float | None, typer.Option("--alpha", metavar="X", help="Exponent; default the configuration's.")
+    ] = None,
+    rate: Annotated[float | None, typer.Option("--rate", metavar="HZ", help="Ticks per second.")] = None,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="Try them, also from a start error of 0.4 strokes.")
+    ] = False,
+    json: JsonOption = False,
+) -> int:
     """Design gains and print them as TOML, with predictions and warnings.
 
     Returns:
         Exit status: 0 where pneud accepts the gains and, if simulated, they come back from a large error; 1
-        where not; 3 where a simulation is asked for without numba.
+        where not.
 
     Raises:
         ConfigError: the configuration or an option cannot be used.
         DatabaseError: the DBC cannot be used.
+        VerbError: a simulation is asked for without numba.
     """
-    loaded = load(o.config, o.rate_hz)
-    alpha = loaded.config.control.alpha if o.alpha is None else o.alpha
-    _within("--bandwidth", o.bandwidth_rad_s, 0.1, 5000.0)
-    _within("--error-mm", o.error_mm, 1e-3, 1e3)
+    loaded = load(file, rate)
+    alpha = loaded.config.control.alpha if alpha is None else alpha
+    _within("--bandwidth", bandwidth, 0.1, 5000.0)
+    _within("--error-mm", error_mm, 1e-3, 1e3)
     _within("--alpha", alpha, 0.51, 1.0)
-    law = loaded.config.control.law if o.law is None else o.law
+    law = loaded.config.control.law if law is None else law
     if law not in LAWS:
         raise ConfigError(f"--law {law}: none of {', '.join(LAWS)}")
     p: rules.Prediction | linear.LinearPrediction
     entry = in_slot(law)
     if entry is None:
-        c = rules.designed(loaded.config, o.bandwidth_rad_s, 1e-3 * o.error_mm, alpha)
+        c = rules.designed(loaded.config, bandwidth, 1e-3 * error_mm, alpha)
         c = c.model_copy(update={"control": c.control.model_copy(update={"law": law})})
-        p = rules.predict(c, 1e-3 * o.error_mm)
+        p = rules.predict(c, 1e-3 * error_mm)
         doubts, good = rules.warnings(c, p), is_hurwitz(gains_of(c))
         lines = _lines(c, p)
     else:
-        c = linear.designed(loaded.config, entry, o.bandwidth_rad_s, 1e-3 * o.error_mm)
+        c = linear.designed(loaded.config, entry, bandwidth, 1e-3 * error_mm)
         p = linear.predict(c, entry)
         doubts, good = linear.warnings(c, entry), True
         lines = _linear_lines(c, p)
     runs: list[tuple[float, Service]] = []
-    if o.simulate and good:
+    if simulate and good:
         axis, plant = axis_of(c, loaded.codecs.command_lsb_v), plant_of(c)
         try:
             for error_m in (0.0, rules.LARGE_ERROR * c.cylinder.stroke_m):
                 runs.append((error_m, service(axis, plant, error_m)))
         except JitError as e:
-            print(f"pneud: --simulate: {e}", file=sys.stderr)
-            return 3
+            raise VerbError(f"--simulate: {e}", 3) from None
         near, far = runs[0][1], runs[1][1]
         if not far.recovered(near):
             good = False
@@ -81,7 +88,7 @@ def design(o: DesignOptions) -> int:
                 f"does not come back: {1e3 * far.rms_m:.3g} mm RMS five seconds after a start error of"
                 f" {1e3 * runs[1][0]:.0f} mm, {1e3 * near.rms_m:.3g} mm without"
             )
-    print(_as_json(c, p, doubts, runs, good) if o.json else _in_words(c, lines, doubts, runs))
+    print(_as_json(c, p, doubts, runs, good) if json else _in_words(c, lines, doubts, runs))
     return 0 if good else 1
 
 

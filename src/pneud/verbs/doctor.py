@@ -1,10 +1,25 @@
-"""What this machine can and cannot do in real time, and the cure for each lack."""
+"""Say what this machine can and cannot do in real time, worst first, and what helps."""
 
 from __future__ import annotations
 
+import sys
+from typing import Annotated
+
+import typer
+
 from pneud.service.doctor import diagnose
+from pneud.verbs import JsonOption, VerbError
 
 
-def doctor(config_file: str, json: bool) -> int:
-    """Examine this machine; see `diagnose`."""
-    return diagnose(config_file, json)
+def doctor(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="Configuration.")] = "virtual.toml",
+    json: JsonOption = False,
+) -> int:
+    """Examine this machine; see `diagnose`.
+
+    Raises:
+        VerbError: this is not Linux.
+    """
+    if sys.platform != "linux":
+        raise VerbError("the loop needs Linux, and so does its doctor", 3)
+    return diagnose(file, json)

@@ -1,8 +1,11 @@
-"""A log handed to other tools: its frames as a recording of the bus, or its ticks as a table."""
+"""A log's frames as a recording of the bus, or its ticks as a table."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from pneud.config.models import ConfigError, parse
 from pneud.loading import codecs_of
@@ -11,7 +14,18 @@ from pneud.replay import exporting as to
 from pneud.replay.traffic import FORMATS
 
 
-def export(log: str, output: Path) -> int:
+def export(
+    log: Annotated[str, typer.Argument(metavar="LOG", help="Log to hand to other tools.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="Frames as .log (candump), .asc or .blf; ticks as .csv or .parquet.",
+        ),
+    ],
+) -> int:
     """Write a log in another format, which the suffix names.
 
     Raises:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
+
+import typer
 
 from pneud.config.models import ConfigError, load_with_text, parse
 from pneud.loading import at_rate, codecs_of
@@ -32,14 +34,20 @@ class Source(NamedTuple):
     known: Sidecar | None
 
 
-def import_recording(recording: Path, dbc: Path | None, output: Path, config_file: str | None) -> int:
+def import_(
+    recording: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Recording: .log (candump -l), .asc or .blf.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="LOG", help="The log (.mcap).")],
+    dbc: Annotated[
+        Path | None, typer.Option("--dbc", metavar="FILE", help="Its messages; an exported log has them.")
+    ] = None,
+    config_file: Annotated[
+        str | None,
+        typer.Option("--config", metavar="FILE", help="Of the axis; default the exported, else rig.toml."),
+    ] = None,
+) -> int:
     """Write the log.
-
-    Args:
-        recording: a candump log (.log), .asc or .blf.
-        dbc: its messages; needed unless it was exported from a log.
-        output: the new log (.mcap).
-        config_file: of the axis; default what was exported, else rig.toml.
 
     Returns:
         Exit status: 0.

@@ -1,28 +1,45 @@
-"""pneud as a systemd service: puts units and what belongs to them in place."""
+"""Put the systemd units of this installation in place (see docs/rig-pc.md)."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from pneud.loading import Loaded, load
 from pneud.service import installation
 from pneud.service.installation import InstallError
+from pneud.verbs import VerbError
 
 
-def install_service(config_file: str | None, destdir: Path | None, networkd: bool) -> int:
+def install_service(
+    config_file: Annotated[
+        str | None,
+        typer.Option(
+            "--config", metavar="FILE", help="Also an axis: its unit, its configuration in /etc/pneud."
+        ),
+    ] = None,
+    networkd: Annotated[
+        bool, typer.Option("--networkd", help="Also files by which systemd-networkd brings its interface up.")
+    ] = False,
+    destdir: Annotated[
+        Path | None, typer.Option("--destdir", metavar="DIR", help="Only write files, below this folder.")
+    ] = None,
+) -> int:
     """Write the files, and make systemd and udev read them where they are this machine's own.
 
-    Args:
-        config_file: configuration of an axis, to be put into /etc/pneud unless there is one of that name.
-        destdir: write below this folder, and nothing else; None for this machine.
-        networkd: with the files by which systemd-networkd brings the interface up.
+    A configuration is put into /etc/pneud unless there is one of that name.
 
     Raises:
         ConfigError: the configuration cannot be used, or not by a service.
         DatabaseError: its DBC cannot be used.
+        VerbError: an option is missing.
         InstallError: a file cannot be written, or systemd refuses.
     """
+    if networkd and config_file is None:
+        raise VerbError("--networkd is about the interface of an axis; name its --config")
     loaded = load(config_file) if config_file is not None else None
     axis = installation.axis_of(loaded.path, loaded.config) if loaded is not None else None
     executable, root = installation.command(), destdir or Path("/")

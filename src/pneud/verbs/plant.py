@@ -1,10 +1,13 @@
-"""The software plant node alone, on a virtual bus."""
+"""The software plant node alone."""
 
 from __future__ import annotations
 
 import json
 import signal
 import sys
+from typing import Annotated
+
+import typer
 
 from pneud.bus.link import open_link, refuse_if_driven
 from pneud.compiled.backend import backend
@@ -16,9 +19,15 @@ from pneud.rig.plant_process import Rig, answer
 from pneud.scenario.files import load_axis, load_scenario
 from pneud.scenario.stage import Stage
 from pneud.signals import ValveState
+from pneud.verbs import ConfigOption, ScenarioOption, SeedOption
 
 
-def plant(config_file: str | None, bus: str, scenario_file: str | None, seed: int) -> int:
+def plant(
+    bus: Annotated[str, typer.Option("--bus", metavar="BUS", help="socketcan:IF (a vcan) or unixcan:NAME.")],
+    config_file: ConfigOption = None,
+    scenario_file: ScenarioOption = None,
+    seed: SeedOption = 0,
+) -> int:
     """Run the plant until Ctrl-C or SIGTERM; says on standard error what its valve node does.
 
     With a scenario, standard output gets what plant and bus have shown of it, as one JSON object.

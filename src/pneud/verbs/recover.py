@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from pneud.log.files.recovery import recover as mend
 
 
-def recover(log: str, output: Path) -> int:
+def recover(
+    log: Annotated[str, typer.Argument(metavar="LOG", help="Log that was cut short.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help="The mended log.")],
+) -> int:
     """Write what can be read of a log into another one.
 
     Raises:

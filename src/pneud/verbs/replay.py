@@ -1,4 +1,4 @@
-"""Feed a log through the axis again, compare it with another one, or play it on a bus."""
+"""Feed a log's frames and requests through the axis again and compare every command."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ import json as json_
 import math
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any
+
+import typer
 
 from pneud.bus.link import open_link, refuse_if_driven
 from pneud.config.models import Config, ConfigError, check_channel, with_settings
@@ -21,28 +23,42 @@ from pneud.replay.playing import play
 from pneud.replay.replaying import Outcome
 from pneud.replay.replaying import replay as run
 from pneud.report.gather import gather
-from pneud.report.pictures import PicturesError, require
+from pneud.report.pictures import require
 from pneud.report.timing import in_words
+from pneud.verbs import JsonOption
 
 _ROWS = 12  # of the table of differences
 
 
-class ReplayOptions(NamedTuple):
-    """What was asked for on the command line."""
-
-    logs: Sequence[str]
-    config: str | None
-    settings: Sequence[str]  # key=value
-    against: str | None
-    from_s: float
-    output: Path | None
-    bus: str | None
-    speed: float
-    json: bool
-
-
-def replay(o: ReplayOptions) -> int:
-    """Replay a log and say how it compares.
+def replay(
+    logs: Annotated[
+        list[str], typer.Argument(metavar="LOG…", help="A log, its parts, or the folder that they are in.")
+    ],
+    config: Annotated[
+        str | None, typer.Option("--config", metavar="FILE", help="What if: another configuration.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="What if: another value.")
+    ] = None,
+    against: Annotated[
+        str | None, typer.Option("--against", metavar="LOG2", help="Compare with another log instead.")
+    ] = None,
+    begin_s: Annotated[
+        float, typer.Option("--from", metavar="S", help="Begin so long after the log's start.")
+    ] = 0.0,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Both courses as a picture (.png).")
+    ] = None,
+    bus: Annotated[
+        str | None,
+        typer.Option("--bus", metavar="BUS", help="Play its frames on vcan0 or unixcan:NAME instead."),
+    ] = None,
+    speed: Annotated[
+        float, typer.Option("--speed", metavar="FACTOR", help="With --bus: how much faster than it was.")
+    ] = 1.0,
+    json: JsonOption = False,
+) -> int:
+    """Replay a log and say how it compares, compare it with another one, or play it on a bus.
 
     Returns:
         Exit status: 0 where every command is the same (or equivalent on another numeric machine), 1 where
@@ -55,67 +71,64 @@ def replay(o: ReplayOptions) -> int:
         LinkError: the bus cannot be used.
         BuildError: it requires the compiled law, which cannot be had.
     """
-    _check(o)
-    log = read_log(*o.logs)
-    if o.bus is not None:
-        return _play(o, log, _channel(o.bus))
-    if o.against is not None:
-        return _against(o, log, read_log(o.against))
-    what_if = o.config is not None or bool(o.settings)
-    differences = (
-        Differences(exact=log.metadata.get("detail") == "full") if what_if or o.output is not None else None
-    )
-    outcome = run(log, _config(o, log), o.from_s, differences.add if differences is not None else None)
-    if differences is not None and o.output is not None:
-        _draw(differences, ("log", "replay"), o.output)
-    if o.json:
-        result = _result(outcome)
-        if what_if and differences is not None:
-            result["differences"] = _spreads(differences)
-        print(json_.dumps(result))
+    if not begin_s >= 0.0 or not math.isfinite(begin_s):
+        raise ConfigError(f"--from {begin_s:g}: must be a time in seconds, not below 0")
+    if not speed > 0.0 or not math.isfinite(speed):
+        raise ConfigError(f"--speed {speed:g}: must be above 0")
+    given = {"--config": config, "--set": settings, "--from": begin_s, "-o": output, "--bus": bus}
+    if against is not None:
+        _alone("--against compares two logs as they are", given, ("-o",))
+    elif bus is not None:
+        _alone("--bus plays the log's frames", given, ("--from", "--bus"))
+    if output is not None:
+        _check_picture(output)
+    log = read_log(*logs)
+    if bus is not None:
+        return _play(log, _channel(bus), speed, begin_s, json)
+    if against is not None:
+        return _against(log, read_log(against), output, json)
+    return _again(log, _config(log, config, settings or []), begin_s, output, json)
+
+
+def _alone(what: str, given: Mapping[str, object], but: tuple[str, ...]) -> None:
+    wrong = [name for name, value in given.items() if value and name not in but]
+    if wrong:
+        raise ConfigError(f"{what}; {wrong[0]} does not go with it")
+
+
+def _check_picture(output: Path) -> None:
+    if output.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise ConfigError(f"{output}: a picture's name ends in .png, .svg or .pdf")
+    if not output.parent.is_dir():
+        raise ConfigError(f"{output}: there is no folder {output.parent}; create it or name another")
+    require()
+
+
+def _config(log: LogReader, file: str | None, settings: list[str]) -> Config | None:
+    if file is not None:
+        _, text, path = load_text(file)
+        return with_settings(text, str(path), settings)
+    return with_settings(log.config_text, f"{log.path}:{log.config_name}", settings) if settings else None
+
+
+def _again(log: LogReader, what_if: Config | None, begin_s: float, output: Path | None, json: bool) -> int:
+    differences = None
+    if what_if is not None or output is not None:
+        differences = Differences(exact=log.metadata.get("detail") == "full")
+    outcome = run(log, what_if, begin_s, differences.add if differences is not None else None)
+    if differences is not None and output is not None:
+        _draw(differences, ("log", "replay"), output)
+    told = differences if what_if is not None else None
+    if json:
+        print(json_.dumps(_result(outcome) | ({} if told is None else {"differences": _spreads(told)})))
     else:
         _say(outcome)
-        if what_if and differences is not None:
-            _tell(differences)
+        if told is not None:
+            _tell(told)
         elif outcome.ticks:
             for line in in_words(gather(log)):
                 print(line)
     return 0 if outcome.good else 1
-
-
-def _check(o: ReplayOptions) -> None:
-    if not o.from_s >= 0.0 or not math.isfinite(o.from_s):
-        raise ConfigError(f"--from {o.from_s:g}: must be a time in seconds, not below 0")
-    if not o.speed > 0.0 or not math.isfinite(o.speed):
-        raise ConfigError(f"--speed {o.speed:g}: must be above 0")
-    others: dict[str, object] = {"--config": o.config, "--set": o.settings, "-o": o.output}
-    if o.against is not None:
-        others = {"--config": o.config, "--set": o.settings, "--from": o.from_s, "--bus": o.bus}
-        wrong = [name for name, given in others.items() if given]
-        if wrong:
-            raise ConfigError(f"--against compares two logs as they are; {wrong[0]} does not go with it")
-    elif o.bus is not None:
-        wrong = [name for name, given in others.items() if given]
-        if wrong:
-            raise ConfigError(f"--bus plays the log's frames; {wrong[0]} does not go with it")
-    if o.output is not None:
-        if o.output.suffix.lower() not in (".png", ".svg", ".pdf"):
-            raise ConfigError(f"{o.output}: a picture's name ends in .png, .svg or .pdf")
-        if not o.output.absolute().parent.is_dir():
-            raise ConfigError(f"{o.output}: there is no folder {o.output.parent}; create it or name another")
-        try:
-            require()
-        except PicturesError as e:
-            raise ConfigError(str(e)) from None
-
-
-def _config(o: ReplayOptions, log: LogReader) -> Config | None:
-    if o.config is None and not o.settings:
-        return None
-    if o.config is not None:
-        _, text, path = load_text(o.config)
-        return with_settings(text, str(path), o.settings)
-    return with_settings(log.config_text, f"{log.path}:{log.config_name}", o.settings)
 
 
 def _result(o: Outcome) -> dict[str, Any]:
@@ -180,13 +193,13 @@ def _draw(d: Differences, names: tuple[str, str], path: Path) -> None:
         raise LogError(f"{path}: cannot be written: {e.strerror or e}") from None
 
 
-def _against(o: ReplayOptions, one: LogReader, other: LogReader) -> int:
+def _against(one: LogReader, other: LogReader, output: Path | None, json: bool) -> int:
     c = compare(one, other)
     d = c.differences
-    if o.output is not None:
-        _draw(d, (one.path.name, other.path.name), o.output)
+    if output is not None:
+        _draw(d, (one.path.name, other.path.name), output)
     spreads = d.spreads()
-    if o.json:
+    if json:
         first = next(iter(spreads.values())).first_tick if spreads else None
         result = {
             "schema": 1,
@@ -205,7 +218,7 @@ def _against(o: ReplayOptions, one: LogReader, other: LogReader) -> int:
         _tell(d)
     else:
         print(f"the same in {d.ticks} ticks, {c.engaged_ticks} of them engaged")
-    if c.shift_ticks and not o.json:
+    if c.shift_ticks and not json:
         print(f"the second log is engaged {c.shift_ticks:+} ticks later and was shifted by that")
     return 0 if d.ticks and not spreads else 1
 
@@ -221,7 +234,7 @@ def _channel(name: str) -> str:
     return channel
 
 
-def _play(o: ReplayOptions, log: LogReader, channel: str) -> int:
+def _play(log: LogReader, channel: str, speed: float, begin_s: float, json: bool) -> int:
     stopped = False
 
     def stop(*_: object) -> None:
@@ -233,8 +246,8 @@ def _play(o: ReplayOptions, log: LogReader, channel: str) -> int:
         refuse_if_driven(link, ids, what="another node answers there")
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, stop)
-        done = play(log, link, o.speed, o.from_s, lambda: stopped)
-    if o.json:
+        done = play(log, link, speed, begin_s, lambda: stopped)
+    if json:
         result = {"schema": 1, "frames": done.frames, "failed": done.failed, "late_ms": done.late_ms}
         print(json_.dumps({**result, "truncated": log.truncated}))
     else:

@@ -1,37 +1,41 @@
-"""Logs as one page with figures and tables."""
+"""Logs as one page of figures and tables that needs nothing beside it."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any
+
+import typer
 
 from pneud.config.models import ConfigError
-from pneud.log.files.naming import LogError
 from pneud.log.files.reader import read_log
 from pneud.report import pictures
-from pneud.report.gather import EmptyError, Window, gather
+from pneud.report.gather import Window, gather
 from pneud.report.page import is_reference, page
-from pneud.report.pictures import PicturesError
 from pneud.rt.outputs import write_whole
 
 _BUCKETS = 8192  # of a page, shared by its logs
 _FEWEST = 1024
 
 
-class ReportOptions(NamedTuple):
-    """What was asked for on the command line."""
-
-    logs: Sequence[str]
-    output: Path
-    png: bool
-    reference: Path | None
-    begin_s: float | None
-    end_s: float | None
-
-
-def report(o: ReportOptions) -> int:
+def report(
+    logs: Annotated[list[str], typer.Argument(metavar="LOG…", help="Logs; several are compared.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="The page (.html).")],
+    png: Annotated[
+        bool, typer.Option("--png", help="Write the figures as PNG beside the page, too.")
+    ] = False,
+    reference: Annotated[
+        Path | None,
+        typer.Option("--reference", metavar="FILE", help="What 'pneud bench --json' printed here."),
+    ] = None,
+    begin: Annotated[
+        float | None, typer.Option("--from", metavar="S", help="Begin so long after the first tick.")
+    ] = None,
+    end: Annotated[
+        float | None, typer.Option("--to", metavar="S", help="End so long after the first tick.")
+    ] = None,
+) -> int:
     """Write a report on one log, or a comparison of several.
 
     Returns:
@@ -42,29 +46,23 @@ def report(o: ReportOptions) -> int:
         DatabaseError: nor its DBC.
         LogError: not a log that this version reads, or nothing in it.
     """
-    window = Window(o.begin_s or 0.0, float("inf") if o.end_s is None else o.end_s)
+    window = Window(begin or 0.0, float("inf") if end is None else end)
     if not window.begin_s < window.end_s:
         raise ConfigError(f"--from {window.begin_s:g} --to {window.end_s:g}: there is nothing between them")
-    if not o.output.parent.is_dir():
-        raise ConfigError(f"{o.output}: there is no folder {o.output.parent}; create it or name another file")
-    if o.png:
-        try:
-            pictures.require()
-        except PicturesError as e:
-            raise ConfigError(str(e)) from None
-    reference = _reference(o.reference) if o.reference is not None else None
-    buckets = max(_FEWEST, _BUCKETS // len(o.logs))
+    if not output.parent.is_dir():
+        raise ConfigError(f"{output}: there is no folder {output.parent}; create it or name another file")
+    if png:
+        pictures.require()
+    setting = _reference(reference) if reference is not None else None
+    buckets = max(_FEWEST, _BUCKETS // len(logs))
+    runs = [gather(read_log(log), window, buckets) for log in logs]
     try:
-        runs = [gather(read_log(log), window, buckets) for log in o.logs]
-    except EmptyError as e:
-        raise LogError(str(e)) from None
-    try:
-        write_whole(o.output, page(runs, reference))
-        written = [o.output]
-        if o.png:
-            written += pictures.write(runs, o.output.with_suffix(""))
+        write_whole(output, page(runs, setting))
+        written = [output]
+        if png:
+            written += pictures.write(runs, output.with_suffix(""))
     except OSError as e:
-        raise ConfigError(f"{e.filename or o.output}: cannot be written: {e.strerror}") from None
+        raise ConfigError(f"{e.filename or output}: cannot be written: {e.strerror}") from None
     for path in written:
         print(path)
     return 0

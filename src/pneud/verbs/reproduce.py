@@ -1,4 +1,4 @@
-"""The paper's two cases, composite against ISMC."""
+"""The paper's two cases, composite law against ISMC: tables, verdicts and Figures 3 to 8."""
 
 from __future__ import annotations
 
@@ -8,38 +8,44 @@ import json as json_
 import os
 import sys
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from pneud.config.models import ConfigError
 from pneud.rt.outputs import write_whole
-from pneud.study.paper import as_json, reproduce
-from pneud.study.paper_figures import FiguresError, pictures, require
+from pneud.study import paper
+from pneud.study.paper_figures import pictures, require
 from pneud.study.paper_page import page, words
+from pneud.verbs import JsonOption
 
 PAGE = "paper.html"
 
 
-def reproduce_paper(output: Path | None, json: bool) -> int:
+def reproduce(
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write page and figures here.")
+    ] = None,
+    json: JsonOption = False,
+) -> int:
     """Run the cases, say what came out, and write page and figures where a folder is given.
 
     Returns:
-        Exit status: 0 where every figure is within its bound, 1 where one is not, 3 without matplotlib.
+        Exit status: 0 where every figure is within its bound, 1 where one is not.
 
     Raises:
         ConfigError: the folder cannot be written to.
+        FiguresError: there is no matplotlib to draw with.
     """
     if output is not None:
-        try:
-            require()
-        except FiguresError as e:
-            print(f"pneud: {e}", file=sys.stderr)
-            return 3
+        require()
         _writable(output)
     if importlib.util.find_spec("numba") is None:
         print(
             "pneud: without numba this takes minutes; install it with: pip install 'pneud[sim]'",
             file=sys.stderr,
         )
-    found = reproduce()
+    found = paper.reproduce()
     if output is not None:
         drawn = pictures(found)
         try:
@@ -49,7 +55,9 @@ def reproduce_paper(output: Path | None, json: bool) -> int:
         except OSError as e:
             raise ConfigError(f"{output}: cannot be written to: {e.strerror}") from None
     if json:
-        print(json_.dumps(as_json(found) | {"page": str(output / PAGE) if output is not None else None}))
+        print(
+            json_.dumps(paper.as_json(found) | {"page": str(output / PAGE) if output is not None else None})
+        )
     else:
         print(words(found))
         if output is not None:

@@ -1,4 +1,4 @@
-"""The live screen of a running daemon, in any terminal, with keys that command it.
+"""The live screen of the running daemon; keys stop, arm, disarm, clear, hold and jog.
 
 Two processes, as with the screen of the daemon itself: one draws and reads keys, the other one waits for it
 and puts the terminal right, whatever becomes of the first. If the waiting one is killed, the drawing one does
@@ -15,12 +15,15 @@ import sys
 import termios
 import time
 import tty
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from pneud import crew
 from pneud.console.client import Client, RefusedError
 from pneud.console.endpoint import PlaceError
 from pneud.log.live.ring import Ring
+from pneud.verbs import SocketOption
 from pneud.view.info import ScreenInfo
 from pneud.view.processes import leave_screen
 from pneud.view.terminal import run_child
@@ -32,12 +35,11 @@ _VERBS = {b" ": "stop", b"d": "disarm", b"c": "clear", b"h": "hold", b"a": "arm"
 _ARROWS = {b"\x1b[D": -1.0, b"\x1bOD": -1.0, b"\x1b[C": 1.0, b"\x1bOC": 1.0}
 
 
-def top(socket: str | None, read_only: bool) -> int:
+def top(
+    read_only: Annotated[bool, typer.Option("--read-only", help="Look only: no keys but q.")] = False,
+    socket: SocketOption = None,
+) -> int:
     """Show a running daemon until `q` or Ctrl-C, or until it ends.
-
-    Args:
-        socket: `--socket`.
-        read_only: look only.
 
     Returns:
         Exit status: 0, or 1 where the daemon cannot be looked at.

@@ -1,40 +1,46 @@
-"""Profiles for a running daemon: made here, uploaded piece by piece, then tracked."""
+"""Follow the configured reference, a chirp, steps, or a profile from a file."""
 
 from __future__ import annotations
 
 import json as json_
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Annotated
+
+import typer
 
 from pneud.config.models import ConfigError
 from pneud.console import profiles
 from pneud.console.client import Client, RefusedError
 from pneud.console.profiles import ProfileError
 from pneud.console.protocol import MAX_PIECES
-from pneud.console.results import refused, show
+from pneud.console.results import ask, refused, show
 from pneud.control.reference import Bounds, Septic
+from pneud.verbs import NEGATIVE_NUMBERS, JsonOption, SocketOption
 
+SETTINGS = NEGATIVE_NUMBERS
 _MM = 1e-3
 
 
-@dataclass(frozen=True, slots=True)
-class TrackOptions:
-    """What was asked for on the command line."""
-
-    name: str  # sine, profile, chirp, steps, or a file
-    positions_mm: list[float]
-    centre_mm: float | None
-    amplitude_mm: float
-    from_hz: float
-    to_hz: float
-    duration_s: float
-    dwell_s: float
-    socket: str | None
-    json: bool
-
-
-def track(o: TrackOptions) -> int:
+def track(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME", help="sine (the configured one), chirp, steps, profile, FILE.csv or FILE.json."
+        ),
+    ],
+    positions: Annotated[list[float] | None, typer.Argument(metavar="[MM]...", help="Of steps.")] = None,
+    centre: Annotated[
+        float | None, typer.Option("--centre", metavar="MM", help="Of a chirp; default where it stands.")
+    ] = None,
+    amplitude: Annotated[float, typer.Option("--amplitude", metavar="MM", help="Of a chirp.")] = 10.0,
+    from_hz: Annotated[float, typer.Option("--from", metavar="HZ", help="First frequency of a chirp.")] = 0.2,
+    to_hz: Annotated[float, typer.Option("--to", metavar="HZ", help="Last frequency of a chirp.")] = 2.0,
+    duration: Annotated[float, typer.Option("--duration", metavar="S", help="Of a chirp.")] = 20.0,
+    dwell: Annotated[float, typer.Option("--dwell", metavar="S", help="Rest at each of the steps.")] = 1.0,
+    socket: SocketOption = None,
+    json: JsonOption = False,
+) -> int:
     """Upload what is asked for, where it has to be, and follow it.
 
     Returns:
@@ -44,53 +50,57 @@ def track(o: TrackOptions) -> int:
         ConfigError: there is no such profile.
         PlaceError: no daemon to talk to.
     """
-    if o.positions_mm and o.name != "steps":
-        raise ConfigError(f"track {o.name}: takes no positions")
-    with Client(o.socket) as client:
+    if positions and name != "steps":
+        raise ConfigError(f"track {name}: takes no positions")
+    if name in ("sine", "profile"):
+        return ask(socket, json, "track", what="reference" if name == "sine" else "profile")
+
+    def made(bounds: Bounds, position_mm: float | None) -> list[Septic]:
+        if name == "steps":
+            return profiles.steps([x * _MM for x in positions or []], dwell, bounds)
+        if name != "chirp":
+            return _from_file(Path(name))
+        middle_mm = centre if centre is not None else position_mm
+        if middle_mm is None:
+            raise ProfileError("the position is not known; give --centre")
+        return profiles.chirp(middle_mm * _MM, amplitude * _MM, from_hz, to_hz, duration)
+
+    with Client(socket) as client:
         try:
-            if o.name in ("sine", "profile"):
-                reply = client.ask("track", what="reference" if o.name == "sine" else "profile")
-                show(reply, o.json, reply["state"])
-                return 0
-            status = client.ask("status")
-            allowed = status["limits"]
-            bounds = Bounds(
-                *(allowed[key] * _MM for key in ("speed_mm_s", "acceleration_mm_s2", "jerk_mm_s3"))
-            )
-            try:
-                pieces = _pieces(o, bounds, status)
-            except ProfileError as e:
-                raise ConfigError(str(e)) from None
-            try:
-                profiles.check(pieces, bounds, allowed["min_mm"] * _MM, allowed["max_mm"] * _MM)
-            except ProfileError as e:
-                raise RefusedError({"type": "beyond_limits", "message": f"track {o.name}: {e}"}) from None
-            for at in range(0, len(pieces), MAX_PIECES):
-                some = [list(piece) for piece in pieces[at : at + MAX_PIECES]]
-                client.ask("upload", first=at == 0, last=at + MAX_PIECES >= len(pieces), pieces=some)
+            pieces = _upload(client, name, made)
             reply = client.ask("track", what="profile")
         except RefusedError as e:
-            return refused(e, o.json)
+            return refused(e, json)
     more = {"pieces": len(pieces), "duration_s": profiles.duration_s(pieces)}
     words = f"{reply['state']}: {more['pieces']} pieces, {more['duration_s']:.3f} s"
-    show({**reply, **more}, o.json, words)
+    show({**reply, **more}, json, words)
     return 0
 
 
-def _pieces(o: TrackOptions, bounds: Bounds, status: dict[str, Any]) -> list[Septic]:
-    if o.name == "steps":
-        return profiles.steps([x * _MM for x in o.positions_mm], o.dwell_s, bounds)
-    if o.name == "chirp":
-        centre_mm = o.centre_mm if o.centre_mm is not None else status["position_mm"]
-        if centre_mm is None:
-            raise ProfileError("the position is not known; give --centre")
-        return profiles.chirp(centre_mm * _MM, o.amplitude_mm * _MM, o.from_hz, o.to_hz, o.duration_s)
-    path = Path(o.name)
+def _upload(client: Client, name: str, make: Callable[[Bounds, float | None], list[Septic]]) -> list[Septic]:
+    status = client.ask("status")
+    allowed = status["limits"]
+    bounds = Bounds(*(allowed[key] * _MM for key in ("speed_mm_s", "acceleration_mm_s2", "jerk_mm_s3")))
+    try:
+        pieces = make(bounds, status["position_mm"])
+    except ProfileError as e:
+        raise ConfigError(str(e)) from None
+    try:
+        profiles.check(pieces, bounds, allowed["min_mm"] * _MM, allowed["max_mm"] * _MM)
+    except ProfileError as e:
+        raise RefusedError({"type": "beyond_limits", "message": f"track {name}: {e}"}) from None
+    for at in range(0, len(pieces), MAX_PIECES):
+        some = [list(piece) for piece in pieces[at : at + MAX_PIECES]]
+        client.ask("upload", first=at == 0, last=at + MAX_PIECES >= len(pieces), pieces=some)
+    return pieces
+
+
+def _from_file(path: Path) -> list[Septic]:
     if path.suffix == ".csv":
         return profiles.from_csv(path)
     if path.suffix == ".json":
         return _from_json(path)
-    raise ConfigError(f"track {o.name}: is none of sine, chirp, steps, profile, FILE.csv, FILE.json")
+    raise ConfigError(f"track {path}: is none of sine, chirp, steps, profile, FILE.csv, FILE.json")
 
 
 def _from_json(path: Path) -> list[Septic]:

@@ -1,25 +1,27 @@
-"""Gains and reference of a running daemon: read, changed, compared with the file, written into it."""
+"""Gains and reference of the running daemon."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import tomlkit
+import typer
 from tomlkit.exceptions import TOMLKitError
 
 from pneud.config.models import ConfigError, load_config
-from pneud.console.client import Client, RefusedError
+from pneud.console.client import Client
 from pneud.console.endpoint import PlaceError
-from pneud.console.results import refused, show
+from pneud.console.results import ask, show
 from pneud.console.tuning import NAMES, Values, difference, keys, values_of
 from pneud.rt.outputs import replacing
+from pneud.verbs import JsonOption, SocketOption
 
 
-def get(socket: str | None, json: bool) -> int:
-    """Print the running values.
+def get(socket: SocketOption = None, json: JsonOption = False) -> int:
+    """The running gains and reference.
 
     Returns:
         Exit status: 0.
@@ -27,19 +29,15 @@ def get(socket: str | None, json: bool) -> int:
     Raises:
         PlaceError: no daemon to talk to.
     """
-    with Client(socket) as client:
-        reply = client.ask("tune_get")
-    show(reply, json, "\n".join(f"{name} = {value}" for name, value in reply["gains"].items()))
-    return 0
+    return ask(socket, json, "tune_get", _gains)
 
 
-def change(socket: str | None, json: bool, settings: list[str]) -> int:
-    """Change some of them, all or none.
-
-    Args:
-        socket: `--socket`.
-        json: print an object.
-        settings: NAME=VALUE each.
+def change(
+    settings: Annotated[list[str], typer.Argument(metavar="NAME=VALUE...", help="As in tune get.")],
+    socket: SocketOption = None,
+    json: JsonOption = False,
+) -> int:
+    """Change gains and reference, all or none, without a step of the command.
 
     Returns:
         Exit status: 0, or 1 where it was refused.
@@ -59,11 +57,11 @@ def change(socket: str | None, json: bool, settings: list[str]) -> int:
                 values[name] = float(value)
             except ValueError:
                 raise ConfigError(f"{setting!r}: {value!r} is no number") from None
-    return _ask(socket, json, "tune_set", gains=values)
+    return ask(socket, json, "tune_set", _changed, gains=values)
 
 
-def reload(socket: str | None, json: bool) -> int:
-    """Let the daemon take the values of its file.
+def reload(socket: SocketOption = None, json: JsonOption = False) -> int:
+    """Take gains and reference of the daemon's configuration, as SIGHUP does.
 
     Returns:
         Exit status: 0, or 1 where it was refused.
@@ -71,24 +69,22 @@ def reload(socket: str | None, json: bool) -> int:
     Raises:
         PlaceError: no daemon to talk to.
     """
-    return _ask(socket, json, "tune_reload")
+    return ask(socket, json, "tune_reload", _changed)
 
 
-def _ask(socket: str | None, json: bool, verb: str, **fields: Any) -> int:
-    with Client(socket) as client:
-        try:
-            reply = client.ask(verb, **fields)
-        except RefusedError as e:
-            return refused(e, json)
-    words = reply["changed"] or "nothing to change"
+def _gains(reply: dict[str, Any]) -> str:
+    return "\n".join(f"{name} = {value}" for name, value in reply["gains"].items())
+
+
+def _changed(reply: dict[str, Any]) -> str:
+    words: str = reply["changed"] or "nothing to change"
     if reply.get("at_restart"):
         words += f"\nat the next start only: {', '.join(reply['at_restart'])}"
-    show(reply, json, words)
-    return 0
+    return words
 
 
-def diff(socket: str | None, json: bool) -> int:
-    """Print where what runs differs from the file.
+def diff(socket: SocketOption = None, json: JsonOption = False) -> int:
+    """Where the running gains and reference differ from the file.
 
     Returns:
         Exit status: 0.
@@ -104,8 +100,8 @@ def diff(socket: str | None, json: bool) -> int:
     return 0
 
 
-def save(socket: str | None, json: bool) -> int:
-    """Write what runs into the daemon's file, whose comments and order stay as they are.
+def save(socket: SocketOption = None, json: JsonOption = False) -> int:
+    """Write the running gains and reference into the daemon's configuration; comments stay.
 
     Returns:
         Exit status: 0.
@@ -126,6 +122,9 @@ def save(socket: str | None, json: bool) -> int:
             raise PlaceError(f"{path}: cannot be written: {e.strerror}; try sudo") from None
     show({"config": str(path), "changed": changes}, json, f"{path}: {changes or 'has these values'}")
     return 0
+
+
+VERBS = {"get": get, "set": change, "diff": diff, "save": save, "reload": reload}
 
 
 def _running(socket: str | None) -> tuple[Values, Path]:

@@ -1,63 +1,15 @@
-"""What operators ask of a running daemon, one request a call; and its status in words."""
-
-from __future__ import annotations
+"""How the axis of the running daemon is: state, faults with cures, position, pressures, timing, log."""
 
 import json as json_
-import time
 from typing import Any
 
-from pneud.console.client import Client, RefusedError
-from pneud.console.results import refused, show
+from pneud.console.client import Client
+from pneud.verbs import JsonOption, SocketOption
 
-_JOG_LEASE_S = 0.3
 _SILENT_S = 0.5
-_RENEWALS = 3  # of a lease, before it would run out
 
 
-def ask(socket: str | None, json: bool, verb: str, **fields: Any) -> int:
-    """One request, and the state that the axis is in afterwards.
-
-    Returns:
-        Exit status: 0, or 1 where it was refused.
-
-    Raises:
-        PlaceError: no daemon to talk to.
-    """
-    with Client(socket) as client:
-        try:
-            reply = client.ask(verb, **fields)
-        except RefusedError as e:
-            return refused(e, json)
-    show(reply, json, reply.get("state", "done"))
-    return 0
-
-
-def jog(socket: str | None, json: bool, velocity_mm_s: float, duration_s: float | None) -> int:
-    """Move at a speed until Ctrl-C or the end of a time, then hold; if this process dies, the lease runs out.
-
-    Returns:
-        Exit status: 0, or 1 where it was refused.
-
-    Raises:
-        PlaceError: no daemon to talk to.
-    """
-    with Client(socket) as client:
-        try:
-            end_s = time.monotonic() + (duration_s if duration_s is not None else float("inf"))
-            try:
-                while time.monotonic() < end_s:
-                    client.ask("jog", velocity_mm_s=velocity_mm_s, lease_s=_JOG_LEASE_S)
-                    time.sleep(max(0.0, min(_JOG_LEASE_S / _RENEWALS, end_s - time.monotonic())))
-            except KeyboardInterrupt:
-                pass
-            reply = client.ask("hold")
-        except RefusedError as e:
-            return refused(e, json)
-    show(reply, json, reply["state"])
-    return 0
-
-
-def status(socket: str | None, json: bool) -> int:
+def status(socket: SocketOption = None, json: JsonOption = False) -> int:
     """How the axis is.
 
     Returns:

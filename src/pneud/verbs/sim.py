@@ -1,14 +1,18 @@
-"""The axis and the plant in simulated time."""
+"""The same axis and plant in simulated time, faster than real time, the same for a seed."""
 
 from __future__ import annotations
 
+import importlib.util
 import json as json_
 import os
 import sys
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from pneud.config.models import ConfigError
-from pneud.loading import Loaded
+from pneud.loading import Loaded, load
 from pneud.log.files.naming import create_log, log_path
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import SNAPSHOT_S, LogHeader
@@ -19,27 +23,35 @@ from pneud.safety.faults import FAULT_NAMES
 from pneud.scenario import verdict
 from pneud.scenario.files import load_axis, load_scenario
 from pneud.signals import State
+from pneud.study.comparison import as_json, compare
+from pneud.study.comparison import in_words as compared
+from pneud.verbs import JsonOption, ScenarioOption, SeedOption, VerbError
 
 DURATION_S = 10.0
+MOST_REST_S = 600.0
 
 
-def simulate(
-    config_file: str | None,
-    output: Path | None,
-    duration_s: float | None,
-    seed: int,
-    scenario_file: str | None,
-    json: bool,
+def sim(
+    config_file: Annotated[
+        str | None, typer.Argument(metavar="FILE", help="Configuration; default virtual.toml.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="LOG", help="Write a log (.mcap).")
+    ] = None,
+    duration_s: Annotated[
+        float | None, typer.Option("--duration", metavar="S", help="Simulated time; default 10 s.")
+    ] = None,
+    scenario_file: ScenarioOption = None,
+    seed: SeedOption = 0,
+    laws: Annotated[
+        bool,
+        typer.Option(
+            "--compare", help="The law against its baselines, case by case; --duration is that of the rest."
+        ),
+    ] = False,
+    json: JsonOption = False,
 ) -> int:
-    """Simulate an axis.
-
-    Args:
-        config_file: of the axis; None takes the scenario's, or virtual.toml.
-        output: where to write a log.
-        duration_s: simulated time; None takes the scenario's, or 10 s.
-        seed: of all that is random.
-        scenario_file: faults to inject.
-        json: print the result as one JSON object.
+    """Simulate an axis, or compare its laws.
 
     Returns:
         Exit status: 0 where the axis tracks until the end, 1 where it does not.
@@ -49,7 +61,14 @@ def simulate(
         DatabaseError: the DBC cannot be used.
         LogError: the log cannot be written.
         BuildError: the compiled law is required and cannot be had.
+        VerbError: an option does not go with another.
     """
+    if laws:
+        if output is not None or seed or scenario_file is not None:
+            raise VerbError(
+                "--compare writes no log and has its own seed; leave out -o, --seed and --scenario"
+            )
+        return _compare(config_file or "virtual.toml", DURATION_S if duration_s is None else duration_s, json)
     scenario = load_scenario(scenario_file) if scenario_file is not None else None
     if scenario is not None and scenario.needs_machine:
         raise ConfigError(
@@ -120,3 +139,15 @@ def _writer(path: Path, loaded: Loaded, seed: int, law: str) -> LogWriter:
             extra={"seed": str(seed), "law": law},
         ),
     )
+
+
+def _compare(config_file: str, rest_s: float, json: bool) -> int:
+    """Run every law through every case and print the tables."""
+    if not 1.0 <= rest_s <= MOST_REST_S:
+        raise ConfigError(f"--duration {rest_s:g}: with --compare, between 1 and {MOST_REST_S:g} s")
+    compiled = importlib.util.find_spec("numba") is not None
+    if not compiled:
+        print("pneud: three cases only without numba; for all: pip install 'pneud[sim]'", file=sys.stderr)
+    found = compare(load(config_file), rest_s, compiled)
+    print(json_.dumps(as_json(found)) if json else compared(found))
+    return 0

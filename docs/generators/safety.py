@@ -76,8 +76,8 @@ _TIMEOUTS = (
 _TEXT = """\
 # Safety
 
-<!-- Made by pneud.safety.document; do not edit. To make it anew:
-     python -c "from pneud.safety.document import text; print(text(), end='')" > docs/safety.md -->
+<!-- Made by docs/generators/safety.py; do not edit. To make it anew:
+     .venv/bin/python docs/generators/safety.py > docs/safety.md -->
 
 ## What pneud is not
 
@@ -210,3 +210,7 @@ def _row(fault: Fault) -> tuple[str, ...]:
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     lines = [head, tuple("---" for _ in head), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+if __name__ == "__main__":
+    print(text(), end="")

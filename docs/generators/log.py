@@ -191,3 +191,7 @@ def text() -> str:
     """The document."""
     _, fields, nested = tick_fields("compact")
     return _HEAD + "".join(_rows(fields, nested)) + _TAIL
+
+
+if __name__ == "__main__":
+    print(text(), end="")
