@@ -113,6 +113,8 @@ def _from_chunks(file: IO[bytes]) -> tuple[int, int, list[dict[str, str]]]:
     file.seek(len(framing.MAGIC))
     try:
         for piece in framing.pieces(file, skip_chunks=True):
+            if piece.opcode not in framing.KNOWN:
+                raise framing.DamageError
             if piece.opcode == Opcode.CHUNK:
                 first, end_ns = framing.SPAN.unpack(piece.body)
                 start_ns = start_ns or first
