@@ -110,7 +110,7 @@ def load_scenario(file: str | Path) -> Scenario:
     name = str(file)
     try:
         path = resources.find(name if name.endswith(".toml") else f"{name}.toml")
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise ConfigError(
             f"{file}: no such scenario; those of pneud are in {resources.scenarios()}"
@@ -128,7 +128,7 @@ def load_scenario(file: str | Path) -> Scenario:
 def is_scenario(file: str | Path) -> bool:
     """Whether a file says what it expects, as a scenario does and a configuration does not."""
     try:
-        return "expect" in tomllib.loads(resources.find(file).read_text(encoding="utf-8"))
+        return "expect" in tomllib.loads(resources.find(file).read_text(encoding="utf-8-sig"))
     except (OSError, ValueError):  # whoever loads it will say what is wrong
         return False
 

@@ -624,7 +624,7 @@ def load_with_text(file: str | Path) -> tuple[Config, str, Path]:
     """As `load_config`, with the file's text and where it was found."""
     try:
         path = resources.find(file)
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError as e:
         raise ConfigError(str(e)) from None
     except (OSError, UnicodeDecodeError) as e:
