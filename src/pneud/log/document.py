@@ -173,7 +173,7 @@ A recording is read as far as it goes. What cannot be read is passed over and sa
 lines and objects that are damaged or cut short, frames of CAN FD and CAN XL. The exit status is 1 then. Direction says who
 recorded, not who sent: a recorder that listens marks all frames as received, and they are taken as they are. Only where SYNCs
 are marked as sent, frames of the controller that are marked as received are another's. Where the clock was set in between, or
-stands still for longer than 2³¹ ticks, that is said, and time goes on from there.
+the recording pauses for more than 2³¹ ticks, that is said, and time goes on from there.
 """
 
 

@@ -112,7 +112,7 @@ class _State:
     def _time_ns(self, stamp_ns: int) -> int:
         last_ns = self._stamp_ns
         # a later block has the date of its trigger, while its stamps count from the first one's
-        if self._date_ns is not None and (last_ns is None or self._relative or stamp_ns < last_ns):
+        if self._date_ns is not None and (last_ns is None or self._relative or stamp_ns <= last_ns):
             self._origin_ns = self._date_ns
             self._date_ns = None
         self._stamp_ns = stamp_ns

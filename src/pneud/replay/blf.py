@@ -245,7 +245,7 @@ class _Stream:
         if kind == _CLASSIC_1 and size == head_bytes + _CLASSIC.size:
             return True
         # another object inside it means that it does not reach that far
-        return data.find(_SIGN, at + len(_SIGN), at + size) < 0
+        return data.find(_SIGN, at + len(_SIGN), at + size + len(_SIGN) - 1) < 0
 
     def _passing(self, data: bytes, at: int, kind: int, place: str) -> Passing | None:
         """The frame in an object, if it is one; its content begins at `at`."""
