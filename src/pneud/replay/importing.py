@@ -109,6 +109,13 @@ class Ticks:
                 pending.append(frame)
         if begun is not None:
             yield Heard(begun, tuple(before), tuple(after), sent)
+        if pending:
+            self._remarks.add(
+                "frames after the last command, which belong to no tick",
+                self._times.place,
+                partial=False,
+                count=len(pending),
+            )
 
     def _check_length(self, frame: Frame) -> None:
         role, length = self._lengths.get(frame.can_id, ("", 0))

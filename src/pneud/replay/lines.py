@@ -12,6 +12,7 @@ from pneud.replay.remarks import Remarks
 
 CUT = "cut short where the file ends, passed over"
 _NULS = "NUL bytes, as a loss of power leaves them, passed over"
+_BLANK = b"\0 \t\r\n"
 _LONGEST = 1 << 16  # bytes; what is longer is no line
 
 
@@ -43,16 +44,16 @@ def lines(path: Path, remarks: Remarks) -> Iterator[Line]:
                 if piece.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
                     raise LogError(f"{path}: is UTF-16; save it as UTF-8")
                 piece = piece.removeprefix(codecs.BOM_UTF8)
-            has_nuls = piece.startswith(b"\0") or piece.endswith(b"\0")
-            found = piece.strip(b"\0")
-            while not piece.endswith(b"\n") and (piece := file.readline(_LONGEST)):
-                if len(found) < _LONGEST:
-                    found += piece.strip(b"\0")
+            has_nuls = b"\0" in (piece[:1], piece[-1:])
+            text = piece.strip(_BLANK)
+            while not piece.endswith(b"\n") and (more := file.readline(_LONGEST)):
+                piece = more
+                if len(text) < _LONGEST:
+                    text += piece.strip(_BLANK)
             if has_nuls:
                 remarks.add(_NULS, f"line {number}")
-            text = _text(found).strip()
-            if text:
-                yield Line(number, text, found.endswith(b"\n"))
+            if said := _text(text).strip():
+                yield Line(number, said, piece.endswith(b"\n"))
 
 
 def _text(line: bytes) -> str:

@@ -374,6 +374,8 @@ class LogReader:
                 except (DecodeError, ValueError) as e:
                     self._damaged(f"damaged in an event: {e}")
                     return last
+        if waiting and not file.damage:
+            file.damage = f"damaged at its end: {len(waiting)} ticks without their frames"
         if file.damage:
             self._damaged(file.damage if len(self._files) == 1 else f"{file.path.name}: {file.damage}")
         return last
