@@ -32,6 +32,36 @@ _DBC_WORDS = (
     "BO_ 1 X: 8 V", ' SG_ A : 0|8@1+ (1,0) [0|0] "" V', "BO_ 385 ENCODER: 8 V", "CM_", "VAL_", "(0,0)", "@0-",
     "SIG_VALTYPE_ 385 Position : 1;", "m0", "M", "|64@1+", "0|0@1+", "(nan,inf)", '"m"', "-1", "BU_:", "8",
 )  # fmt: skip
+_DIGITS = (
+    b"0",
+    b"-1",
+    b"99999999999999999999999",
+    b"1e9",
+    b"7FF",
+    b"800",
+    b"00",
+    b"4294967296",
+    b"-0",
+    b"x",
+    b"1.5",
+)
+_ODDITIES = (
+    b"\0",
+    b"\xff",
+    "µ".encode(),
+    b"\xb5",
+    b"#",
+    b"##",
+    b"R",
+    b"//",
+    b"\t",
+    b"(",
+    b" ",
+    b"\x1b",
+    b"Rx",
+    b"_B",
+)
+_SIZES = (0, 1, 15, 16, 31, 32, 47, 49, 64, 4096, 1 << 20, (1 << 31) - 1, 1 << 31, (1 << 32) - 1)
 
 
 def frames(codecs: Codecs, seed: int) -> Iterator[Bare]:
@@ -183,6 +213,72 @@ def log(data: bytes, rng: random.Random) -> bytes:
     if rng.random() < 0.3:
         data = data[: rng.randrange(len(data))]
     return _damaged(data, rng, 0.9)
+
+
+def lines(data: bytes, rng: random.Random) -> bytes:
+    """A text as others find it: lines lost, doubled, elsewhere, with something wrong in them, cut short."""
+    rows = data.splitlines(keepends=True)
+    for _ in range(rng.choice((1, 1, 2, 5, 20))):
+        if not rows:
+            break
+        n = rng.randrange(len(rows))
+        row = rows[n]
+        match rng.randrange(10):
+            case 0:
+                del rows[n : n + rng.choice((1, 1, 10))]
+            case 1:
+                rows[n:n] = rows[rng.randrange(len(rows)) :][: rng.choice((1, 1, 10))]
+            case 2:
+                rows[n] = re.sub(rb"\d+", lambda _: rng.choice(_DIGITS), row, count=rng.choice((1, 2, 9)))
+            case 3:
+                words = row.split(b" ")
+                rng.shuffle(words)
+                rows[n] = b" ".join(words)
+            case 4:
+                at = rng.randrange(len(row) + 1)
+                rows[n] = row[:at] + rng.choice(_ODDITIES) + row[at + rng.randrange(3) :]
+            case 5:
+                rows[n] = row[: rng.randrange(len(row) + 1)] + rng.choice((b"", b"\n"))
+            case 6:
+                rows.insert(n, rng.choice(_ODDITIES) * rng.choice((1, 50, 2000)) + b"\n")
+            case 7:
+                rows[n] = rng.randbytes(rng.randrange(60)) + b"\n"
+            case 8:
+                rows[n] = row.replace(b"\n", rng.choice((b"\r\n", b"\r", b"\0", b"")))
+            case 9:
+                other = rng.randrange(len(rows))
+                rows[n], rows[other] = rows[other], row
+    whole = b"".join(rows)
+    match rng.randrange(12):
+        case 0:
+            return whole[: rng.randrange(len(whole) + 1)]
+        case 1:
+            return rng.choice((b"\xef\xbb\xbf", b"\xff\xfe", b"\0" * 9)) + whole
+        case 2:
+            return whole + bytes(rng.choice((1, 500, 70_000)))
+    return _damaged(whole, rng, 0.2)
+
+
+def binary(data: bytes, rng: random.Random) -> bytes:
+    """Bytes as others find them: some wrong, some lost, some doubled, some zero, cut short."""
+    changed = bytearray(data)
+    for _ in range(rng.choice((1, 1, 1, 3))):
+        at = rng.randrange(len(changed) + 1)
+        size = rng.choice((1, 8, 48, 500, rng.randrange(1, 2000)))
+        match rng.randrange(6):
+            case 0:
+                del changed[at : at + size]
+            case 1:
+                changed[at:at] = changed[rng.randrange(len(changed) + 1) :][:size]
+            case 2:
+                changed[at : at + size] = bytes(len(changed[at : at + size]))
+            case 3:
+                changed[at : at + 4] = rng.choice(_SIZES).to_bytes(4, "little")
+            case 4:
+                del changed[at:]
+            case 5:
+                return _damaged(bytes(changed), rng, 1.0)
+    return bytes(changed)
 
 
 def _damaged(data: bytes, rng: random.Random, likely: float) -> bytes:

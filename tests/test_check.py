@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from commands import pneud as pneud_alone
 from commands import pneud_here as pneud
 from pneud import resources
 from pneud.bus.codec import DatabaseError
@@ -18,6 +19,7 @@ from pneud.bus.load import longest_s
 from pneud.config.models import Config, ConfigError, load_config, parse
 from pneud.config.places import keys_of, line_of
 from pneud.loading import load
+from pneud.scenario.files import is_scenario, load_scenario
 
 GOOD = (resources.configs() / "virtual.toml").read_text()
 ROOT = Path(__file__).parent.parent
@@ -273,6 +275,30 @@ def test_a_dbc_without_a_signal_is_named(tmp_path: Path) -> None:
     assert done.stderr.count("\n") == 1
     assert "PRESSURE" in done.stderr
     assert "P2" in done.stderr
+
+
+def test_two_messages_of_one_name_are_refused_and_both_named(tmp_path: Path) -> None:
+    again = 'BO_ 400 ENCODER: 8 ENCODER_NODE\n SG_ Position : 0|32@1- (1E-003,0) [0|0] "m" CONTROLLER\n\n'
+    (tmp_path / "pneud.dbc").write_text(DBC.replace("\nBO_ 386 ", f"\n{again}BO_ 386 "))
+    file = tmp_path / "axis.toml"
+    file.write_text(GOOD)
+    done = pneud_alone("check", file)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1
+    assert "message ENCODER: is there 2 times, as 0x181 and 0x190" in done.stderr
+
+
+def test_files_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    (tmp_path / "pneud.dbc").write_text(DBC, encoding="utf-8-sig")
+    file = tmp_path / "axis.toml"
+    file.write_text(GOOD, encoding="utf-8-sig")
+    done = pneud("check", file)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert load(file).text == GOOD
+    scenario = tmp_path / "s.toml"
+    scenario.write_text((resources.scenarios() / "babble.toml").read_text(), encoding="utf-8-sig")
+    assert is_scenario(scenario)
+    load_scenario(scenario)
 
 
 @pytest.mark.parametrize("file", sorted(resources.configs().glob("*.toml")), ids=lambda f: f.name)

@@ -371,6 +371,31 @@ BROKEN: dict[str, tuple[str, BusConfig, str]] = {
         encoder_bus(signals={"position_m": "Position", "status": "Counter"}),
         "message ENCODER, signal Counter: has two jobs",
     ),
+    "two messages of one name": (
+        changed("BO_ 386 PRESSURE:", "BO_ 400 ENCODER: 8 ENCODER_NODE\n\nBO_ 386 PRESSURE:"),
+        BusConfig(),
+        "message ENCODER: is there 2 times, as 0x181 and 0x190; give each its own name",
+    ),
+    "two signals of one name": (
+        changed(' SG_ Status : 32|8@1+ (1,0) [0|7] ""', ' SG_ Position : 32|8@1+ (1,0) [0|7] "m"'),
+        encoder_bus(signals={"position_m": "Position"}),
+        "not a usable DBC",
+    ),
+    "a factor beyond all floats": (
+        changed("Position : 0|32@1- (1E-006,0)", "Position : 0|32@1- (1E999,0)"),
+        BusConfig(),
+        "message ENCODER, signal Position: has a factor that cannot be meant",
+    ),
+    "an offset beyond all floats": (
+        changed("Applied : 0|16@1- (0.0005,0)", "Applied : 0|16@1- (0.0005,-1E308)"),
+        BusConfig(),
+        "message VALVE_STATUS, signal Applied: has an offset that cannot be meant",
+    ),
+    "a factor next to nothing": (
+        changed("Position : 0|32@1- (1E-006,0)", "Position : 0|32@1- (1E-320,0)"),
+        BusConfig(),
+        "message ENCODER, signal Position: has a factor that cannot be meant",
+    ),
     "one message twice": (
         changed("", ""),
         BusConfig.model_validate(
@@ -405,6 +430,67 @@ def test_a_database_that_cannot_be_used_is_refused_in_one_line(case: str, tmp_pa
     assert expected in str(caught.value)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
+
+
+NO_RANGES = (
+    "-1.79769313486232E+308|1.79769313486232E+308",  # as .NET writes the ends of a double
+    "-1.7976931348623157e+308|1.7976931348623157e+308",
+    "-1E999|1E999",
+    "-3.4028235E+38|3.4028235E+38",
+    "0|0",
+    "0.0|0.0",
+    "-0|0",
+    "0|-0.0",
+    "0.000000|0E0",
+)
+
+
+@pytest.mark.parametrize("range_", NO_RANGES)
+@pytest.mark.parametrize("factor", ["1E-006", "-1E-006"])
+def test_a_range_that_says_nothing_is_as_none(tmp_path: Path, range_: str, factor: str) -> None:
+    path = tmp_path / "x.dbc"
+    whole = "(1E-006,0) [-2147.483648|2147.483647]"
+    path.write_text(changed(whole, f"({factor},0) [{range_}]"), encoding="utf-8")
+    codec = load_codecs(BusConfig(), path).encoder
+    sign = float(factor) * 1e6
+    for raw in (-(2**31), 0, 2**31 - 1):
+        data = codec.encode(raw * 1e-6 * sign, 1, 0.0, counter=0)
+        assert data[:4] == raw.to_bytes(4, "little", signed=True)
+        assert codec.decode(data)[0] == raw * float(factor)
+    with pytest.raises(ValueError, match="outside"):
+        codec.encode(2147.484 * sign, 1, 0.0, counter=0)
+
+
+@pytest.mark.parametrize(
+    ("range_", "low", "high"), [("0|1E999", 0, 2**31 - 1), ("-1E999|1", -(2**31), 10**6)]
+)
+def test_half_a_range_holds(tmp_path: Path, range_: str, low: int, high: int) -> None:
+    path = tmp_path / "x.dbc"
+    path.write_text(changed("[-2147.483648|2147.483647]", f"[{range_}]"), encoding="utf-8")
+    codec = load_codecs(BusConfig(), path).encoder
+    for raw in (low, high):
+        assert codec.decode(codec.encode(raw * 1e-6, 1, 0.0, counter=0))[0] == raw * 1e-6
+    for raw in (low - 1, high + 1):
+        with pytest.raises(ValueError, match="outside"):
+            codec.encode(raw * 1e-6, 1, 0.0, counter=0)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
+@pytest.mark.parametrize("unit", ["µm", "um", "m"])
+def test_any_encoding_that_a_dbc_may_have(tmp_path: Path, encoding: str, unit: str) -> None:
+    text = changed('(1E-006,0) [-2147.483648|2147.483647] "m"', f'(1,0) [0|0] "{unit}"')
+    text = text.replace("Stroke coordinate", "Größe des Hubs: Stroke coordinate")
+    path = tmp_path / "x.dbc"
+    path.write_bytes(text.replace("\n", "\r\n").encode(encoding))
+    codec = load_codecs(BusConfig(), path).encoder
+    factor = 1.0 if unit == "m" else 1e-6
+    assert codec.decode(codec.encode(1000 * factor, 1, 0.0, counter=0))[0] == 1000 * factor
+
+
+def test_what_two_other_messages_are_called_does_not_matter(tmp_path: Path) -> None:
+    path = tmp_path / "x.dbc"
+    path.write_text(changed("BO_ 1793 HEARTBEAT_ENCODER", "BO_ 1793 EMCY_VALVE"), encoding="utf-8")
+    assert load_codecs(BusConfig(), path).encoder.can_id == 0x181
 
 
 def test_a_missing_database_is_refused_in_one_line(tmp_path: Path) -> None:

@@ -197,10 +197,10 @@ def test_where_a_mark_may_be_lost_the_whole_part_is_spared(tmp_path: Path) -> No
     written(path, [faulty(records[0]), *records[1:]], rotation(path, part=10**9))
     whole = path.read_bytes()
     unfinished = whole[: whole.rindex(b"copy")]  # as of a run that was killed
-    mark = whole.index(b"from_ns")
+    mark, name = whole.index(b"from_ns"), whole.index(b"kept")
     assert whole.count(b"kept") > 1, "the record and its index"
     for data in (whole, unfinished):
-        for place in (mark, mark + 12, whole.index(b"kept") - 3, whole.index(b"kept") + 8):
+        for place in (mark, mark + 12, name - 13, name - 3, name + 8):
             damaged = bytearray(data)
             damaged[place] ^= 0x20
             path.write_bytes(damaged)

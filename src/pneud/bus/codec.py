@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from math import ceil, floor
+from math import ceil, floor, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,15 @@ _ROLES: dict[str, dict[str, float | None]] = {
     "valve_status": {"applied_v": _REQUIRED, "state": _REQUIRED},
     "valve_command": {"voltage_v": _REQUIRED, "enable": _REQUIRED, "sequence": 0},
 }
+
+
+_LEAST, _MOST = Fraction(1, 10**100), Fraction(10**100)  # factors and offsets in SI units
+_BEYOND = Fraction(10**400)  # instead of infinity
+
+
+def _exact(value: float) -> Fraction:
+    """The number as the database has it; for infinity, as which 1E999 is read, one beyond all floats."""
+    return Fraction(str(value)) if isfinite(value) else (_BEYOND if value > 0 else -_BEYOND)
 
 
 class DatabaseError(Exception):
@@ -120,9 +129,9 @@ def load_codecs(bus: BusConfig, dbc_path: Path, *, keep: bool = False) -> Codecs
     )
 
 
-def _load(path: Path, keep: bool) -> dict[str, Message]:
+def _load(path: Path, keep: bool) -> list[Message]:
     try:
-        return {message.name: message for message in database.messages(path.read_bytes(), keep=keep)}
+        return database.messages(path.read_bytes(), keep=keep)
     except OSError as e:
         raise DatabaseError(f"{path}: cannot be read: {e.strerror or e}; see bus.dbc") from None
     except Exception as e:  # the parser lets more than its own errors through
@@ -132,7 +141,7 @@ def _load(path: Path, keep: bool) -> dict[str, Message]:
 class _Loader:
     """Takes messages from one database, each for one role only."""
 
-    def __init__(self, path: Path, messages: dict[str, Message]) -> None:
+    def __init__(self, path: Path, messages: list[Message]) -> None:
         self.path = path
         self.messages = messages
         self.fields: dict[str, dict[str, Field]] = {}
@@ -182,11 +191,15 @@ class _Loader:
 
     def _message(self, role: str, frame: FrameConfig) -> Message:
         name = frame.message
-        message = self.messages.get(name)
-        if message is None:
-            there = ", ".join(sorted(self.messages)) or "none"
+        named = [message for message in self.messages if message.name == name]
+        if not named:
+            there = ", ".join(sorted({message.name for message in self.messages})) or "none"
             cure = f"bus.frames.{role}.message must be one of: {there}"
             raise self._error(name, None, f"not in the database; {cure}")
+        if len(named) > 1:
+            which = " and ".join(f"0x{message.can_id:03X}" for message in named)
+            raise self._error(name, None, f"is there {len(named)} times, as {which}; give each its own name")
+        message = named[0]
         if message.extended:
             raise self._error(name, None, "has a 29-bit identifier; only 11-bit ones are used")
         if message.length > 8:
@@ -231,10 +244,13 @@ class _Loader:
     def _placed(self, message: Message, signal: Signal, unit: Fraction, *, integer: bool) -> Field:
         # the database's decimals are taken exactly, so that −2147.483648 / 1e-6 is the last raw value and
         # not beyond it
-        scale, offset = Fraction(str(signal.scale)), Fraction(str(signal.offset))
+        scale, offset = _exact(signal.scale), _exact(signal.offset)
+        for name, value in (("a factor", scale * unit), ("an offset", offset * unit)):
+            if value and not _LEAST <= abs(value) <= _MOST:
+                raise self._error(message.name, signal.name, f"has {name} that cannot be meant; mend it")
         low, high = bit_range(signal.length, signal.signed)
-        bounds = [Fraction(str(b)) for b in (signal.minimum, signal.maximum) if b is not None]
-        if len(bounds) == 2:
+        bounds = [_exact(b) for b in (signal.minimum, signal.maximum) if b is not None]
+        if len(bounds) == 2 and any(bounds):  # [0|0] says that there is no range
             first, last = sorted((bound - offset) / scale for bound in bounds)
             low, high = max(low, ceil(first)), min(high, floor(last))
         if low > high:

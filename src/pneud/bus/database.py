@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import logging
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,6 +20,7 @@ from pneud.rt.folders import cache_folder
 from pure2c.cache import Cache
 
 _KEPT = 32  # databases that stay
+_SILENCE = logging.NullHandler()
 
 
 class Signal(NamedTuple):
@@ -75,8 +77,9 @@ def _parsed(dbc: bytes) -> list[Message]:
     import cantools  # noqa: PLC0415 - slow to import, and needed by nothing but this
     from cantools.database.can import Database  # noqa: PLC0415
 
-    # the encoding that DBC files have
-    text = io.TextIOWrapper(io.BytesIO(dbc), encoding="cp1252", errors="replace")
+    # what it warns of is nothing, or is said by whoever uses the message
+    logging.getLogger("cantools").addHandler(_SILENCE)
+    text = io.TextIOWrapper(io.BytesIO(dbc), encoding=_encoding(dbc), errors="replace")
     database = cantools.database.load(text, database_format="dbc")
     assert isinstance(database, Database)
     return [
@@ -105,6 +108,15 @@ def _parsed(dbc: bytes) -> list[Message]:
         )
         for m in database.messages
     ]
+
+
+def _encoding(dbc: bytes) -> str:
+    """UTF-8 where it is that, with a BOM or without, else what DBC files are by origin."""
+    try:
+        dbc.decode("utf-8")
+    except UnicodeDecodeError:
+        return "cp1252"
+    return "utf-8-sig"
 
 
 def _key(dbc: bytes) -> str:

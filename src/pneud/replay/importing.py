@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from itertools import chain, pairwise
-from pathlib import Path
 from typing import NamedTuple
 
 from pneud.axis.cycle import Axis
@@ -20,17 +19,19 @@ from pneud.bus.inbox import Inbox
 from pneud.compiled.backend import backend
 from pneud.config import conversions
 from pneud.config.models import Config
-from pneud.log.files.naming import LogError
 from pneud.log.files.writer import LogWriter
 from pneud.loop.turn import Turn
-from pneud.replay import traffic
+from pneud.replay.remarks import Remarks
 from pneud.replay.sidecar import Sidecar
+from pneud.replay.surveying import Survey
+from pneud.replay.times import Times
 from pneud.replay.traffic import Passing
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Command, Frame, Record, Request, RequestKind, State, Timing
 
 UNTIMED = Timing(-1, -1, -1, -1, -1, -1)
 _NAN = float("nan")
+_ROLES = ("sync", "encoder", "pressure", "valve_status", "valve_command")
 
 
 class Heard(NamedTuple):
@@ -48,69 +49,60 @@ class Rebuilt(NamedTuple):
     ticks: int
     without_command: int  # ticks in which nothing valid was sent to the valve
     differing: int  # ticks whose command is another than the axis computes
-    channel: str
-    elsewhere: int  # frames on other channels, left out
-
-
-def start_ns(path: Path) -> int:
-    """Unix time of the first frame.
-
-    Raises:
-        LogError: the file cannot be read, or there is none.
-    """
-    for passing in traffic.read(path):
-        return passing.frame.stamp_ns
-    raise LogError(f"{path}: there is no frame in it")
 
 
 class Ticks:
     """The ticks of a recording, on the channel on which the first SYNC is."""
 
-    def __init__(self, frames: Iterable[Passing], codecs: Codecs, offset_ns: int) -> None:
+    def __init__(
+        self, frames: Iterable[Passing], codecs: Codecs, survey: Survey, times: Times, remarks: Remarks
+    ) -> None:
         """Nothing read yet.
 
         Args:
             frames: the recording.
             codecs: which of its messages are SYNC and command.
-            offset_ns: what to take from its stamps.
+            survey: of the recording.
+            times: makes the log's times of its stamps.
+            remarks: takes what is no message of ours though it has its identifier.
         """
-        self.channel = ""
-        self.elsewhere = 0
+        self.elsewhere = 0  # frames on other channels, left out
         self._frames = frames
         self._codecs = codecs
-        self._offset_ns = offset_ns
+        self._survey = survey
+        self._times = times
+        self._remarks = remarks
+        self._lengths = {
+            codec.can_id: (role, codec.length) for role in _ROLES for codec in (getattr(codecs, role),)
+        }
 
     def __iter__(self) -> Iterator[Heard]:
         """One after another; what comes before the first SYNC belongs to its tick."""
         sync, command = self._codecs.sync, self._codecs.valve_command
-        early: list[Passing] = []
         before: list[Frame] = []
         after: list[Frame] = []
         pending: list[Frame] = []  # came after the command
         begun: Frame | None = None
         sent: Frame | None = None
-        for passing in self._frames:
-            frame = passing.frame._replace(stamp_ns=passing.frame.stamp_ns - self._offset_ns)
-            # what another controller sends is heard, not sent, where the recording tells them apart
-            own = passing.sent is not False
-            is_sync = own and frame.can_id == sync.can_id and sync.valid(frame.data)
-            if not self.channel:
-                early.append(passing._replace(frame=frame))
-                if not is_sync:
-                    continue
-                self.channel = passing.channel
-                before = [p.frame for p in early[:-1] if p.channel == self.channel]
-                self.elsewhere = len(early) - 1 - len(before)
-            elif passing.channel != self.channel:
+        for recorded, channel, was_sent in self._frames:
+            if channel != self._survey.channel:
                 self.elsewhere += 1
                 continue
+            stamp_ns, can_id, data = recorded
+            # what another controller sends is heard, not sent, where the recording tells them apart
+            own = not self._survey.directed or was_sent is not False
+            is_sync = own and can_id == sync.can_id and sync.valid(data)
+            frame = Frame(self._times.at(stamp_ns, is_sync=is_sync), can_id, data)
+            self._check_length(frame)
             if is_sync:
                 if begun is not None:
                     yield Heard(begun, tuple(before), tuple(after), sent)
                     # without a command, what came was taken by the tick that waited for it
                     before, after = (pending, []) if sent is not None else ([], [])
                 begun, sent, pending = frame, None, []
-            elif sent is None and own and frame.can_id == command.can_id and command.valid(frame.data):
+            elif begun is None:
+                before.append(frame)
+            elif sent is None and own and can_id == command.can_id and command.valid(data):
                 sent = frame
             elif sent is None:
                 after.append(frame)
@@ -118,23 +110,37 @@ class Ticks:
                 pending.append(frame)
         if begun is not None:
             yield Heard(begun, tuple(before), tuple(after), sent)
+        if pending:
+            self._remarks.add(
+                "frames after the last command, which belong to no tick",
+                self._times.place,
+                partial=False,
+                count=len(pending),
+            )
+
+    def _check_length(self, frame: Frame) -> None:
+        role, length = self._lengths.get(frame.can_id, ("", 0))
+        if role and len(frame.data) != length:
+            name, has = f"{role} (0x{frame.can_id:03X})", len(frame.data)
+            self._remarks.add(
+                f"{name} with {has} bytes, where the database has {length}", self._times.place, partial=False
+            )
 
 
 def rebuild(
-    path: Path, writer: LogWriter, config: Config, codecs: Codecs, offset_ns: int, known: Sidecar | None
+    ticks: Iterable[Heard], writer: LogWriter, config: Config, codecs: Codecs, known: Sidecar | None
 ) -> Rebuilt:
     """Write the log of a recording.
 
     Args:
-        path: the recording.
+        ticks: of the recording.
         writer: of the new log, closed by the caller.
         config: of the axis.
         codecs: of its frames.
-        offset_ns: Unix time minus the new log's own.
         known: what was written beside the frames, if they were exported.
 
     Raises:
-        LogError: the recording cannot be read, or there is no SYNC in it.
+        LogError: the recording cannot be read.
         BuildError: the configuration requires the compiled law, which cannot be had.
     """
     p = conversions.axis_of(config, codecs.command_lsb_v)
@@ -142,7 +148,6 @@ def rebuild(
     turn = Turn(axis, Inbox(codecs, config.bus), codecs)
     command = codecs.valve_command
     period_ns = 1e9 / config.loop.rate_hz
-    ticks = Ticks(traffic.read(path), codecs, offset_ns)
     count = silent = differing = host = 0
     last_ns = None
     for heard, following in pairwise(chain(ticks, (None,))):
@@ -174,9 +179,7 @@ def rebuild(
         writer.write(Record(tick, UNTIMED, tuple(turn.frames), turn.before, sent, _NAN))
         last_ns = t_ns
         count += 1
-    if not count:
-        raise LogError(f"{path}: there is no SYNC (0x{codecs.sync.can_id:03X}) in it, so it has no ticks")
-    return Rebuilt(count, silent, differing, ticks.channel, ticks.elsewhere)
+    return Rebuilt(count, silent, differing)
 
 
 def _same(c: Command, voltage_v: float, enable: int, lsb_v: float) -> bool:

@@ -60,6 +60,6 @@ def load_scenario(file: str | Path) -> Scenario:
 def is_scenario(file: str | Path) -> bool:
     """Whether a file says what it expects, as a scenario does and a configuration does not."""
     try:
-        return "expect" in tables_of(resources.find(file).read_text(encoding="utf-8"))
+        return "expect" in tables_of(resources.find(file).read_text(encoding="utf-8-sig"))
     except (OSError, ValueError):  # whoever loads it will say what is wrong
         return False

@@ -13,13 +13,17 @@ from pneud.loading import at_rate, codecs_of
 from pneud.log.files.naming import create_log, log_path
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import LogHeader
-from pneud.replay import sidecar
-from pneud.replay.importing import rebuild, start_ns
+from pneud.replay import sidecar, traffic
+from pneud.replay.importing import Ticks, rebuild
+from pneud.replay.remarks import Remarks
 from pneud.replay.sidecar import Sidecar
+from pneud.replay.surveying import survey
+from pneud.replay.times import Times
 from pneud.replay.traffic import FORMATS
 from pneud.safety.faults import FAULT_NAMES
 
 _LEAD_NS = 1_000_000_000  # the log's own times begin one second before the first frame
+_NEVER_NS = 1 << 62  # the year 2116
 
 
 class Source(NamedTuple):
@@ -30,8 +34,14 @@ class Source(NamedTuple):
     dbc_name: str
     dbc: bytes
     rate_hz: float
-    offset_ns: int
     known: Sidecar | None
+
+
+class Placed(NamedTuple):
+    """Where a recording lies in time."""
+
+    offset_ns: int  # its stamps minus the log's own times
+    realtime_offset_ns: int  # Unix time minus the log's own times
 
 
 def import_(
@@ -50,14 +60,14 @@ def import_(
     """Write the log.
 
     Returns:
-        Exit status: 0.
+        Exit status: 0, or 1 where something of the recording could not be read.
 
     Raises:
         ConfigError: an option or the configuration cannot be used.
         DatabaseError: the DBC cannot be used.
         LogError: the recording cannot be read, or the log cannot be written.
     """
-    if recording.suffix not in FORMATS:
+    if recording.suffix.lower() not in FORMATS:
         raise ConfigError(f"{recording}: no such format; its name must end in one of {', '.join(FORMATS)}")
     if output.suffix != ".mcap":
         raise ConfigError(f"{output}: a log's name ends in .mcap")
@@ -67,6 +77,9 @@ def import_(
         config = at_rate(config, source.rate_hz)
     codecs = codecs_of(config.bus, source.dbc_name, source.dbc)
     path = log_path(str(output), config.name)
+    surveyed = survey(recording, codecs, source.rate_hz)
+    remarks = Remarks()
+    placed = _placed(surveyed.start_ns, source.known, remarks)
     header = LogHeader(
         name=config.name,
         bus=f"recording {recording.name}",
@@ -77,20 +90,24 @@ def import_(
         dbc_name=source.dbc_name,
         dbc=source.dbc,
         fault_names=FAULT_NAMES,
-        realtime_offset_ns=source.offset_ns,
+        realtime_offset_ns=placed.realtime_offset_ns,
         extra={"recording": recording.name},
     )
+    times = Times(surveyed.start_ns, placed.offset_ns, 1e9 / source.rate_hz, remarks)
+    ticks = Ticks(traffic.read(recording, remarks), codecs, surveyed, times, remarks)
     writer = LogWriter(create_log(path), header)
     done = False
     try:
-        found = rebuild(recording, writer, config, codecs, source.offset_ns, source.known)
+        found = rebuild(ticks, writer, config, codecs, source.known)
         done = writer.close()
     finally:
         if not done:
             path.unlink(missing_ok=True)
     if not done:
         raise ConfigError(f"{path}: could not be written whole")
-    print(f"{path}: {found.ticks} ticks from channel {found.channel}")
+    if writer.unwritten:
+        remarks.add("ticks that no log can hold, left out", path.name, count=writer.unwritten)
+    print(f"{path}: {writer.written} ticks from channel {surveyed.channel}")
     if source.known is None:
         print(
             "requests were inferred from Enable: nothing tells what else was asked of the axis",
@@ -100,9 +117,24 @@ def import_(
         print(f"{found.without_command} ticks have no valid command", file=sys.stderr)
     if found.differing:
         print(f"{found.differing} commands are not what this configuration computes", file=sys.stderr)
-    if found.elsewhere:
-        print(f"{found.elsewhere} frames on other channels were left out", file=sys.stderr)
-    return 0
+    if ticks.elsewhere:
+        print(f"{ticks.elsewhere} frames on other channels were left out", file=sys.stderr)
+    for line in remarks.lines():
+        print(line, file=sys.stderr)
+    return 1 if remarks.partial else 0
+
+
+def _placed(start_ns: int, known: Sidecar | None, remarks: Remarks) -> Placed:
+    """Where a recording that begins then lies in time."""
+    began_ns = _LEAD_NS if known is None else start_ns - known.offset_ns
+    if not 0 <= began_ns < _NEVER_NS:
+        remarks.add("its times are not those of the log that was exported", "at its start", partial=False)
+        began_ns = _LEAD_NS
+    unix_ns = start_ns
+    if not 0 <= start_ns < _NEVER_NS:
+        remarks.add("its times are no Unix times; the log's begin in 1970", "at its start", partial=False)
+        unix_ns = 0
+    return Placed(start_ns - began_ns, unix_ns - began_ns)
 
 
 def _source(recording: Path, dbc: Path | None, config_file: str | None) -> Source:
@@ -117,11 +149,9 @@ def _source(recording: Path, dbc: Path | None, config_file: str | None) -> Sourc
             config, text, path = load_with_text(config_file)
             name, rate_hz = path.name, config.loop.rate_hz
         if dbc is None or dbc_bytes is None:
-            return Source(name, text, known.metadata["dbc"], known.dbc, rate_hz, known.offset_ns, known)
-        return Source(name, text, dbc.name, dbc_bytes, rate_hz, known.offset_ns, known)
+            return Source(name, text, known.metadata["dbc"], known.dbc, rate_hz, known)
+        return Source(name, text, dbc.name, dbc_bytes, rate_hz, known)
     if dbc is None or dbc_bytes is None:
         raise ConfigError(f"{recording}: name its database with --dbc")
     config, text, path = load_with_text(config_file or "rig.toml")
-    return Source(
-        path.name, text, dbc.name, dbc_bytes, config.loop.rate_hz, start_ns(recording) - _LEAD_NS, None
-    )
+    return Source(path.name, text, dbc.name, dbc_bytes, config.loop.rate_hz, None)

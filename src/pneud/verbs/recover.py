@@ -16,13 +16,17 @@ def recover(
 ) -> int:
     """Write what can be read of a log into another one.
 
+    Returns:
+        Exit status: 0, or 1 where not a message could be saved of a source that is not whole.
+
     Raises:
         LogError: not a log, or the new one cannot be written.
     """
     report = mend(Path(log), output)
-    print(f"{output}: {report.messages} messages from {report.chunks} chunks")
+    chunks = f" from {report.chunks} chunks" if report.chunks else ""
+    print(f"{output}: {report.messages} messages{chunks}")
     if report.damaged_chunks:
         print(f"left out: {report.damaged_chunks} damaged chunks")
     if report.damage:
         print(f"the source: {report.damage}")
-    return 0
+    return 1 if report.damage and not report.messages else 0

@@ -115,7 +115,7 @@ def save(socket: SocketOption = None, json: JsonOption = False) -> int:
     changes = difference(found, running)
     if changes:
         try:
-            _replace(path, _with(path.read_text(encoding="utf-8"), found, running))
+            _replace(path, _with(path.read_text(encoding="utf-8-sig"), found, running))
         except TOMLKitError as e:
             raise ConfigError(f"{path}: {e}") from None
         except OSError as e:

@@ -27,7 +27,7 @@ def log_path(option: str | None, name: str, now: float | None = None) -> Path:
         LogError: the file exists, or its folder cannot be made.
     """
     if option and option.endswith(".mcap"):
-        path = Path(option).expanduser()
+        path = _at_home(option)
         if path.exists():
             raise LogError(f"{path}: exists already; a log is never overwritten, name another file")
         if not path.parent.is_dir():
@@ -78,7 +78,7 @@ def log_folder(option: str | None) -> Path:
         LogError: there is no default.
     """
     if option:
-        return Path(option).expanduser()
+        return _at_home(option)
     # systemd gives several folders with colons between them where a unit names several.
     state = os.environ.get("STATE_DIRECTORY", "").split(":")[0]
     if state:
@@ -87,6 +87,13 @@ def log_folder(option: str | None) -> Path:
         return Path.home() / ".local" / "state" / "pneud"
     except RuntimeError:
         raise LogError("no home folder for the log; set STATE_DIRECTORY or choose with --log") from None
+
+
+def _at_home(option: str) -> Path:
+    try:
+        return Path(option).expanduser()
+    except RuntimeError:
+        raise LogError(f"{option}: no such user, or one without a home") from None
 
 
 def create_log(path: Path) -> int:

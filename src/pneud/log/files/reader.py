@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Generator, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,13 +19,14 @@ from pneud.log.files.naming import LogError
 from pneud.log.files.part import CRC, check_intact
 from pneud.log.format.frames import FrameBlock
 from pneud.log.format.framing import (
-    SPAN,
     CutShortError,
     DamageError,
     Message,
     Piece,
     attachment,
-    chunk_items,
+    first_ns,
+    items,
+    message_count,
     metadata,
     open_mcap,
     pieces,
@@ -33,7 +35,9 @@ from pneud.log.format.records import LoggedEvent, LoggedTick, TickMessage, unpac
 from pneud.log.format.schema import EVENTS, FRAMES, METADATA, SCHEMA, SETUP, STATE, TICK
 
 _SEQUENCES = 1 << 32  # of MCAP's messages, after which they begin anew
-_LOOK_BACK = 2000  # chunks among which a snapshot is looked for
+_LOOK_BACK = 2000  # places among which a snapshot is looked for
+_OWN_TOPICS = {TICK, FRAMES, STATE, EVENTS}
+_BEHIND_THE_HEAD = (Opcode.CHUNK, Opcode.MESSAGE, Opcode.DATA_END)
 
 
 class RawBatch(NamedTuple):
@@ -56,17 +60,26 @@ Item = LoggedTick | LoggedState
 
 
 class _Definitions:
-    """Channels by their number: topic and name of the schema."""
+    """Channels by their number: topic and name of the schema, which may have none."""
 
     def __init__(self) -> None:
         self.channels: dict[int, tuple[str, str]] = {}
-        self._schemas: dict[int, str] = {}
+        self._schemas: dict[int, str] = {0: ""}
 
     def learn(self, item: Schema | Channel) -> None:
         if isinstance(item, Schema):
             self._schemas[item.id] = item.name
         elif item.schema_id in self._schemas:
             self.channels[item.id] = (item.topic, self._schemas[item.schema_id])
+
+    def learn_all(self, found: list[Schema | Channel | Message]) -> None:
+        for item in found:
+            if not isinstance(item, Message):
+                self.learn(item)
+
+    @property
+    def topics(self) -> set[str]:
+        return {topic for topic, _ in self.channels.values()}
 
 
 class _File:
@@ -90,8 +103,8 @@ class _File:
         with open_mcap(self.path) as file:
             try:
                 for piece in pieces(file, skip_chunks=True):
-                    # Another tool may have moved the head behind the chunks: look on until it is there.
-                    if piece.opcode in (Opcode.CHUNK, Opcode.DATA_END) and self.metadata:
+                    # Another tool may have put parts of the head behind messages: look on until all is there.
+                    if piece.opcode in _BEHIND_THE_HEAD and self._has_head():
                         break
                     self._head_piece(piece)
             except CutShortError as e:
@@ -101,6 +114,10 @@ class _File:
                 if not self.metadata:
                     raise LogError(f"{self.path}: {e}; try pneud recover") from None
         self._check_head()
+
+    def _has_head(self) -> bool:
+        m = self.metadata
+        return bool(m) and m.get("config") in self.attachments and m.get("dbc") in self.attachments
 
     def _head_piece(self, piece: Piece) -> None:
         if piece.opcode == Opcode.ATTACHMENT:
@@ -136,8 +153,8 @@ class _File:
         with open_mcap(self.path) as file:
             try:
                 for piece in pieces(file, skip_chunks=True):
-                    if piece.opcode == Opcode.CHUNK:
-                        return int(SPAN.unpack(piece.body)[0])
+                    if (found_ns := first_ns(piece)) is not None:
+                        return found_ns
             except DamageError:
                 pass
         return 0
@@ -150,58 +167,86 @@ class _File:
         """
         self.damage = ""
         known = _Definitions()
+        count = strangers = 0
         with open_mcap(self.path) as file:
             try:
-                if from_ns and (start := self._snapshot_before(from_ns)):
+                start = self._snapshot_before(from_ns) if from_ns else 0
+                if start:
                     known = self._definitions()
                     file.seek(start)
+                ended = False
                 for piece in pieces(file):
-                    if piece.opcode != Opcode.CHUNK:
-                        continue
-                    for item in chunk_items(piece):
+                    if piece.opcode == Opcode.STATISTICS and not start:
+                        self._check_count(piece, count)
+                    ended = ended or piece.opcode == Opcode.DATA_END
+                    for item in () if ended else items(piece):
                         if not isinstance(item, Message):
                             known.learn(item)
-                        elif (channel := known.channels.get(item.channel)) is not None:
+                            continue
+                        count += 1
+                        if (channel := known.channels.get(item.channel)) is not None:
                             yield *channel, item
+                        else:
+                            strangers += 1
+                if strangers:
+                    self.damage = f"{strangers} messages are of channels that are nowhere defined"
             except DamageError as e:
                 self.damage = str(e)
 
+    @staticmethod
+    def _check_count(piece: Piece, count: int) -> None:
+        """Compare with what the index says, since a record may have been damaged into one to be skipped."""
+        there = message_count(piece)
+        if count < there:
+            raise DamageError(
+                f"damaged at byte {piece.offset}: {there - count} of {there} messages are not there"
+            )
+
     def _definitions(self) -> _Definitions:
-        """What the first chunk defines; of an own log, that is everything."""
+        """What comes before the first messages and with them, and what the index repeats."""
         known = _Definitions()
-        with open_mcap(self.path) as file:
-            first = next((piece for piece in pieces(file) if piece.opcode == Opcode.CHUNK), None)
-            for item in chunk_items(first) if first is not None else ():
-                if not isinstance(item, Message):
-                    known.learn(item)
+        with open_mcap(self.path) as file, suppress(DamageError):
+            for piece in pieces(file):
+                found = items(piece)
+                known.learn_all(found)
+                if any(isinstance(item, Message) for item in found):
+                    break
+            if not known.topics >= _OWN_TOPICS:
+                for piece in pieces(file, skip_chunks=True):
+                    if piece.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                        known.learn_all(items(piece))
         return known
 
     def _snapshot_before(self, time_ns: int) -> int:
         """Where the chunk with the last snapshot not after a time begins; 0 where there is none.
 
-        A snapshot is the first message of its chunk.
+        A snapshot is the first message of its chunk, or stands by itself.
         """
-        chunks: deque[int] = deque(maxlen=_LOOK_BACK)
+        places: deque[int] = deque(maxlen=_LOOK_BACK)
+        known = self._definitions()
         with open_mcap(self.path) as file:
             try:
                 for piece in pieces(file, skip_chunks=True):
-                    if piece.opcode == Opcode.CHUNK:
-                        if SPAN.unpack(piece.body)[0] > time_ns:
-                            break
-                        chunks.append(piece.offset)
+                    found_ns = first_ns(piece)
+                    if found_ns is None:
+                        continue
+                    if found_ns > time_ns:
+                        break
+                    if piece.opcode == Opcode.CHUNK or _first_topic(piece, known) == STATE:
+                        places.append(piece.offset)
             except DamageError:
                 pass  # said by whoever reads that far
-            channels = self._definitions().channels
-            for offset in reversed(chunks):
+            for offset in reversed(places):
                 file.seek(offset)
-                try:
-                    items = chunk_items(next(pieces(file)))
-                except DamageError:
-                    continue
-                first = next((item for item in items if isinstance(item, Message)), None)
-                if first is not None and channels.get(first.channel, ("",))[0] == STATE:
-                    return offset
+                with suppress(DamageError):
+                    if _first_topic(next(pieces(file)), known) == STATE:
+                        return offset
         return 0
+
+
+def _first_topic(piece: Piece, known: _Definitions) -> str:
+    first = next((item for item in items(piece) if isinstance(item, Message)), None)
+    return "" if first is None else known.channels.get(first.channel, ("", ""))[0]
 
 
 class LogReader:
@@ -326,6 +371,8 @@ class LogReader:
                 except (DecodeError, ValueError) as e:
                     self._damaged(f"damaged in an event: {e}")
                     return last
+        if waiting and not file.damage:
+            file.damage = f"damaged at its end: {len(waiting)} ticks without their frames"
         if file.damage:
             self._damaged(file.damage if len(self._files) == 1 else f"{file.path.name}: {file.damage}")
         return last

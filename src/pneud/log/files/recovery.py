@@ -1,7 +1,8 @@
 """Mends a log that was cut short or damaged: every whole chunk goes into a new file with index and footer.
 
 What stands in one place of a log only would be lost with it: the head is repeated at the end of a log, and
-what its first chunk defines is known of every log of this schema.
+what its first chunk defines is known of every log of this schema. Messages that another program has written
+without chunks are saved one by one.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -26,15 +28,17 @@ from pneud.log.format.framing import (
     Message,
     Piece,
     attachment,
-    chunk_items,
+    items,
     metadata,
     open_mcap,
 )
-from pneud.log.format.schema import COPY, METADATA, SCHEMA, topics
+from pneud.log.format.schema import COPY, METADATA, SCHEMA, Topic, topics
 
-_COMPRESSION = b"\x04\x00\x00\x00zstd"  # in a chunk's head
+_COMPRESSION = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")  # in a chunk's head
+_COMPRESSION_BYTES = 8
 _COMPRESSION_AT = 9 + 8 + 8 + 8 + 4  # from the chunk's beginning
 _SEARCHED_BYTES = 1 << 20
+_ASSUMED = 1 << 16  # schemas numbered from here on are ours; MCAP's numbers end below
 
 
 class RecoverReport(NamedTuple):
@@ -71,12 +75,53 @@ def recover(src: Path, dst: Path) -> RecoverReport:
     return report
 
 
+class _Channels:
+    """The channels of the source, and those of the new file that stand for them."""
+
+    def __init__(self, writer: Writer) -> None:
+        self._writer = writer
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._written: dict[tuple[str, str, str], int] = {}  # by topic, encoding and name of the schema
+
+    def learn(self, item: Schema | Channel) -> None:
+        """Take a definition; a later one counts."""
+        if isinstance(item, Schema):
+            self._schemas[item.id] = item
+        else:
+            self._channels[item.id] = item
+
+    def assume(self, number: int, topic: Topic) -> None:
+        """Know a channel before it is defined, and though its definition may be lost."""
+        if number not in self._channels:
+            schema = _ASSUMED + number
+            self.learn(Schema(schema, topic.descriptors, topic.schema_encoding, topic.schema))
+            self.learn(Channel(number, topic.topic, topic.encoding, {}, schema))
+        self.number(number)
+
+    def number(self, source: int) -> int | None:
+        """The channel of the new file; None where the source's was never defined."""
+        channel = self._channels.get(source)
+        if channel is None:
+            return None
+        schema = self._schemas.get(channel.schema_id)
+        key = channel.topic, channel.message_encoding, "" if schema is None else schema.name
+        if key not in self._written:
+            w = self._writer
+            of = 0 if schema is None else w.register_schema(schema.name, schema.encoding, schema.data)
+            self._written[key] = w.register_channel(
+                channel.topic, channel.message_encoding, of, channel.metadata
+            )
+        return self._written[key]
+
+
 class _Rescue:
     def __init__(self, writer: Writer) -> None:
         self._writer = writer
-        self._schemas: dict[int, int] = {}
-        self._channels: dict[int, int] = {}
+        self._channels = _Channels(writer)
         self._messages = 0
+        self._strangers = 0
+        self._promised = 0
         self._damage = ""
         self._damaged_chunks = 0
         self._attachments: dict[str, Attachment] = {}
@@ -93,17 +138,24 @@ class _Rescue:
         source.seek(len(framing.MAGIC))
         chunks = 0
         for piece in self._pieces(source):
-            if piece.opcode != Opcode.CHUNK:
-                continue
+            if piece.opcode == Opcode.DATA_END:
+                break
             try:
-                items = chunk_items(piece)
+                found = items(piece)
             except DamageError as e:
-                self._damaged_chunks += 1
+                self._damaged_chunks += piece.opcode == Opcode.CHUNK
                 self._damage = self._damage or str(e)
                 continue
-            self._chunk(items)
-            chunks += 1
+            self._save(found)
+            chunks += piece.opcode == Opcode.CHUNK
         self._writer.finish()  # type: ignore[no-untyped-call]
+        if self._strangers:
+            self._damage = (
+                self._damage or f"{self._strangers} messages are of channels that are nowhere defined"
+            )
+        lost = self._promised - self._messages
+        if lost > 0:
+            self._damage = self._damage or f"{lost} of {self._promised} messages are not there"
         return RecoverReport(self._messages, chunks, self._damaged_chunks, self._damage)
 
     def _pieces(self, source: IO[bytes], *, skip_chunks: bool = False) -> Iterator[Piece]:
@@ -112,7 +164,8 @@ class _Rescue:
             last = source.tell() + 1
             try:
                 for piece in framing.pieces(source, skip_chunks=skip_chunks):
-                    last = piece.offset + 1
+                    if piece.opcode in framing.KNOWN:  # another may be the first of what makes no sense
+                        last = piece.offset + 1
                     yield piece
                 return
             except DamageError as e:
@@ -138,6 +191,12 @@ class _Rescue:
                         copy = m.metadata
                     else:
                         self._metadata.append(m)
+                elif piece.opcode == Opcode.STATISTICS:
+                    self._promised = framing.message_count(piece)
+                elif piece.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):  # the index repeats them
+                    for item in items(piece):
+                        if not isinstance(item, Message):
+                            self._channels.learn(item)
             except DamageError as e:
                 self._damage = self._damage or str(e)
         if copy:
@@ -165,26 +224,21 @@ class _Rescue:
         if head.get("schema") != str(SCHEMA) or detail not in ("compact", "full"):
             return
         for number, t in enumerate(topics(detail), start=1):
-            schema = self._writer.register_schema(t.schema, t.schema_encoding, t.descriptors)
-            self._schemas[number] = schema
-            self._channels[number] = self._writer.register_channel(t.topic, t.encoding, schema)
+            self._channels.assume(number, t)
 
-    def _chunk(self, items: list[Schema | Channel | Message]) -> None:
-        w = self._writer
-        for item in items:
-            if isinstance(item, Message):
-                channel = self._channels.get(item.channel)
-                if channel is not None:
-                    w.add_message(channel, item.log_time_ns, item.data, item.publish_time_ns, item.sequence)
-                    self._messages += 1
-            elif isinstance(item, Schema):
-                if item.id not in self._schemas:
-                    self._schemas[item.id] = w.register_schema(item.name, item.encoding, item.data)
-            elif item.id not in self._channels:
-                schema = self._schemas.get(item.schema_id, 0)
-                self._channels[item.id] = w.register_channel(
-                    item.topic, item.message_encoding, schema, item.metadata
-                )
+    def _save(self, found: list[Schema | Channel | Message]) -> None:
+        for item in found:
+            if not isinstance(item, Message):
+                self._channels.learn(item)
+                continue
+            channel = self._channels.number(item.channel)
+            if channel is None:
+                self._strangers += 1
+                continue
+            self._writer.add_message(
+                channel, item.log_time_ns, item.data, item.publish_time_ns, item.sequence
+            )
+            self._messages += 1
 
 
 def _next_chunk(file: IO[bytes], start: int) -> int | None:
@@ -193,8 +247,9 @@ def _next_chunk(file: IO[bytes], start: int) -> int | None:
     while True:
         file.seek(at)
         block = file.read(_SEARCHED_BYTES)
-        place = block.find(_COMPRESSION)
-        if place >= 0:
+        named = _COMPRESSION.search(block)
+        if named is not None:
+            place = named.start()
             found = at + place - _COMPRESSION_AT
             file.seek(found)
             if file.read(1)[0] == Opcode.CHUNK:
@@ -203,4 +258,4 @@ def _next_chunk(file: IO[bytes], start: int) -> int | None:
         elif len(block) < _SEARCHED_BYTES:
             return None
         else:
-            at += len(block) - len(_COMPRESSION)
+            at += len(block) - _COMPRESSION_BYTES + 1

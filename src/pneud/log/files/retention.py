@@ -90,7 +90,10 @@ def _from_index(file: IO[bytes], size: int) -> tuple[int, int, list[dict[str, st
                     index = MetadataIndex.read(framing.stream(piece.body))
                     if index.name == KEPT:
                         file.seek(index.offset)
-                        kept += [m for m in (_metadata(next(framing.pieces(file)), KEPT),) if m]
+                        mark = _metadata(next(framing.pieces(file)), KEPT)
+                        if mark is None:
+                            return None
+                        kept.append(mark)
     except (*framing.NONSENSE, framing.DamageError):
         return None
     return start_ns, end_ns, kept
@@ -113,6 +116,8 @@ def _from_chunks(file: IO[bytes]) -> tuple[int, int, list[dict[str, str]]]:
     file.seek(len(framing.MAGIC))
     try:
         for piece in framing.pieces(file, skip_chunks=True):
+            if piece.opcode not in framing.KNOWN:
+                raise framing.DamageError
             if piece.opcode == Opcode.CHUNK:
                 first, end_ns = framing.SPAN.unpack(piece.body)
                 start_ns = start_ns or first

@@ -10,12 +10,12 @@ from io import BytesIO
 from pathlib import Path
 from typing import IO, NamedTuple
 
+import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.records import Attachment, Channel, Chunk, Metadata, Schema, Statistics
 
 from pneud.log.files.naming import LogError
 
@@ -26,7 +26,9 @@ _MESSAGE = struct.Struct("<HIQQ")
 _MESSAGE_HEAD = _HEAD.size + _MESSAGE.size
 _LARGEST_CHUNK = 256 * 1024 * 1024
 _OPCODE_MESSAGE = int(Opcode.MESSAGE)
-_KNOWN = frozenset(int(code) for code in Opcode)
+KNOWN = frozenset(int(code) for code in Opcode)
+"""Opcodes of MCAP as it is today; others are of a later one, or private to who wrote them."""
+_NO_OPCODE = 0
 
 # What the decoders of MCAP and zstd raise on bytes that make no sense.
 NONSENSE = (struct.error, ValueError, IndexError, KeyError, MemoryError, OverflowError, McapError)
@@ -86,7 +88,7 @@ def open_mcap(path: Path, *, damaged: bool = False) -> IO[bytes]:
 
 
 def pieces(file: IO[bytes], *, skip_chunks: bool = False) -> Iterator[Piece]:
-    """The records of a file after its magic, up to and including the footer.
+    """The records of a file after its magic, up to and including the footer, those not `KNOWN` among them.
 
     Args:
         file: at the first record.
@@ -103,7 +105,7 @@ def pieces(file: IO[bytes], *, skip_chunks: bool = False) -> Iterator[Piece]:
             raise CutShortError(f"cut short at byte {end}")
         opcode, length = _HEAD.unpack(head)
         following = offset + _HEAD.size + length
-        if opcode not in _KNOWN:
+        if opcode == _NO_OPCODE:
             raise DamageError(f"damaged at byte {offset}: no record begins with {opcode}")
         if following > end:
             raise CutShortError(f"cut short at byte {end}, in a record that begins at byte {offset}")
@@ -137,8 +139,11 @@ def attachment(piece: Piece) -> Attachment:
     (crc,) = struct.unpack("<I", piece.body[-4:]) if len(piece.body) >= 4 else (0,)
     if crc and zlib.crc32(piece.body[:-4]) != crc:
         raise DamageError(f"damaged at byte {piece.offset}: checksum of an attachment")
+    source = stream(piece.body)
     try:
-        attached: Attachment = Attachment.read(stream(piece.body))
+        attached: Attachment = Attachment.read(source)
+        if source.count != len(piece.body):
+            raise ValueError("another length than it says")
     except NONSENSE as e:
         raise DamageError(f"damaged at byte {piece.offset}: attachment: {e}") from None
     return attached
@@ -157,29 +162,68 @@ def metadata(piece: Piece) -> Metadata:
     return found
 
 
-def chunk_items(piece: Piece) -> list[Schema | Channel | Message]:
-    """What a chunk holds, its checksum compared.
+def message_count(piece: Piece) -> int:
+    """How many messages the index tells of.
+
+    Raises:
+        DamageError: its bytes make no sense.
+    """
+    try:
+        return int(Statistics.read(stream(piece.body)).message_count)
+    except NONSENSE as e:
+        raise DamageError(f"damaged at byte {piece.offset}: the index: {e}") from None
+
+
+def items(piece: Piece) -> list[Schema | Channel | Message]:
+    """What a record brings: all that a chunk holds, its checksum compared, or itself outside of chunks.
 
     Raises:
         DamageError: its bytes are not what was written.
     """
     try:
-        chunk = Chunk.read(stream(piece.body))
-        _check_size(chunk)
-        data, size = get_chunk_data_stream(chunk, validate_crc=True)
-        return list(_items(data.read(size)))
-    except zstandard.ZstdError:
+        if piece.opcode == Opcode.CHUNK:
+            return list(_items(_decompressed(Chunk.read(stream(piece.body)))))
+        if piece.opcode == Opcode.MESSAGE:
+            channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(piece.body)
+            return [Message(channel, sequence, log_ns, publish_ns, piece.body[_MESSAGE.size :])]
+        if piece.opcode == Opcode.SCHEMA:
+            return [Schema.read(stream(piece.body))]
+        if piece.opcode == Opcode.CHANNEL:
+            return [Channel.read(stream(piece.body))]
+    except (zstandard.ZstdError, RuntimeError):  # the latter is lz4's
         raise DamageError(f"damaged at byte {piece.offset}: a chunk cannot be decompressed") from None
     except NONSENSE as e:
         raise DamageError(f"damaged at byte {piece.offset}: {e}") from None
+    return []
 
 
-def _check_size(chunk: Chunk) -> None:
+def first_ns(piece: Piece) -> int | None:
+    """Time of the first message that a record brings, a chunk's by its head alone; None if there is none."""
+    if piece.opcode == Opcode.CHUNK and any(piece.body[: SPAN.size]):
+        return int(SPAN.unpack_from(piece.body)[0])
+    if piece.opcode == Opcode.MESSAGE and len(piece.body) >= _MESSAGE.size:
+        return int(_MESSAGE.unpack_from(piece.body)[2])
+    return None
+
+
+def _decompressed(chunk: Chunk) -> bytes:
     size = chunk.uncompressed_size
     if chunk.compression == "zstd":
         size = max(size, zstandard.frame_content_size(chunk.data))
     if size > _LARGEST_CHUNK:
         raise ValueError(f"a chunk claims to hold {size} bytes")
+    data: bytes = chunk.data
+    if chunk.compression == "zstd":
+        data = zstandard.decompress(data, size)
+    elif chunk.compression == "lz4":
+        data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+    elif chunk.compression:
+        raise ValueError(f"a chunk is compressed with {chunk.compression!r}, which is not known")
+    if len(data) != chunk.uncompressed_size:
+        raise ValueError(f"a chunk holds {len(data)} bytes instead of {chunk.uncompressed_size}")
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise ValueError("checksum of a chunk")
+    return data
 
 
 def _items(data: bytes) -> Iterator[Schema | Channel | Message]:
