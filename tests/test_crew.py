@@ -90,6 +90,35 @@ def test_a_child_has_none_of_its_parents_files_but_those_it_is_given() -> None:
         os.close(descriptor)
 
 
+def test_a_descriptor_that_is_kept_may_stand_in_a_standard_ones_place() -> None:
+    readable, writable = os.pipe()
+    os.write(writable, b"A")
+
+    def reads_it() -> int:
+        os.dup2(readable, 0)
+        return status_of(crew.fork(lambda: len(os.read(0, 9)), keep=(0,)))
+
+    assert status_of(crew.fork(reads_it, keep=(readable,))) == 1
+    os.close(readable)
+    os.close(writable)
+
+
+def test_a_child_ends_where_there_is_no_standard_error() -> None:
+    words = """
+import os
+from pneud import crew
+child = crew.fork(lambda: 3)
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    done = subprocess.run(
+        ["sh", "-c", 'exec "$0" -c "$1" 2>&-', sys.executable, words],
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == "3\n"
+
+
 def test_what_reaches_the_group_is_left_to_the_parent() -> None:
     def receive_all(say: Callable[[str], None]) -> None:
         for number in GROUP:

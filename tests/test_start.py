@@ -14,11 +14,16 @@ from pneud.loading import load
 HEAVY = {"can", "cantools", "google", "mcap", "numpy", "rich", "zstandard"}
 LATER = {  # loaded by the processes and the runs that need them
     "pneud.console.protocol",
+    "pneud.console.server",
     "pneud.service.installation",
     "pneud.log.files.writer",
+    "pneud.scenario.engine",
     "pneud.scenario.format",
     "pneud.scenario.sabotage",
+    "pneud.scenario.stage",
     "pneud.view.screen",
+    "pneud.view.terminal",
+    "pneud.view.viewers",
 }
 # leaves with what is loaded, and with the collections of garbage, when the loop lays its grid
 FIRST_TICK = """

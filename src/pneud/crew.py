@@ -13,7 +13,6 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
 
 _PR_SET_PDEATHSIG = 1
 _LOOK_S = 0.005  # how often a child that is to end is looked at
@@ -51,9 +50,7 @@ def fork(
     Raises:
         OSError: no more processes.
     """
-    for stream in (sys.stdout, sys.stderr):
-        if stream is not None:  # as it is where the descriptor is closed
-            stream.flush()
+    _flush()
     parent = os.getpid()
     child = os.fork()
     if child:
@@ -71,13 +68,16 @@ def fork(
     except Exception:
         traceback.print_exc()
     finally:
-        _leave(status)
+        try:
+            _flush()
+        finally:
+            os._exit(status)
 
 
-def _leave(status: int) -> NoReturn:
-    with contextlib.suppress(OSError):
-        sys.stderr.flush()
-    os._exit(status)
+def _flush() -> None:
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:  # as it is where the descriptor is closed
+            stream.flush()
 
 
 def _close_all_but(keep: Iterable[int], terminal: bool) -> None:

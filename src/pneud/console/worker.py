@@ -43,7 +43,7 @@ def fork_console(
     """
     parent = os.getpid()
     child = crew.fork(
-        lambda: serve(listener, loop, words, run, ring, parent),
+        lambda: _serve(listener, loop, words, run, ring, parent),
         keep=(listener.fileno(), loop.fileno(), words.fileno(), ring.descriptor),
         orphaned=None,
     )
@@ -52,19 +52,10 @@ def fork_console(
     return child
 
 
-def serve(
+def _serve(
     listener: socket.socket, loop: socket.socket, words: socket.socket, run: Run, ring: Ring, parent: int
 ) -> None:
-    """Serve until the ring is closed or the parent is gone; SIGHUP takes gains and reference of the file.
-
-    Args:
-        listener: as for `fork_console`.
-        loop: as for `fork_console`.
-        words: as for `fork_console`.
-        run: as for `fork_console`.
-        ring: as for `fork_console`.
-        parent: process id of the loop.
-    """
+    """Serve until the ring is closed or the parent is gone; SIGHUP takes gains and reference of the file."""
     # the protocol is loaded here, beside the loop's own start; who calls meanwhile is queued
     from pneud.console import protocol  # noqa: PLC0415
     from pneud.console.commands import AxisDesk  # noqa: PLC0415

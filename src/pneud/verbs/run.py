@@ -16,12 +16,7 @@ def run(o: RunOptions) -> int:
         Exit status: 0, or 1 where there was a fault or the axis never came to track.
 
     Raises:
-        ConfigError: the configuration cannot be used.
-        DatabaseError: the DBC cannot be used.
-        LinkError: the bus cannot be used.
-        LogError: the log cannot be written.
-        BuildError: the compiled law is required and cannot be had.
-        PlaceError: the console's socket cannot be made.
+        Exception: as for `prepared`, which refuses what cannot be run.
     """
     with prepared(o) as ready:
         session = Session(ready)
