@@ -268,17 +268,19 @@ def test_another_law_is_set_with_its_gains_saved_and_left_again(tmp_path: Path) 
         assert saved.control.discretisation == "implicit"
         assert "# cap end, bore 40 mm" in file.read_text()
 
-        settings = ("law=adrc", "adrc.observer_rad_s=220", "reference.amplitude_m=0.03")
-        pneud_here("tune", "set", *settings, *at)
-        assert b.requests[-1].values[:6] == (5.0, 373000.0, 15600.0, 216.0, 0.02, 220.0)
-        assert len(b.requests[-1].values) == 9
+        wanted = ("law=adrc", "adrc.observer_rad_s=220", "reference.amplitude_m=0.03")
+        pneud_here("tune", "set", *wanted, *at)
+        asked = b.requests[-1].values
+        assert asked[:6] == (5.0, 373000.0, 15600.0, 216.0, 0.02, 220.0)
+        assert len(asked) == 9
         file.write_text(text + "\n[control.adrc]\nk1 = 300000.0\n")
         back = object_of(pneud_here("tune", "reload", *at))
         assert back["at_restart"] == []
         assert back["changed"] == "law adrc → composite-implicit, reference.amplitude_m 0.03 → 0.05"
         assert len(b.requests[-1].values) == len(TUNABLE) + 3
         pneud_here("tune", "set", "law=adrc", *at)
-        assert b.requests[-1].values == (5.0, 300000.0, 15600.0, 216.0, 0.02, 0.0)
+        last: tuple[float, ...] = b.requests[-1].values
+        assert last == (5.0, 300000.0, 15600.0, 216.0, 0.02, 0.0)
 
 
 def test_how_a_reference_is_joined_waits_for_the_next_start(tmp_path: Path) -> None:

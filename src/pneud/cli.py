@@ -351,7 +351,7 @@ def design(
     file: Annotated[str, typer.Argument(metavar="FILE", help="Configuration.")] = "virtual.toml",
     law: Annotated[
         str | None,
-        typer.Option("--law", metavar="LAW", help="composite, ismc, pid, adrc; default as in FILE."),
+        typer.Option("--law", metavar="LAW", help="As control.law; default the configuration's."),
     ] = None,
     alpha: Annotated[
         float | None, typer.Option("--alpha", metavar="X", help="Exponent; default the configuration's.")
