@@ -88,6 +88,7 @@ def test_values_that_are_none_are_malformed(values: tuple[float, ...]) -> None:
         changed(k1=95000.0 * 1e3, k2=6050.0 * 1e2, k3=1040.0),  # more bandwidth than samples, and than delay
         changed(k1=95000.0 * 64, k2=6050.0 * 16, k3=416.0),  # than delay alone
         changed(law=1.0, k3=2500.0, k2=6050.0),
+        changed(k2=1e300),
     ],
 )
 def test_gains_that_the_loop_cannot_have_are_unstable(values: tuple[float, ...]) -> None:
