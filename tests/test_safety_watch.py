@@ -525,6 +525,13 @@ def test_each_check_is_made_where_its_source_is_read() -> None:
     assert all_at_once(Source.VALVE) == (1 << F.VALVE_DISAGREES, 0)
 
 
+@pytest.mark.parametrize(("state", "found"), [(State.TRACKING, 1 << F.ENCODER_STUCK), (State.HOMING, 0)])
+def test_a_load_may_be_pressed_against_the_stop_while_homing(state: State, found: int) -> None:
+    e = STILL._replace(x3_n=1e4)
+    _, lasting, bits = watch_module.look(SEEN, GOOD, e, int(state), True, 0.0, 0, False, LIMITS)
+    assert (lasting, bits) == (found, 0)
+
+
 @pytest.mark.parametrize("row", [row for row in TABLE if LASTING >> row.bit & 1], ids=lambda row: row.name)
 def test_each_condition_lasts_as_long_as_the_table_says(row: Fault) -> None:
     forever = dict.fromkeys((r.debounce for r in TABLE if LASTING >> r.bit & 1), 1 << 60)
