@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as json_
-import math
 from typing import Annotated
 
 import typer
@@ -12,6 +11,7 @@ from pneud.config.conversions import axis_of, plant_of
 from pneud.config.models import Config, ConfigError
 from pneud.control.tunables import is_hurwitz
 from pneud.loading import load
+from pneud.loop.summary import finite
 from pneud.study import gains as rules
 from pneud.study.jit import JitError
 from pneud.study.push import Service, service
@@ -80,18 +80,19 @@ def _within(option: str, value: float, low: float, high: float) -> None:
 def _as_json(
     c: Config, p: rules.Prediction, doubts: list[str], runs: list[tuple[float, Service]], good: bool
 ) -> str:
-    prediction = {k: v if math.isfinite(v) else None for k, v in p._asdict().items()}
     return json_.dumps(
-        {
-            "schema": 1,
-            "ok": good,
-            "rate_hz": c.loop.rate_hz,
-            "control": c.control.model_dump(exclude_none=True),
-            "prediction": prediction,
-            "simulated": [{"start_error_m": e, **s._asdict()} for e, s in runs],
-            "warnings": doubts,
-            "toml": rules.toml(c),
-        }
+        finite(
+            {
+                "schema": 1,
+                "ok": good,
+                "rate_hz": c.loop.rate_hz,
+                "control": c.control.model_dump(exclude_none=True),
+                "prediction": p._asdict(),
+                "simulated": [{"start_error_m": e, **s._asdict()} for e, s in runs],
+                "warnings": doubts,
+                "toml": rules.toml(c),
+            }
+        )
     )
 
 

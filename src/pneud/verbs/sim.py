@@ -13,7 +13,7 @@ import typer
 
 from pneud.axis.cycle import FOLLOWING
 from pneud.config.models import ConfigError
-from pneud.loading import load, load_axis, load_scenario
+from pneud.loading import Loaded, load, load_axis, load_scenario
 from pneud.log.files.naming import create_log, log_path
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import SNAPSHOT_S, LogHeader
@@ -80,25 +80,32 @@ def sim(
     loaded = load_axis(config_file, None, scenario)
     how = law_of(loaded)
     run = Simulation(loaded, duration_s, seed, how, scenario=scenario)
-    writer, path = None, None
-    if output is not None:
-        path = log_path(str(output), loaded.config.name)
-        writer = LogWriter(
-            create_log(path),
-            LogHeader(
-                name=loaded.config.name,
-                bus="simulated",
-                rate_hz=loaded.config.loop.rate_hz,
-                detail=loaded.config.log.detail,
-                config_name=loaded.path.name,
-                config_text=loaded.text,
-                dbc_name=loaded.dbc.name,
-                dbc=loaded.dbc.read_bytes(),
-                fault_names=FAULT_NAMES,
-                realtime_offset_ns=0,
-                extra={"seed": str(seed), "law": how.name},
-            ),
-        )
+    path = log_path(str(output), loaded.config.name) if output is not None else None
+    writer = None
+    if path is not None:
+        writer = LogWriter(create_log(path), _header(loaded, {"seed": str(seed), "law": how.name}))
+    return _simulate(run, loaded, writer, path, json)
+
+
+def _header(loaded: Loaded, extra: dict[str, str]) -> LogHeader:
+    return LogHeader(
+        name=loaded.config.name,
+        bus="simulated",
+        rate_hz=loaded.config.loop.rate_hz,
+        detail=loaded.config.log.detail,
+        config_name=loaded.path.name,
+        config_text=loaded.text,
+        dbc_name=loaded.dbc.name,
+        dbc=loaded.dbc.read_bytes(),
+        fault_names=FAULT_NAMES,
+        realtime_offset_ns=0,
+        extra=extra,
+    )
+
+
+def _simulate(
+    run: Simulation, loaded: Loaded, writer: LogWriter | None, path: Path | None, json: bool
+) -> int:
     tracking = Tracking(True)
     state, ticks, faults = int(State.STARTING), 0, 0
     seen = verdict.Seen()
@@ -138,12 +145,13 @@ def sim(
         log_dropped=lost,
         faults=faults,
     )
-    if run.engine is not None and scenario is not None:
+    words = [in_words(summary)]
+    if run.engine is not None:
         run.engine.settle()
-        summary["scenario"] = verdict.judge(scenario, loaded.config, seen, run.engine.effects.as_dict())
-    print(json_.dumps(summary) if json else in_words(summary))
-    if scenario is not None and not json:
-        print(verdict.in_words(summary["scenario"]))
+        found = verdict.judge(run.engine.scenario, loaded.config, seen, run.engine.effects.as_dict())
+        summary["scenario"] = found
+        words.append(verdict.in_words(found))
+    print(json_.dumps(summary) if json else "\n".join(words))
     return 0 if state == State.TRACKING and not faults and not lost else 1
 
 
