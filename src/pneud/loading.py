@@ -85,22 +85,16 @@ def codecs_of(bus: BusConfig, name: str, dbc: bytes) -> Codecs:
 
 
 def toml_text(data: dict[str, Any], prefix: str = "") -> str:
-    """Tables of plain values as TOML."""
-    plain = [f"{key} = {_toml_value(v)}" for key, v in data.items() if not isinstance(v, dict)]
+    """Tables of plain values as TOML; None is left out."""
+    plain = {key: v for key, v in data.items() if not isinstance(v, dict) and v is not None}
     tables = [
         f"\n[{prefix}{key}]\n{toml_text(v, f'{prefix}{key}.')}"
         for key, v in data.items()
         if isinstance(v, dict)
     ]
-    return "".join(f"{line}\n" for line in plain) + "".join(tables)
-
-
-def _toml_value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value)
-    return repr(value)
+    # JSON has TOML's strings, truths and lists, but not its infinite numbers
+    lines = [f"{key} = {repr(v) if isinstance(v, float) else json.dumps(v)}\n" for key, v in plain.items()]
+    return "".join(lines + tables)
 
 
 def _merged(data: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from pneud.bench.contestants import AbsentError, Track, Turn
 from pneud.bench.sample import Sample
 from pneud.config.models import Config
-from pneud.loading import at_rate, load
+from pneud.loading import at_rate, load, toml_text
 
 RATES_HZ = (250.0, 500.0, 1000.0, 1500.0, 2000.0, 2500.0, 3000.0, 3500.0, 4000.0, 4500.0, 5000.0)
 MOST_SKIPPED = 0.002  # part of the ticks; hosts take CPUs away even from those who do nothing
@@ -65,7 +62,7 @@ def without_bus_time(track: Track) -> Track:
     data["bus"]["dbc"] = str(track.axis.dbc.resolve())
     data.setdefault("plant", {})["bitrate_bit_s"] = float("inf")
     file = track.scratch / "no-bus-time.toml"
-    file.write_text(as_toml(data))
+    file.write_text(toml_text(data))
     return track._replace(axis=load(file), config_file=file)
 
 
@@ -73,20 +70,5 @@ def at(track: Track, rate_hz: float) -> Track:
     """The same axis at another rate."""
     config: Config = at_rate(track.axis.config, rate_hz)
     file: Path = track.scratch / f"at-{rate_hz:g}.toml"
-    file.write_text(as_toml(config.model_dump(by_alias=True, exclude_defaults=True)))
+    file.write_text(toml_text(config.model_dump(by_alias=True, exclude_defaults=True)))
     return track._replace(axis=track.axis._replace(config=config), config_file=file)
-
-
-def as_toml(data: Mapping[str, Any], table: str = "") -> str:
-    """Nested tables of plain values as TOML; None is left out."""
-    own = {key: value for key, value in data.items() if not isinstance(value, Mapping) and value is not None}
-    text = f"[{table}]\n" if table and own else ""
-    text += "".join(f"{key} = {_value(value)}\n" for key, value in own.items())
-    for key, value in data.items():
-        if isinstance(value, Mapping):
-            text += as_toml(value, f"{table}.{key}" if table else key)
-    return text
-
-
-def _value(value: Any) -> str:
-    return repr(value) if isinstance(value, float) else json.dumps(value)

@@ -18,6 +18,7 @@ from pneud.bench.chart import svg
 from pneud.log.format.schema import Level
 from pneud.report.figures import COLOURS, FIGURES, STATE_COLOURS, line, offsets_s
 from pneud.report.gather import AFTER_S, Run
+from pneud.report.spans import Span
 from pneud.report.spread import Spread
 from pneud.signals import State, Timing
 
@@ -100,16 +101,7 @@ def _names(runs: Sequence[Run]) -> list[str]:
 def _data(runs: Sequence[Run], names: Sequence[str]) -> dict[str, Any]:
     shifts = offsets_s(runs)
     return {
-        "figures": [
-            {
-                "name": f.name,
-                "title": f.title,
-                "unit": f.unit,
-                "note": f.note,
-                "series": [s._asdict() for s in f.series],
-            }
-            for f in FIGURES
-        ],
+        "figures": [{**f._asdict(), "series": [s._asdict() for s in f.series]} for f in FIGURES],
         "aligned": any(shifts),
         "runs": [
             _run(run, name, shift, COLOURS[i % len(COLOURS)])
@@ -137,25 +129,25 @@ def _run(run: Run, name: str, shift_s: float, colour: str) -> dict[str, Any]:
             "y": _packed(run.phase.values[:, 1], "<f4"),
         },
         "states": [
-            [*_seconds(span.begin_s, span.end_s, shift_s), _state(span.value), _state_colour(span.value)]
+            [*_seconds(span, shift_s), _state(span.value), _state_colour(span.value)]
             for span in run.states[:_SPANS_SHOWN]
         ],
         "faults": [
             {
                 "name": run.fault_name(bit),
-                "present": [_seconds(s.begin_s, s.end_s, shift_s) for s in spans],
-                "latched": [_seconds(s.begin_s, s.end_s, shift_s) for s in run.latched.get(bit, ())],
+                "present": [_seconds(s, shift_s) for s in spans],
+                "latched": [_seconds(s, shift_s) for s in run.latched.get(bit, ())],
             }
             for bit, spans in {**{b: [] for b in run.latched}, **run.present}.items()
         ],
-        "saturated": [_seconds(s.begin_s, s.end_s, shift_s) for s in run.saturated],
-        "gaps": [[*_seconds(s.begin_s, s.end_s, shift_s), s.value] for s in run.gaps],
+        "saturated": [_seconds(s, shift_s) for s in run.saturated],
+        "gaps": [[*_seconds(s, shift_s), s.value] for s in run.gaps],
         "marks": [[round(m.t_s - shift_s, 6), m.text] for m in run.marks],
     }
 
 
-def _seconds(begin_s: float, end_s: float, shift_s: float) -> list[float]:
-    return [round(begin_s - shift_s, 6), round(end_s - shift_s, 6)]
+def _seconds(span: Span, shift_s: float) -> list[float]:
+    return [round(span.begin_s - shift_s, 6), round(span.end_s - shift_s, 6)]
 
 
 def _packed(values: Any, kind: str) -> str:
@@ -235,10 +227,7 @@ def _summary(runs: Sequence[Run], names: Sequence[str]) -> str:
 
 
 def _three(run: Run, name: str) -> str:
-    spread = run.timing[name]
-    if run.simulated or not spread.count:
-        return "–"
-    return " / ".join(f"{spread.percentile_ns(q) / 1e3:.0f}" for q in (50, 99, 100))
+    return "–" if run.simulated else run.timing[name].in_words(" / ")
 
 
 def _timing(runs: Sequence[Run], names: Sequence[str], reference: Reference | None) -> str:

@@ -45,6 +45,12 @@ class Spread:
         low, high = _bounds_ns(index)
         return min(max(0.5 * (low + high), float(self.min_ns)), float(self.max_ns))
 
+    def in_words(self, between: str) -> str:
+        """Median, 99 % and greatest [µs]."""
+        return (
+            between.join(f"{self.percentile_ns(q) / 1e3:.0f}" for q in (50, 99, 100)) if self.count else "–"
+        )
+
     def buckets(self) -> list[tuple[int, int, int]]:
         """Those that hold something: least, greatest duration [ns] and count, in order."""
         found = []

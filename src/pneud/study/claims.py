@@ -164,21 +164,18 @@ def settles_in_finite_time(s: Settling) -> bool:
 def claims(main: Sequence[Row], ablation: Sequence[Row], c: Convergence) -> list[Claim]:
     """The paper's claims, in its order."""
     composite = [r for r in main if r.setting.law == COMPOSITE]
+    return [
+        *_of_convergence(composite, c),
+        *_of_comparison(main, ablation),
+        *_of_robustness(c),
+    ]
+
+
+def _of_convergence(composite: Sequence[Row], c: Convergence) -> list[Claim]:
     chain, loop = c.settling[0], c.settling[-1]
-
-    def as_ismc(s: Setting) -> Setting:
-        return s._replace(law=ISMC, compensated=False)
-
-    def without(s: Setting) -> Setting:
-        return s._replace(compensated=False)
-
-    def is_composite(s: Setting) -> bool:
-        return s.law == COMPOSITE and s.compensated
-
     ten_ms = [r for r in composite if r.setting.h_s == 0.01]
     printed = [r.rms_m for r in ten_ms if r.setting.form == "explicit"]
     implicit = [r.rms_m for r in ten_ms if r.setting.form == "implicit"]
-    one_newton = [u for u in c.unmatched if u.force_n == ROBUST_N]
     return [
         judged(
             "the observer's errors e3 and e_d converge to zero in finite time",
@@ -216,6 +213,20 @@ def claims(main: Sequence[Row], ablation: Sequence[Row], c: Convergence) -> list
             f"steady RMS of the explicit law {_range([x * 1e3 for x in printed])} mm,"
             f" of the implicit {_range([x * 1e3 for x in implicit])} mm",
         ),
+    ]
+
+
+def _of_comparison(main: Sequence[Row], ablation: Sequence[Row]) -> list[Claim]:
+    def is_composite(s: Setting) -> bool:
+        return s.law == COMPOSITE and s.compensated
+
+    def as_ismc(s: Setting) -> Setting:
+        return s._replace(law=ISMC, compensated=False)
+
+    def without(s: Setting) -> Setting:
+        return s._replace(compensated=False)
+
+    return [
         judged(
             "the composite law converges faster than ISMC",
             "Section 5, Figures 3 and 6",
@@ -244,6 +255,12 @@ def claims(main: Sequence[Row], ablation: Sequence[Row], c: Convergence) -> list
             of_pairs(ablation, is_composite, without, closer),
             "table “with and without d̂”",
         ),
+    ]
+
+
+def _of_robustness(c: Convergence) -> list[Claim]:
+    one_newton = [u for u in c.unmatched if u.force_n == ROBUST_N]
+    return [
         judged(
             "the closed loop is globally finite-time stable",
             "Theorem 3",

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from pneud.loading import Loaded, at_rate
+from pneud.loop.summary import finite
 from pneud.study import cases
 from pneud.study.cases import Bench, Case, Figures, bench_of, figures
 from pneud.study.tuned import (
@@ -144,19 +145,16 @@ def as_json(c: Comparison) -> dict[str, Any]:
         "schema": 1,
         "config": c.config,
         "compiled": c.compiled,
-        "rows": [
-            {
-                "group": r.group,
-                "case": r.case,
-                "law": r.law,
-                "judged_s": r.judged_s,
-                **{k: (v if math.isfinite(v) else None) for k, v in r.figures._asdict().items()},
-            }
-            for r in c.rows
-        ],
+        "rows": [finite(_row(r)) for r in c.rows],
         "behind": [b._asdict() for b in c.behind],
         "missed": c.missed,
     }
+
+
+def _row(r: Row) -> dict[str, Any]:
+    values = r._asdict()
+    del values["figures"]
+    return values | r.figures._asdict()
 
 
 def in_words(c: Comparison) -> str:

@@ -14,6 +14,7 @@ from pneud.config.models import Config, FrictionConfig
 from pneud.control.homogeneous import Feedback, feedback
 from pneud.control.laws.slot import IN_SLOT
 from pneud.control.tunables import MOST_H_OMEGA, bandwidth, delay_margin, is_hurwitz
+from pneud.loading import toml_text
 from pneud.physics.cylinder import F0
 from pneud.study.noise import horizon_s, mean_step_v
 
@@ -276,18 +277,7 @@ def table_of(c: Config) -> dict[str, Any]:
 
 def toml(c: Config) -> str:
     """The [control] tables of a configuration, ready to paste."""
-    tables: dict[str, list[str]] = {"control": []}
-    for key, value in table_of(c).items():
-        if isinstance(value, dict):
-            if key == "friction" and c.control.friction == FrictionConfig():
-                continue
-            tables[f"control.{key}"] = [f"{k} = {_value(v)}" for k, v in value.items()]
-        else:
-            tables["control"].append(f"{key} = {_value(value)}")
-    return "\n\n".join("\n".join([f"[{name}]", *lines]) for name, lines in tables.items()) + "\n"
-
-
-def _value(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return f'"{value}"' if isinstance(value, str) else repr(value)
+    control = table_of(c)
+    if c.control.friction == FrictionConfig():
+        control.pop("friction", None)
+    return toml_text({"control": control}).lstrip()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
+from pneud.loop.summary import finite
 from pneud.study import reproduction as r
 from pneud.study.claims import Bound, Claim, bounds, claims
 from pneud.study.convergence import Convergence, converge
@@ -83,8 +83,7 @@ def as_json(found: Reproduction) -> dict[str, Any]:
         "bounds": [x._asdict() | {"met": x.met} for x in found.bounds],
         "good": found.good,
     }
-    cleaned = _finite(whole)
-    assert isinstance(cleaned, dict)
+    cleaned: dict[str, Any] = finite(whole)
     return cleaned
 
 
@@ -92,13 +91,3 @@ def _row(row: r.Row) -> dict[str, Any]:
     values = row._asdict()
     del values["setting"]
     return row.setting._asdict() | values
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    return value

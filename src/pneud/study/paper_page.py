@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from pneud.study.claims import DOES_NOT, HOLDS, Claim
+from pneud.study.convergence import Convergence
 from pneud.study.paper import Reproduction
 from pneud.study.paper_figures import Picture
 from pneud.study.reproduction import COMPOSITE, DURATION_S, NAMES, PLANT_STEP_S, STEADY_FROM_S, Row
@@ -37,7 +38,6 @@ class Table(NamedTuple):
 
 def tables(found: Reproduction) -> list[Table]:
     """All tables but the claims."""
-    c = found.convergence
     window = f"steady: {STEADY_FROM_S:g}–{DURATION_S:g} s, at every plant step of {PLANT_STEP_S * 1e3:g} ms"
     run_note = (
         f"{found.start}. Convergence: the band is entered in the first half of the run and never left;"
@@ -56,82 +56,11 @@ def tables(found: Reproduction) -> list[Table]:
             f" in the F1 the law believes in. Implicit composite law. {run_note}",
             found.orifice,
         ),
-        Table(
-            "Settling time against initial error",
-            "From w = (w1, 0, 0) until |w1| stays below 1/1000 of its start; times grow as w1^p."
-            " To zero: until the homogeneous norm is 1/100 of its start; the rest takes 1/100 of that time.",
-            ("of", "α", "w1(0) [mm]", "settled [s]", "to zero [s]", "p fitted", "p predicted"),
-            tuple(
-                (
-                    s.what,
-                    f"{s.alpha:g}",
-                    f"{start * 1e3:g}",
-                    _number(time, 3),
-                    _number(s.to_zero_s[i], 3) if s.to_zero_s else "–",
-                    f"{s.exponent:.4f}",
-                    f"{s.predicted:.4f}",
-                )
-                for s in c.settling
-                for i, (start, time) in enumerate(zip(s.starts_m, s.times_s, strict=True))
-            ),
-            1,
-        ),
-        Table(
-            "Limit cycle of explicit u* on the chain (13)",
-            "Greatest |w3| in the second half of a minute, from w = (50 mm, 0.157 m/s, 0).",
-            ("k3", "α", "h [ms]", "explicit [m/s²]", "predicted [m/s²]", "implicit [m/s²]"),
-            tuple(
-                (
-                    f"{x.k3:g}",
-                    f"{x.alpha:g}",
-                    f"{x.h_s * 1e3:g}",
-                    f"{x.amplitude_m_s2:.4g}",
-                    f"{x.predicted_m_s2:.4g}",
-                    f"{x.implicit_m_s2:.1g}",
-                )
-                for x in c.limit_cycles
-            ),
-            0,
-        ),
-        Table(
-            "Case 1 from anywhere in the cylinder",
-            "Implicit composite law, 1 ms, at rest, P2(0) and P1(0) as above.",
-            ("x1(0) [m]", "1 µm [s]"),
-            tuple((f"{x.x1_m:g}", _number(x.fine_s, 3)) for x in c.starts),
-            0,
-        ),
-        Table(
-            "A force that (7) leaves out",
-            "Error at rest under a constant force on the load; standing reference, no d(t), implicit. The"
-            " last force is the atmosphere's on the rod side, Patm (A1 − A2).",
-            ("force [N]", "h [ms]", "error [mm]", "predicted [mm]", ""),
-            tuple(
-                (
-                    f"{x.force_n:.3g}",
-                    f"{x.h_s * 1e3:g}",
-                    f"{x.error_m * 1e3:.4g}",
-                    f"{x.predicted_m * 1e3:.4g}",
-                    "at the end stop" if x.at_stop else "",
-                )
-                for x in c.unmatched
-            ),
-            0,
-        ),
-        Table(
-            "What this reproduction must reach",
-            "",
-            ("figure", "bound", "found", ""),
-            tuple(
-                (
-                    b.what,
-                    f"{'≥' if b.at_least else '≤'} {b.limit:g} {b.unit}",
-                    f"{b.value:.3g} {b.unit}",
-                    "met" if b.met else "NOT MET",
-                )
-                for b in found.bounds
-            ),
-            1,
-        ),
+        _settling(found.convergence),
+        _limit_cycles(found.convergence),
+        _starts(found.convergence),
+        _unmatched(found.convergence),
+        _bounds(found),
     ]
 
 
@@ -206,6 +135,97 @@ def _run(r: Row) -> tuple[str, ...]:
         f"{r.chatter_v:.4f}",
         f"{r.saturated:.0%}",
         f"{r.p2_max_pa / 1e5:.2f}",
+    )
+
+
+def _settling(c: Convergence) -> Table:
+    return Table(
+        "Settling time against initial error",
+        "From w = (w1, 0, 0) until |w1| stays below 1/1000 of its start; times grow as w1^p."
+        " To zero: until the homogeneous norm is 1/100 of its start; the rest takes 1/100 of that time.",
+        ("of", "α", "w1(0) [mm]", "settled [s]", "to zero [s]", "p fitted", "p predicted"),
+        tuple(
+            (
+                s.what,
+                f"{s.alpha:g}",
+                f"{start * 1e3:g}",
+                _number(time, 3),
+                _number(s.to_zero_s[i], 3) if s.to_zero_s else "–",
+                f"{s.exponent:.4f}",
+                f"{s.predicted:.4f}",
+            )
+            for s in c.settling
+            for i, (start, time) in enumerate(zip(s.starts_m, s.times_s, strict=True))
+        ),
+        1,
+    )
+
+
+def _limit_cycles(c: Convergence) -> Table:
+    return Table(
+        "Limit cycle of explicit u* on the chain (13)",
+        "Greatest |w3| in the second half of a minute, from w = (50 mm, 0.157 m/s, 0).",
+        ("k3", "α", "h [ms]", "explicit [m/s²]", "predicted [m/s²]", "implicit [m/s²]"),
+        tuple(
+            (
+                f"{x.k3:g}",
+                f"{x.alpha:g}",
+                f"{x.h_s * 1e3:g}",
+                f"{x.amplitude_m_s2:.4g}",
+                f"{x.predicted_m_s2:.4g}",
+                f"{x.implicit_m_s2:.1g}",
+            )
+            for x in c.limit_cycles
+        ),
+        0,
+    )
+
+
+def _starts(c: Convergence) -> Table:
+    return Table(
+        "Case 1 from anywhere in the cylinder",
+        "Implicit composite law, 1 ms, at rest, P2(0) and P1(0) as above.",
+        ("x1(0) [m]", "1 µm [s]"),
+        tuple((f"{x.x1_m:g}", _number(x.fine_s, 3)) for x in c.starts),
+        0,
+    )
+
+
+def _unmatched(c: Convergence) -> Table:
+    return Table(
+        "A force that (7) leaves out",
+        "Error at rest under a constant force on the load; standing reference, no d(t), implicit. The"
+        " last force is the atmosphere's on the rod side, Patm (A1 − A2).",
+        ("force [N]", "h [ms]", "error [mm]", "predicted [mm]", ""),
+        tuple(
+            (
+                f"{x.force_n:.3g}",
+                f"{x.h_s * 1e3:g}",
+                f"{x.error_m * 1e3:.4g}",
+                f"{x.predicted_m * 1e3:.4g}",
+                "at the end stop" if x.at_stop else "",
+            )
+            for x in c.unmatched
+        ),
+        0,
+    )
+
+
+def _bounds(found: Reproduction) -> Table:
+    return Table(
+        "What this reproduction must reach",
+        "",
+        ("figure", "bound", "found", ""),
+        tuple(
+            (
+                b.what,
+                f"{'≥' if b.at_least else '≤'} {b.limit:g} {b.unit}",
+                f"{b.value:.3g} {b.unit}",
+                "met" if b.met else "NOT MET",
+            )
+            for b in found.bounds
+        ),
+        1,
     )
 
 

@@ -18,60 +18,18 @@ from pneud.study.cases import Bench, Case, Figures, bench_of, figures
 from pneud.study.tuned import ADRC3, ADRC4, COMPOSITE, EXTENDED_TUNED, ISMC, PID_FF, setting
 
 Gains = dict[str, float]
+_CHAIN = {"k1": 64000.0, "k2": 4800.0, "k3": 120.0}  # of three integrators
+_FILTER = {"bw": 316.0, "push": 600.0}
+_SLIDING = {**_CHAIN, "alpha": 0.9, "eta": 20.0, "hold": 0.03, **_FILTER}
 STARTS: dict[str, Gains] = {
-    PID_FF: {
-        "kp": 1600.0,
-        "ki": 20000.0,
-        "kd": 80.0,
-        "kf": 150.0,
-        "reach": 0.02,
-        "hold": 0.03,
-        "bw": 316.0,
-        "push": 600.0,
-    },
-    ADRC4: {"k1": 64000.0, "k2": 4800.0, "k3": 120.0, "reach": 0.02, "hold": 0.03, "eso": 400.0},
-    ADRC3: {
-        "k1": 64000.0,
-        "k2": 4800.0,
-        "k3": 120.0,
-        "reach": 0.02,
-        "hold": 0.03,
-        "bw": 316.0,
-        "push": 600.0,
-        "rate": 580.0,
-    },
-    ISMC: {
-        "k1": 64000.0,
-        "k2": 4800.0,
-        "k3": 120.0,
-        "alpha": 0.9,
-        "eta": 20.0,
-        "hold": 0.03,
-        "bw": 316.0,
-        "push": 600.0,
-    },
-    COMPOSITE: {
-        "k1": 64000.0,
-        "k2": 4800.0,
-        "k3": 120.0,
-        "alpha": 0.9,
-        "eta": 20.0,
-        "hold": 0.03,
-        "bw": 316.0,
-        "push": 600.0,
-        "L": 2400.0,
-    },
+    PID_FF: {"kp": 1600.0, "ki": 20000.0, "kd": 80.0, "kf": 150.0, "reach": 0.02, "hold": 0.03, **_FILTER},
+    ADRC4: {**_CHAIN, "reach": 0.02, "hold": 0.03, "eso": 400.0},
+    ADRC3: {**_CHAIN, "reach": 0.02, "hold": 0.03, **_FILTER, "rate": 580.0},
+    ISMC: _SLIDING,
+    COMPOSITE: {**_SLIDING, "L": 2400.0},
     EXTENDED_TUNED: {
-        "k1": 95000.0,
-        "k2": 6050.0,
-        "k3": 104.0,
-        "alpha": 0.923,
-        "eta": 0.3,
-        "L": 2400.0,
-        "hold": 0.034,
-        "bw": 316.0,
-        "push": 600.0,
-        "rate": 580.0,
+        **{"k1": 95000.0, "k2": 6050.0, "k3": 104.0, "alpha": 0.923, "eta": 0.3, "L": 2400.0, "hold": 0.034},
+        **{**_FILTER, "rate": 580.0},
     },
 }
 UNSTABLE = 1e3  # cost of gains that let the simulation overflow

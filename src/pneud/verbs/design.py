@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as json_
-import math
 from typing import Annotated, NamedTuple
 
 import typer
@@ -13,6 +12,7 @@ from pneud.config.models import Config, ConfigError
 from pneud.control.tunables import LAWS as EVERY_LAW
 from pneud.control.tunables import in_slot, is_hurwitz
 from pneud.loading import load
+from pneud.loop.summary import finite
 from pneud.study import gains as rules
 from pneud.study import linear
 from pneud.study.jit import JitError
@@ -100,18 +100,19 @@ def _within(option: str, value: float, low: float, high: float) -> None:
 def _as_json(
     c: Config, p: NamedTuple, doubts: list[str], runs: list[tuple[float, Service]], good: bool
 ) -> str:
-    prediction = {k: v if math.isfinite(v) else None for k, v in p._asdict().items()}
     return json_.dumps(
-        {
-            "schema": 1,
-            "ok": good,
-            "rate_hz": c.loop.rate_hz,
-            "control": rules.table_of(c),
-            "prediction": prediction,
-            "simulated": [{"start_error_m": e, **s._asdict()} for e, s in runs],
-            "warnings": doubts,
-            "toml": rules.toml(c),
-        }
+        finite(
+            {
+                "schema": 1,
+                "ok": good,
+                "rate_hz": c.loop.rate_hz,
+                "control": rules.table_of(c),
+                "prediction": p._asdict(),
+                "simulated": [{"start_error_m": e, **s._asdict()} for e, s in runs],
+                "warnings": doubts,
+                "toml": rules.toml(c),
+            }
+        )
     )
 
 

@@ -17,6 +17,7 @@ from pneud.config.models import Config, ConfigError, check_channel, with_setting
 from pneud.config.models import load_with_text as load_text
 from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LogReader, read_log
+from pneud.loop.summary import finite
 from pneud.replay import courses
 from pneud.replay.differences import Differences, compare
 from pneud.replay.playing import play
@@ -163,16 +164,19 @@ def _say(o: Outcome) -> None:
 
 
 def _spreads(d: Differences) -> dict[str, dict[str, float | None]]:
-    return {
-        name: {
-            "ticks": s.ticks,
-            "first_tick": s.first_tick,
-            "max": s.most if math.isfinite(s.most) else None,
-            "max_tick": s.most_tick,
-            "rms": s.rms if math.isfinite(s.rms) else None,
+    found: dict[str, dict[str, float | None]] = finite(
+        {
+            name: {
+                "ticks": s.ticks,
+                "first_tick": s.first_tick,
+                "max": s.most,
+                "max_tick": s.most_tick,
+                "rms": s.rms,
+            }
+            for name, s in d.spreads().items()
         }
-        for name, s in d.spreads().items()
-    }
+    )
+    return found
 
 
 def _tell(d: Differences) -> None:
