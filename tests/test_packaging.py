@@ -92,8 +92,9 @@ def test_installed_wheel_finds_and_loads_its_own_files_from_any_folder(
 ) -> None:
     program = """
 import pneud
-from pneud import config, resources
-for name in ("virtual.toml", config.load_config("virtual.toml").bus.dbc):
+from pneud import resources
+from pneud.config.models import load_config
+for name in ("virtual.toml", load_config("virtual.toml").bus.dbc):
     print(resources.find(name))
 print(resources.scenarios())
 print(pneud.__file__)
