@@ -27,21 +27,8 @@ FOLDER = Path(__file__).parent / "verbs"
 ORDER = (
     *("plant", "sim", "reproduce", "replay", "report", "export", "import", "recover"),
     *("check", "design", "doctor", "install-service", "bench"),
-    *(
-        "status",
-        "arm",
-        "disarm",
-        "stop",
-        "clear",
-        "home",
-        "hold",
-        "goto",
-        "jog",
-        "mark",
-        "track",
-        "top",
-        "tune",
-    ),
+    *("status", "arm", "disarm", "stop", "clear", "home", "hold"),
+    *("goto", "jog", "mark", "track", "top", "tune"),
 )
 
 
