@@ -15,7 +15,8 @@ from plant_reference import REALISTIC
 from pneud import resources
 from pneud.bus.codec import Codecs, load_codecs
 from pneud.bus.wire import CAN_ERR_FLAG
-from pneud.config.models import BusConfig, ConfigError, parse
+from pneud.config.models import BusConfig, ConfigError
+from pneud.config.reading import parse
 from pneud.loading import load, toml_text
 from pneud.replay.lockstep import Simulation, backend_of
 from pneud.rig.damage import UNDAMAGED, advance_damaged
