@@ -11,7 +11,7 @@ from typing import Any
 
 from log_samples import tick_at
 from pneud import resources
-from pneud.config.models import load_config
+from pneud.config.reading import load_config
 from pneud.console import handoff
 from pneud.console.commands import AxisDesk
 from pneud.console.facts import Run

@@ -7,7 +7,7 @@ import math
 from scipy.integrate import solve_ivp
 
 from pneud.config.conversions import plant_of
-from pneud.config.models import load_config
+from pneud.config.reading import load_config
 from pneud.physics.gas import signed_flow
 from pneud.physics.plant import PlantParameters
 from pneud.rig.dynamics import PlantState, disturbances

@@ -70,7 +70,7 @@ def test_encoding_the_own_database_equals_cantools(
 ) -> None:
     message = DATABASE.get_message_by_name("ENCODER")
     for position in (position_m, raw * 1e-6):
-        data = CODECS.encoder.encode(position, status, age * 1e-5, counter)
+        data = CODECS.encoder.encode(position, status, age * 1e-5, counter=counter)
         values = {
             "Position": position,
             "Status": status,
@@ -120,7 +120,7 @@ def test_what_the_command_cannot_carry_is_refused(value: float) -> None:
 
 
 def test_values_round_into_range_before_they_are_refused() -> None:
-    assert CODECS.valve_command.encode(5.00024, 0, 1, 0)[:2] == (10000).to_bytes(2, "little")
+    assert CODECS.valve_command.encode(5.00024, 0, 1, counter=0)[:2] == (10000).to_bytes(2, "little")
 
 
 @pytest.mark.parametrize(
@@ -250,7 +250,7 @@ def test_any_layout_equals_cantools(
     assert (status, codec.counter(raw)) == (truth["Status"], truth["Counter"])
     assert isinstance(position_m, float) and isinstance(status, int)
 
-    encoded = codec.encode(position_m, status, age_s, codec.counter(raw))
+    encoded = codec.encode(position_m, status, age_s, counter=codec.counter(raw))
     assert codec.valid(encoded)
     values = {name: truth[name] for name in ("Position", "Status", "Age", "Counter")}
     if crc:

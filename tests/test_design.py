@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from commands import object_of, pneud
 from pneud import resources
 from pneud.config.conversions import axis_of, plant_of
-from pneud.config.models import Config, load_config
+from pneud.config.models import Config
+from pneud.config.reading import load_config
 from pneud.control.homogeneous import explicit_ustar, feedback, implicit_ustar, sig
 from pneud.control.tunables import bandwidth, delay_margin, linearised
 from pneud.loading import at_rate

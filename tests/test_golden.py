@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from pneud.axis import sensing
-from pneud.config.models import with_settings
+from pneud.config.reading import with_settings
 from pneud.log.files.reader import read_log
 from pneud.log.format.fingerprint import numeric_fingerprint
 from pneud.replay import replaying

@@ -24,15 +24,15 @@ ENCODER, PRESSURE, VALVE = CODECS.encoder, CODECS.pressure, CODECS.valve_status
 
 
 def encoder(stamp: int, counter: int, position: float = 0.25, age: float = 0.0, status: int = 1) -> Frame:
-    return Frame(stamp, ENCODER.can_id, ENCODER.encode(position, status, age, counter & 255))
+    return Frame(stamp, ENCODER.can_id, ENCODER.encode(position, status, age, counter=counter & 255))
 
 
 def pressure(stamp: int, counter: int, p1: float = 3e5) -> Frame:
-    return Frame(stamp, PRESSURE.can_id, PRESSURE.encode(p1, 2e5, 6e5, counter & 255))
+    return Frame(stamp, PRESSURE.can_id, PRESSURE.encode(p1, 2e5, 6e5, counter=counter & 255))
 
 
 def valve(stamp: int, counter: int, applied: float = 1.5, state: int = 2) -> Frame:
-    return Frame(stamp, VALVE.can_id, VALVE.encode(applied, state, counter & 255))
+    return Frame(stamp, VALVE.can_id, VALVE.encode(applied, state, counter=counter & 255))
 
 
 def broken(frame: Frame) -> Frame:

@@ -18,7 +18,8 @@ from commands import object_of
 from commands import pneud_here as pneud
 from pneud.compiled.backend import INTERPRETED, compiled, sample
 from pneud.config.conversions import axis_of
-from pneud.config.models import Config, ConfigError, parse
+from pneud.config.models import Config, ConfigError
+from pneud.config.reading import parse
 from pneud.control.laws import adrc, pid
 from pneud.control.laws.adrc import in_motion
 from pneud.control.laws.loop import Loop, at, delay_margin

@@ -19,7 +19,7 @@ from commands import object_of, pneud_here
 from console_bench import Bench, bench
 from pneud import resources
 from pneud.config.conversions import axis_of
-from pneud.config.models import load_config
+from pneud.config.reading import load_config
 from pneud.console import endpoint
 from pneud.console.client import Client
 from pneud.console.endpoint import PlaceError

@@ -38,11 +38,11 @@ class Rig:
         self.commands = 0
 
     def sync(self, t_ns: int) -> None:
-        self.node.on_frame(Frame(t_ns, 0x080, CODECS.sync.encode(self.ticks % 240 + 1)))
+        self.node.on_frame(Frame(t_ns, 0x080, CODECS.sync.encode(counter=self.ticks % 240 + 1)))
         self.ticks += 1
 
     def command(self, t_ns: int, volts: float, enable: int = 1) -> None:
-        data = CODECS.valve_command.encode(volts, enable, 1, self.commands % 256)
+        data = CODECS.valve_command.encode(volts, enable, 1, counter=self.commands % 256)
         self.commands += 1
         self.node.on_frame(Frame(t_ns, 0x203, data))
 
@@ -243,7 +243,7 @@ def test_a_stall_of_the_plant_is_no_time_out() -> None:
 
 
 def test_commands_that_are_not_valid_do_not_count() -> None:
-    good = CODECS.valve_command.encode(1.0, 1, 1, 5)
+    good = CODECS.valve_command.encode(1.0, 1, 1, counter=5)
     bad_crc = good[:7] + bytes([good[7] ^ 1])
     for data in (bad_crc, good, b"", good[:4]):
         node = PlantNode(QUIET, CODECS, 1)
@@ -368,8 +368,10 @@ class FakeLink:
         if now >= self.next_ns and self.rig_counter < 20:
             self.rig_counter += 1
             self.synced_ns = now
-            self.incoming.append(Frame(now, 0x080, CODECS.sync.encode(self.rig_counter)))
-            self.incoming.append(Frame(now, 0x203, CODECS.valve_command.encode(0.0, 1, 1, self.rig_counter)))
+            self.incoming.append(Frame(now, 0x080, CODECS.sync.encode(counter=self.rig_counter)))
+            self.incoming.append(
+                Frame(now, 0x203, CODECS.valve_command.encode(0.0, 1, 1, counter=self.rig_counter))
+            )
             self.next_ns += 2 * MS
         count = len(self.incoming)
         into += self.incoming

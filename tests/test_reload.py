@@ -15,7 +15,7 @@ from axis_rig import ARM, PERIOD_NS, Rig, assert_smooth, loaded, ready, twin
 from pneud.axis.cycle import Axis, AxisState
 from pneud.axis.requests import NOTHING, Asked, ask
 from pneud.config.conversions import axis_of
-from pneud.config.models import with_settings
+from pneud.config.reading import with_settings
 from pneud.control.plan import FOLLOWING, GOING, IDLE, JOINING, RESTING, Plan, follow
 from pneud.control.reference import ROOM, Sine, Way, along, at, septic, sine, stays, transfer
 from pneud.control.tunables import TUNABLE, tunables

@@ -9,7 +9,7 @@ import pytest
 from commands import object_of
 from commands import pneud_here as pneud
 from pneud import resources
-from pneud.config.models import parse
+from pneud.config.reading import parse
 from pneud.console import profiles
 from pneud.control.reference import Bounds
 from pneud.loading import load

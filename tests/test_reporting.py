@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from commands import pneud_here
 from mangled import mangle, simulated
-from pneud.config.models import load_config
+from pneud.config.reading import load_config
 from pneud.loading import load
 from pneud.log.files.columns import blocks
 from pneud.log.files.reader import read_log

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from pneud import resources
-from pneud.config.models import ConfigError, load_config
+from pneud.config.models import ConfigError
+from pneud.config.reading import load_config
 
 ROOT = Path(__file__).parent.parent
 

@@ -17,7 +17,7 @@ import pytest
 from axis_rig import ARM, CLEAR, DISARM, Rig, loaded, ready
 from pneud.axis.state import AxisParameters
 from pneud.config import conversions
-from pneud.config.models import parse
+from pneud.config.reading import parse
 from pneud.log.files.reader import read_log
 from pneud.replay.lockstep import simulate
 from pneud.safety import checks

@@ -15,7 +15,8 @@ from plant_reference import REALISTIC
 from pneud import resources
 from pneud.bus.codec import Codecs, load_codecs
 from pneud.bus.wire import CAN_ERR_FLAG
-from pneud.config.models import BusConfig, ConfigError, parse
+from pneud.config.models import BusConfig, ConfigError
+from pneud.config.reading import parse
 from pneud.loading import load, toml_text
 from pneud.replay.lockstep import Simulation, backend_of
 from pneud.rig.damage import UNDAMAGED, advance_damaged
@@ -178,9 +179,9 @@ class Talk:
     def tick(self, volts: float = 0.0, enable: int = 1) -> list[Frame]:
         t_ns = self.count * MS
         frames = self.node.poll(t_ns)
-        self.node.on_frame(Frame(t_ns, 0x080, CODECS.sync.encode(self.count % 240 + 1)))
+        self.node.on_frame(Frame(t_ns, 0x080, CODECS.sync.encode(counter=self.count % 240 + 1)))
         frames += self.node.poll(t_ns + 700_000)
-        data = CODECS.valve_command.encode(volts, enable, 1, self.count % 256)
+        data = CODECS.valve_command.encode(volts, enable, 1, counter=self.count % 256)
         self.node.on_frame(Frame(t_ns + 700_000, 0x203, data))
         self.count += 1
         return frames
@@ -315,7 +316,7 @@ def test_a_babbler_takes_the_bus_from_all_others_and_error_frames_take_no_time()
 
 
 def test_somebody_elses_sync_and_commands_are_heard_by_the_nodes() -> None:
-    data = CODECS.valve_command.encode(2.0, 1, 1, 77).hex()
+    data = CODECS.valve_command.encode(2.0, 1, 1, counter=77).hex()
     talk, ticks = after({"kind": "babble", "can_id": 0x203, "per_period": 1, "data": data}, 1)
     assert 0x203 in ids(ticks[0])
     assert talk.node.valve.output_v == pytest.approx(2.0, abs=0.01)

@@ -17,13 +17,13 @@ __all__ = ["Axis", "__version__", "load_config", "read_log", "simulate"]
 
 if TYPE_CHECKING:
     from pneud.axis.cycle import Axis
-    from pneud.config.models import load_config
+    from pneud.config.reading import load_config
     from pneud.log.files.reader import read_log
     from pneud.replay.lockstep import simulate
 
 _WHERE = {
     "Axis": "pneud.axis.cycle",
-    "load_config": "pneud.config.models",
+    "load_config": "pneud.config.reading",
     "read_log": "pneud.log.files.reader",
     "simulate": "pneud.replay.lockstep",
 }

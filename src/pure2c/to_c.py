@@ -12,7 +12,6 @@ rest of that block is left out. Hence a function may do in some rare branch what
 from __future__ import annotations
 
 import ast
-import builtins
 import inspect
 import math
 import re
@@ -23,6 +22,7 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, TypeGuard, get_type_hints
 
+from pure2c.arithmetic import binary, builtin
 from pure2c.types import (
     PLAIN,
     Many,
@@ -35,24 +35,8 @@ from pure2c.types import (
 )
 
 _HELPERS = Path(__file__).with_name("helpers.h")
-_BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.BitOr: "|", ast.BitAnd: "&"}
-_WHOLE = {ast.Add: "plus_", ast.Sub: "minus_", ast.Mult: "times_"}  # of integers, which Python lets grow
 _PLACE = re.compile(r"(\w+|\(\*\w+\))(\.\w+)*")  # C that stands for a variable or a part of one
 _COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
-_MATH = {
-    "atan",
-    "atan2",
-    "copysign",
-    "cos",
-    "exp",
-    "expm1",
-    "log",
-    "log1p",
-    "pow",
-    "sin",
-    "sqrt",
-    "tanh",
-}
 
 
 class Translator:
@@ -425,7 +409,7 @@ class _Function:
             case ast.UnaryOp(op=ast.Not(), operand=operand):
                 return Typed(f"(!{self._truth(operand)})", int)
             case ast.BinOp(left=left, op=op, right=right):
-                return self._binary(self._number(left), op, self._number(right), node)
+                return self._done(binary(self._number(left), op, self._number(right)), node)
             case ast.BoolOp(op=op, values=values):
                 return self._choice(op, values, node)
             case ast.Compare(left=left, ops=ops, comparators=comparators):
@@ -462,6 +446,12 @@ class _Function:
             chosen = Typed(f"({{ const {c} {name} = {one.code}; {name} ? {pick}; }})", one.type)
         return chosen
 
+    def _done(self, found: Typed | None, node: ast.expr) -> Typed:
+        """What has been found; it has to be something."""
+        if found is None:
+            raise self._fail(node)
+        return found
+
     def _number(self, node: ast.expr) -> Typed:
         found = self._expr(node)
         if found.type not in (int, float):
@@ -482,22 +472,6 @@ class _Function:
         except Exception:
             raise self._fail(node) from None
         return value if isinstance(value, (int, float)) else None
-
-    def _binary(self, a: Typed, op: ast.operator, b: Typed, node: ast.expr) -> Typed:
-        if isinstance(op, ast.Div):
-            return Typed(f"over_({a.code}, {b.code})", float)
-        if isinstance(op, ast.Pow) and float in (a.type, b.type):
-            return Typed(f"finite_(pow({a.code}, {b.code}))", float)
-        if isinstance(op, ast.LShift) and a.type is int and b.type is int:
-            return Typed(f"shifted_({a.code}, {b.code})", int)
-        sign = _BINARY.get(type(op))
-        if sign is None or {a.type, b.type} - {int, float}:
-            raise self._fail(node)
-        if a.type is int and b.type is int and type(op) in _WHOLE:
-            return Typed(f"{_WHOLE[type(op)]}({a.code}, {b.code})", int)
-        if a.type == b.type:
-            return Typed(f"({a.code} {sign} {b.code})", a.type)
-        return Typed(f"((double){a.code} {sign} (double){b.code})", float)
 
     def _compare(self, terms: Sequence[ast.expr], ops: Sequence[ast.cmpop], node: ast.expr) -> Typed:
         if isinstance(ops[0], (ast.Is, ast.IsNot)):
@@ -550,7 +524,7 @@ class _Function:
         ):
             if keywords or not args:
                 raise self._fail(node)
-            return self._builtin(called, [self._number(a) for a in args], node)
+            return self._done(builtin(called, [self._number(a) for a in args]), node)
         if called is len and len(args) == 1:
             return Typed(f"{self._many(args[0]).code}.count", int)
         if not (isinstance(called, types.FunctionType) or hasattr(called, "_fields")):
@@ -584,31 +558,6 @@ class _Function:
             self._as(changed[name], t) if name in changed else f"{whole.code}.{name}" for name, t in fields
         ]
         return Typed(self._struct(whole.type, members), whole.type)
-
-    def _builtin(self, called: Any, args: Sequence[Typed], node: ast.expr) -> Typed:
-        codes = [a.code for a in args]
-        name = str(called.__name__)
-        if called in (builtins.max, builtins.min):
-            whole = all(a.type is int for a in args)
-            code = codes[0]
-            for other in codes[1:]:
-                code = f"{name}_{'int_' if whole else ''}({code}, {other})"
-            return Typed(code, int if whole else float)
-        if called is builtins.abs:
-            return Typed(f"fabs({codes[0]})" if args[0].type is float else f"labs({codes[0]})", args[0].type)
-        if called is builtins.round and len(codes) == 1:
-            return Typed(f"whole_(rint({codes[0]}))", int)
-        if called in (math.ceil, math.floor):
-            return Typed(f"whole_({name}({codes[0]}))", int)
-        if called is bool:
-            return Typed(f"({codes[0]} != 0)", int)
-        if called is float:
-            return Typed(f"((double){codes[0]})", float)
-        if called is math.isfinite:
-            return Typed(f"(isfinite({codes[0]}) != 0)", int)
-        if name in _MATH and getattr(math, name) is called:
-            return Typed(f"finite_({name}({', '.join(codes)}))", float)
-        raise self._fail(node)
 
 
 def _is_stored(node: ast.AST) -> TypeGuard[ast.Name]:

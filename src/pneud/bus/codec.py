@@ -64,11 +64,11 @@ class Codec:
 
     `decode`, `counter`, `valid`, `check` take the frame's bytes. `decode` and `counter` expect bytes that are
     `valid`: the message's length and, where it has one, the right checksum. `decode` yields floats in SI
-    units, and ints for numbers without a dimension. `encode` takes the values in the order of the role,
-    then `counter`; it rounds half to even, leaves reserved bits zero and raises ValueError for what the
-    signal cannot carry. `check` yields the counter of what is valid, and −1 of what is not. `counter_mask` is
-    0 without a counter. The rest is for those who judge many frames at once: where counter and age lie, and
-    whether the last byte is a checksum.
+    units, and ints for numbers without a dimension. `encode` takes the values in the order of the role, those
+    with a default need not be given, and `counter` by its name; it rounds half to even, leaves reserved bits
+    zero and raises ValueError for what the signal cannot carry. `check` yields the counter of what is valid,
+    and −1 of what is not. `counter_mask` is 0 without a counter. The rest is for those who judge many frames
+    at once: where counter and age lie, and whether the last byte is a checksum.
     """
 
     can_id: int
@@ -174,7 +174,7 @@ class _Loader:
             message.can_id,
             message.length,
             [fields.get(key) for key in values],
-            [0 if default is _REQUIRED else default for default in values.values()],
+            list(values.values()),
             counter,
             frame.crc is not None,
         )

@@ -55,7 +55,7 @@ def compile_functions(
     can_id: int,
     length: int,
     fields: Sequence[Field | None],
-    defaults: Sequence[float],
+    defaults: Sequence[float | None],
     counter: Field | None,
     crc: bool,
 ) -> Functions:
@@ -65,7 +65,8 @@ def compile_functions(
         can_id: 11-bit identifier; the checksum covers it.
         length: bytes in the frame, 0 … 8.
         fields: in the order of the values; None where there is no such signal: encoding ignores the value.
-        defaults: what decoding yields where there is no such signal.
+        defaults: what decoding yields where there is no such signal, and encoding takes where no value is
+            given; None for a value that has to be there.
         counter: the running counter, if there is one.
         crc: whether the last byte is the checksum.
     """
@@ -89,7 +90,7 @@ def compile_functions(
     counted = f"b{byte}" if crc and byte is not None else "counter_of(data)"
     source = "\n".join(
         (
-            *_encode_source(fields, counter, aligned, placed, body, chain if crc else None, scope),
+            *_encode_source(fields, defaults, counter, aligned, placed, body, chain if crc else None, scope),
             *_decode_source(fields, aligned, present, length),
             *_counter_source(counter, length),
             *_judging_source("valid", length, chain if crc else None, "True", "False"),
@@ -189,6 +190,7 @@ def _decode_source(
 
 def _encode_source(
     fields: Sequence[Field | None],
+    defaults: Sequence[float | None],
     counter: Field | None,
     aligned: tuple[struct.Struct, list[str]] | None,
     placed: list[tuple[str, Field]],
@@ -197,7 +199,10 @@ def _encode_source(
     scope: dict[str, Any],
 ) -> list[str]:
     names = [f"v{i}" for i in range(len(fields))]
-    lines = [f"def encode({', '.join([*names, 'counter' if counter is not None else 'counter=0'])}):"]
+    given = [
+        name if d is None else f"{name}=D{i}" for i, (name, d) in enumerate(zip(names, defaults, strict=True))
+    ]
+    lines = [f"def encode({', '.join([*given, '*', 'counter' if counter is not None else 'counter=0'])}):"]
     raw, tests = {}, []
     for i, (name, f) in enumerate(placed):
         if f.integer:

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from pneud.config.conversions import reference_of
-from pneud.config.models import Config, ConfigError, load_config
+from pneud.config.models import Config, ConfigError
+from pneud.config.reading import load_config
 from pneud.console.protocol import Error, ProtocolError
 from pneud.console.server import Plan
 from pneud.control.tunables import LAWS, SLIDING_LAWS, names_of

@@ -10,7 +10,8 @@ from pneud.bus.codec import Codecs
 from pneud.bus.inbox import Inbox, InboxState
 from pneud.compiled.backend import backend
 from pneud.config import conversions
-from pneud.config.models import Config, ConfigError, parse
+from pneud.config.models import Config, ConfigError
+from pneud.config.reading import parse
 from pneud.control.step import Controller
 from pneud.control.tunables import parted, tunables, tuned
 from pneud.loading import at_rate, codecs_of

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneud.bus.inbox import NEVER_NS
-from pneud.config.models import Config, parse
+from pneud.config.models import Config
+from pneud.config.reading import parse
 from pneud.loading import at_rate, codecs_of
 from pneud.log.files.columns import Block, blocks
 from pneud.log.files.naming import LogError

@@ -246,7 +246,7 @@ class PlantNode:
     def _sent(self, end_ns: int, answer: _Answer) -> Sequence[Frame]:
         codec = answer.codec
         try:
-            data = codec.encode(*answer.values, self._counters[answer.node])
+            data = codec.encode(*answer.values, counter=self._counters[answer.node])
         except ValueError:
             self.unsendable += 1
             return ()

@@ -337,7 +337,7 @@ class Engine:
         if isinstance(true, int):
             values[place] = round(values[place])
         try:
-            return (frame._replace(data=codec.encode(*values, codec.counter(frame.data))),)
+            return (frame._replace(data=codec.encode(*values, counter=codec.counter(frame.data))),)
         except ValueError:
             return ()  # beyond what the frame can carry: the node has nothing to send
 

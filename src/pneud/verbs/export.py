@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from pneud.config.models import ConfigError, parse
+from pneud.config.models import ConfigError
+from pneud.config.reading import parse
 from pneud.loading import codecs_of
 from pneud.log.files.reader import read_log
 from pneud.replay import exporting as to

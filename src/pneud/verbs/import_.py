@@ -8,7 +8,8 @@ from typing import Annotated, NamedTuple
 
 import typer
 
-from pneud.config.models import ConfigError, load_with_text, parse
+from pneud.config.models import ConfigError
+from pneud.config.reading import load_with_text, parse
 from pneud.loading import at_rate, codecs_of
 from pneud.log.files.naming import create_log, log_path
 from pneud.log.files.writer import LogWriter

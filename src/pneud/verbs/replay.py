@@ -13,8 +13,9 @@ from typing import Annotated, Any
 import typer
 
 from pneud.bus.link import open_link, refuse_if_driven
-from pneud.config.models import Config, ConfigError, check_channel, with_settings
-from pneud.config.models import load_with_text as load_text
+from pneud.config.models import Config, ConfigError, check_channel
+from pneud.config.reading import load_with_text as load_text
+from pneud.config.reading import with_settings
 from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LogReader, read_log
 from pneud.loop.summary import finite

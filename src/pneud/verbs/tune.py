@@ -11,7 +11,8 @@ import tomlkit
 import typer
 from tomlkit.exceptions import TOMLKitError
 
-from pneud.config.models import ConfigError, load_config
+from pneud.config.models import ConfigError
+from pneud.config.reading import load_config
 from pneud.console.client import Client
 from pneud.console.endpoint import PlaceError
 from pneud.console.results import ask, show

@@ -32,7 +32,7 @@ from pneud.log.format.framing import (
     pieces,
 )
 from pneud.log.format.records import LoggedEvent, LoggedTick, TickMessage, unpack, unpack_event
-from pneud.log.format.schema import EVENTS, FRAMES, METADATA, SCHEMA, SETUP, STATE, TICK
+from pneud.log.format.schema import EVENTS, FRAMES, METADATA, READABLE, SCHEMA, SETUP, STATE, TICK
 
 _SEQUENCES = 1 << 32  # of MCAP's messages, after which they begin anew
 _LOOK_BACK = 2000  # places among which a snapshot is looked for
@@ -137,7 +137,7 @@ class _File:
         m = self.metadata
         if not m:
             raise LogError(f"{self.path}: is an MCAP file, but no log of pneud")
-        if m.get("schema") != str(SCHEMA):
+        if m.get("schema") not in READABLE:
             raise LogError(
                 f"{self.path}: has log schema {m.get('schema')}, this pneud reads {SCHEMA};"
                 f" use the version that wrote it ({m.get('pneud', 'unknown')})"

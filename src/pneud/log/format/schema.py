@@ -23,6 +23,7 @@ from pneud.log.format.layout import NUMBERS, PARTS
 from pneud.signals import Answer, RequestKind, State
 
 SCHEMA = 2
+READABLE = frozenset({"2"})  # fields that a message of one of them lacks are read as 0
 
 METADATA = "pneud"  # name of the metadata on the run
 SETUP = "setup"  # name of the metadata on the real-time set-up
