@@ -13,17 +13,17 @@ from pneud.safety.faults import BLOCKS_ARM, names
 from pneud.scenario import verdict
 from pneud.signals import State
 
+LOG_LOST = frozenset(("recorder_lost", "disk_full"))  # faults of scenarios that take the log away
+
 
 def tell(session: Session, lane: Lane) -> int:
     """Say what a run has come to.
 
     Returns:
-        Exit status: 0, or 1 where there was a fault or the axis never came to track.
+        Exit status: 0, or 1 where there was a fault, the axis never came to track, or the log is not whole.
     """
     o = session.ready.options
-    missing = _records_missing(session)
-    if not session.recorded:
-        _complain(f"{session.ready.log_file} is still being written")
+    missing, lost = _records_missing(session), _log_lost(session)
     link = session.ready.link
     summary = summarise(
         lane.tally,
@@ -42,14 +42,17 @@ def tell(session: Session, lane: Lane) -> int:
     if failure is not None:
         _complain(f"exception in the cycle: {failure!r}")
     if missing:
-        why = "the recorder was lost" if lane.recorder.lost else "it could not keep up"
-        _complain(f"the log lacks {missing} records: {session.ring.status().error_text or why}")
+        why = lost or session.ring.status().error_text or "the recorder could not keep up"
+        _complain(f"the log lacks {missing} records: {why}")
+    elif lost:
+        _complain(f"{session.ready.log_file} is not whole: {lost}")
     judged = _judged(session, lane)
     if judged is not None:
         summary["scenario"] = judged
         _complain(verdict.in_words(judged))
     print(json.dumps(summary) if o.json else in_words(summary))
-    return _status(session, lane)
+    status = _status(session, lane)
+    return 1 if lost and not _loss_is_played(session) else status
 
 
 def _complain(words: str) -> None:
@@ -60,6 +63,24 @@ def _records_missing(session: Session) -> int:
     """Records that the log lacks; what a recorder that is still at work holds is not lost."""
     status = session.ring.status()
     return max(0, session.ring.put_count - status.written) if session.recorded else status.lost
+
+
+def _log_lost(session: Session) -> str:
+    """Why the log has no end; empty where it has one, whatever it may lack before."""
+    status = session.ring.status()
+    if not session.recorded:
+        return "it is still being written"
+    if not status.finished:
+        begun = "the recorder was lost" if status.heartbeat else "the recorder never began"
+        return status.error_text or begun
+    path = session.ready.log_file
+    return "the file is empty" if path.exists() and path.stat().st_size == 0 else ""
+
+
+def _loss_is_played(session: Session) -> bool:
+    """Whether a scenario takes the log away, so that its verdict tells how the run went."""
+    scenario = session.ready.scenario
+    return scenario is not None and not LOG_LOST.isdisjoint(scenario.expect.faults)
 
 
 def _judged(session: Session, lane: Lane) -> dict[str, Any] | None:

@@ -97,10 +97,10 @@ def sim(
             written += 1
             if written % snapshot_ticks == 0:
                 writer.snapshot(run.turn.freeze())
-    lost = 0
-    if writer is not None and not writer.close():
-        lost = writer.unwritten
-        print(f"pneud: {path}: could not be written whole: {os.strerror(writer.error)}", file=sys.stderr)
+    whole = writer is None or (writer.close() and not writer.unwritten)
+    if writer is not None and not whole:
+        why = os.strerror(writer.error) if writer.error > 0 else "some ticks fit into no log"
+        print(f"pneud: {path}: could not be written whole: {why}", file=sys.stderr)
     if run.axis.failure is not None:
         print(f"pneud: exception in the cycle: {run.axis.failure!r}", file=sys.stderr)
     summary = summarise(
@@ -111,7 +111,7 @@ def sim(
         tx=run.tx,
         rx_dropped=0,
         log=str(path) if path is not None else None,
-        log_dropped=lost,
+        log_dropped=writer.unwritten if writer is not None else 0,
     )
     if run.engine is not None and scenario is not None:
         run.engine.settle()
@@ -119,7 +119,7 @@ def sim(
     print(json_.dumps(summary) if json else in_words(summary))
     if scenario is not None and not json:
         print(verdict.in_words(summary["scenario"]))
-    return 0 if tally.state == State.TRACKING and not tally.ever_latched and not lost else 1
+    return 0 if tally.state == State.TRACKING and not tally.ever_latched and whole else 1
 
 
 def _writer(path: Path, loaded: Loaded, seed: int, law: str) -> LogWriter:
