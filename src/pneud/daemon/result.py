@@ -9,9 +9,8 @@ from typing import Any
 from pneud.daemon.session import Session
 from pneud.loop.lane import Lane
 from pneud.loop.summary import in_words, summarise
-from pneud.safety.faults import BLOCKS_ARM, names
+from pneud.safety.faults import names
 from pneud.scenario import verdict
-from pneud.signals import State
 
 LOG_LOST = frozenset(("recorder_lost", "disk_full"))  # faults of scenarios that take the log away
 
@@ -50,9 +49,16 @@ def tell(session: Session, lane: Lane) -> int:
     if judged is not None:
         summary["scenario"] = judged
         _complain(verdict.in_words(judged))
+    never = lane.tally.never_armed() if (o.virtual or o.arm) and not lane.operated else None
+    if never is not None:
+        summary["never_armed"] = never
     print(json.dumps(summary) if o.json else in_words(summary))
-    status = _status(session, lane)
-    return 1 if lost and not _loss_is_played(session) else status
+    if lane.tally.ever_latched and not o.json:
+        _complain(f"stopped by {', '.join(names(lane.tally.ever_latched))}")
+    if never is not None:
+        _complain(f"never armed: {', '.join(never)}")
+    lost = "" if _loss_is_played(session) else lost
+    return 1 if lane.tally.ever_latched or never is not None or lost else 0
 
 
 def _complain(words: str) -> None:
@@ -90,17 +96,3 @@ def _judged(session: Session, lane: Lane) -> dict[str, Any] | None:
     tally = lane.tally
     seen = verdict.Seen(tally.ever_present, tally.ever_latched, tally.state, effects["engaged"])
     return verdict.judge(scenario, session.ready.config, seen, effects)
-
-
-def _status(session: Session, lane: Lane) -> int:
-    o, tally = session.ready.options, lane.tally
-    if tally.ever_latched:
-        if not o.json:
-            _complain(f"stopped by {', '.join(names(tally.ever_latched))}")
-        return 1
-    wanted = o.virtual or o.arm
-    if not wanted or lane.operated or tally.state == State.TRACKING:
-        return 0
-    reasons = names(tally.refused | (tally.present & BLOCKS_ARM))
-    _complain(f"never armed: {', '.join(reasons) or 'the run was too short'}")
-    return 1

@@ -22,7 +22,7 @@ from pneud.replay.lockstep import Simulation, backend_of
 from pneud.safety.faults import FAULT_NAMES
 from pneud.scenario import verdict
 from pneud.scenario.files import load_axis, load_scenario
-from pneud.signals import State
+from pneud.signals import RequestKind, State
 from pneud.study.comparison import as_json, compare
 from pneud.study.comparison import in_words as compared
 from pneud.verbs import JsonOption, ScenarioOption, SeedOption, VerbError
@@ -90,6 +90,9 @@ def sim(
     snapshot_ticks, written = max(1, round(SNAPSHOT_S * loaded.config.loop.rate_hz)), 0
     for record in run.records():
         tally.add(record, run.axis.state.plan, ending=run.shut)
+        request = record.tick.request
+        if request is not None and request.kind == RequestKind.ARM:
+            tally.asked_to_arm(record.tick)
         if not run.shut:
             seen = seen.then(record.tick)
         if writer is not None:
@@ -116,6 +119,10 @@ def sim(
     if run.engine is not None and scenario is not None:
         run.engine.settle()
         summary["scenario"] = verdict.judge(scenario, loaded.config, seen, run.engine.effects.as_dict())
+    never = tally.never_armed()
+    if never is not None:
+        summary["never_armed"] = never
+        print(f"pneud: never armed: {', '.join(never)}", file=sys.stderr)
     print(json_.dumps(summary) if json else in_words(summary))
     if scenario is not None and not json:
         print(verdict.in_words(summary["scenario"]))
