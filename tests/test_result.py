@@ -17,6 +17,7 @@ from pneud.log.files.naming import create_log
 from pneud.log.files.writer import LogWriter
 from pneud.log.live.ring import RECORDER_FAILED, RecorderStatus, Ring
 from pneud.loop.tally import Tally
+from pneud.safety.faults import F
 from pneud.signals import State
 
 WHOLE = RecorderStatus(9, 10, 0, 0, 0, 0, 1, 5000)
@@ -24,7 +25,14 @@ ENOSPC = 28
 
 
 def told(
-    log: Path, status: RecorderStatus, *, recorded: bool = True, expects: tuple[str, ...] | None = None
+    log: Path,
+    status: RecorderStatus,
+    *,
+    recorded: bool = True,
+    expects: tuple[str, ...] | None = None,
+    latched: int = 0,
+    virtual: bool = True,
+    arm: bool = False,
 ) -> int:
     """The exit status of a run of ten ticks that tracked to its end."""
     ring = Ring.create(slots=64)
@@ -33,7 +41,7 @@ def told(
     ring.set_status(status)
     scenario = None if expects is None else SimpleNamespace(expect=SimpleNamespace(faults=expects))
     ready = SimpleNamespace(
-        options=SimpleNamespace(json=True, virtual=True, arm=False),
+        options=SimpleNamespace(json=False, virtual=virtual, arm=arm),
         scenario=scenario,
         link=SimpleNamespace(name="unixcan:x", tx=20, rx_dropped=0),
         config=SimpleNamespace(loop=SimpleNamespace(rate_hz=1000.0)),
@@ -41,7 +49,8 @@ def told(
     )
     session = SimpleNamespace(ready=ready, ring=ring, reports=[], effects=None, recorded=recorded)
     tally = Tally(truth=False, timed=True)
-    tally.state = int(State.TRACKING)
+    tally.state = int(State.FAULT if latched else State.TRACKING)
+    tally.ever_latched = latched
     turn = SimpleNamespace(
         inbox=SimpleNamespace(counts=lambda: cast(Any, Counts)(*([0] * len(Counts._fields)))),
         axis=SimpleNamespace(failure=None),
@@ -127,6 +136,17 @@ def test_a_scenario_that_takes_the_log_away_is_judged_by_its_verdict(log: Path) 
     lost = WHOLE._replace(written=7, finished=0)
     assert told(log, lost, expects=("recorder_lost",)) == 0
     assert told(log, lost, expects=("encoder_missing",)) == 1
+
+
+@pytest.mark.parametrize(
+    ("virtual", "arm", "status", "says"),
+    [(True, False, 1, "stopped by"), (False, True, 1, "stopped by"), (False, False, 0, "there was a fault:")],
+)
+def test_a_fault_is_a_failure_of_a_run_that_it_ends(
+    log: Path, virtual: bool, arm: bool, status: int, says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert told(log, WHOLE, latched=1 << F.TRAVEL, virtual=virtual, arm=arm) == status
+    assert capsys.readouterr().err == f"pneud: {says} travel\n"
 
 
 def test_what_reads_a_log_without_a_tick_says_so(tmp_path: Path) -> None:

@@ -244,6 +244,16 @@ def test_the_third_crash_is_the_last_and_the_node_holds_the_valve_centred() -> N
     assert (applied, state) == (0, ValveState.TIMED_OUT)
 
 
+def test_restarts_in_good_order_are_no_failures() -> None:
+    for n in range(5):
+        run("systemctl", "restart", AXIS)
+        eventually(disarmed, f"disarmed after restart {n}")
+    run("systemctl", "stop", AXIS)
+    assert (shown("Result"), shown("ActiveState")) == ("success", "inactive")
+    # and failures after them count as before
+    test_the_third_crash_is_the_last_and_the_node_holds_the_valve_centred()
+
+
 def valve() -> tuple[int, int]:
     """What the valve node answers to a SYNC: the output of its DAC and its state."""
     dump = subprocess.Popen(["candump", "-L", "-n", "1", "vcan0,183:7FF"], stdout=subprocess.PIPE, text=True)
@@ -291,6 +301,14 @@ def test_a_stop_sends_the_centre_and_ends_well() -> None:
     assert not any(any(command[:2]) for command in commands[-END_TICKS:]), "0 V"
     assert (shown("Result"), shown("ExecMainStatus"), shown("ActiveState")) == ("success", "0", "inactive")
     assert is_whole(newest_log())
+
+
+def test_a_stop_after_a_fault_ends_well() -> None:
+    engage()
+    run("systemctl", "stop", PLANT)
+    eventually(lambda: shown("StatusText").startswith("fault: "), "a latched fault")
+    run("systemctl", "stop", AXIS)
+    assert (shown("Result"), shown("ExecMainStatus"), shown("ActiveState")) == ("success", "0", "inactive")
 
 
 def test_the_interface_takes_the_service_along_and_brings_it_back() -> None:

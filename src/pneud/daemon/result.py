@@ -19,7 +19,8 @@ def tell(session: Session, lane: Lane) -> int:
     """Say what a run has come to.
 
     Returns:
-        Exit status: 0, or 1 where there was a fault, the axis never came to track, or the log is not whole.
+        Exit status: 0, or 1 where a run that tracks by itself had a fault or never came to track, or the log
+        is not whole. A fault does not end a rig's daemon: whoever tells it to stop gets what was asked for.
     """
     o = session.ready.options
     missing, lost = _records_missing(session), _log_lost(session)
@@ -49,16 +50,19 @@ def tell(session: Session, lane: Lane) -> int:
     if judged is not None:
         summary["scenario"] = judged
         _complain(verdict.in_words(judged))
-    never = lane.tally.never_armed() if (o.virtual or o.arm) and not lane.operated else None
+    by_itself = o.virtual or o.arm
+    never = lane.tally.never_armed() if by_itself and not lane.operated else None
     if never is not None:
         summary["never_armed"] = never
     print(json.dumps(summary) if o.json else in_words(summary))
     if lane.tally.ever_latched and not o.json:
-        _complain(f"stopped by {', '.join(names(lane.tally.ever_latched))}")
+        happened = "stopped by" if by_itself else "there was a fault:"
+        _complain(f"{happened} {', '.join(names(lane.tally.ever_latched))}")
     if never is not None:
         _complain(f"never armed: {', '.join(never)}")
     lost = "" if _loss_is_played(session) else lost
-    return 1 if lane.tally.ever_latched or never is not None or lost else 0
+    faulted = by_itself and lane.tally.ever_latched != 0
+    return 1 if faulted or never is not None or lost else 0
 
 
 def _complain(words: str) -> None:
