@@ -303,6 +303,46 @@ def test_a_stop_sends_the_centre_and_ends_well() -> None:
     assert is_whole(newest_log())
 
 
+def told_since(cursor: str) -> str:
+    """What the axis's unit has told the journal since."""
+    return run("journalctl", "--no-pager", "-u", AXIS, f"--after-cursor={cursor}")
+
+
+def cursor() -> str:
+    """Where the journal ends now."""
+    return run("journalctl", "--no-pager", "-n", "0", "--show-cursor").partition("cursor: ")[2].strip()
+
+
+def test_a_full_disk_is_told_when_it_comes_and_when_it_goes() -> None:
+    logs, begun = Path("/var/lib/pneud/vcan"), cursor()
+    run("systemctl", "stop", AXIS)
+    run("mount", "-t", "tmpfs", "-o", "size=2M", "tmpfs", str(logs))
+    try:
+        run("systemctl", "start", AXIS)
+        eventually(disarmed, "disarmed")
+        tried("dd", "if=/dev/zero", f"of={logs}/filling", "bs=4096")
+        eventually(lambda: says(AXIS, "disarmed: disk_full"), "the status line names it")
+        eventually(lambda: "pneud: disk_full: the log's disk" in told_since(begun), "the journal, too")
+        (logs / "filling").unlink()
+        eventually(disarmed, "the status line is as before")
+        eventually(lambda: "pneud: disk_full is over" in told_since(begun), "and the journal says so")
+        assert told_since(begun).count("disk_full") == 2
+    finally:
+        run("systemctl", "stop", AXIS)
+        run("umount", str(logs))
+
+
+def test_a_dead_recorder_is_told() -> None:
+    begun = cursor()
+    (recorder, *_) = Path(f"/proc/{main_pid()}/task/{main_pid()}/children").read_text().split()
+    os.kill(int(recorder), signal.SIGKILL)
+    eventually(lambda: says(AXIS, "disarmed: recorder_lost"), "the status line names it")
+    eventually(lambda: "pneud: recorder_lost: the recorder process is gone" in told_since(begun), "told")
+    run("systemctl", "stop", AXIS)
+    assert "records: the recorder was lost" in told_since(begun)
+    assert (shown("Result"), shown("ExecMainStatus")) == ("exit-code", "1"), "its log is lost"
+
+
 def test_a_stop_after_a_fault_ends_well() -> None:
     engage()
     run("systemctl", "stop", PLANT)

@@ -9,10 +9,8 @@ from typing import Any
 from pneud.daemon.session import Session
 from pneud.loop.lane import Lane
 from pneud.loop.summary import in_words, summarise
-from pneud.safety.faults import names
+from pneud.safety.faults import LOG_LOST, names
 from pneud.scenario import verdict
-
-LOG_LOST = frozenset(("recorder_lost", "disk_full"))  # faults of scenarios that take the log away
 
 
 def tell(session: Session, lane: Lane) -> int:
@@ -90,7 +88,7 @@ def _log_lost(session: Session) -> str:
 def _loss_is_played(session: Session) -> bool:
     """Whether a scenario takes the log away, so that its verdict tells how the run went."""
     scenario = session.ready.scenario
-    return scenario is not None and not LOG_LOST.isdisjoint(scenario.expect.faults)
+    return scenario is not None and not set(names(LOG_LOST)).isdisjoint(scenario.expect.faults)
 
 
 def _judged(session: Session, lane: Lane) -> dict[str, Any] | None:

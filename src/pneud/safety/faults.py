@@ -492,6 +492,7 @@ def mask(*reactions: Reaction) -> int:
 CENTRES = mask(Reaction.CENTRE)
 STOPS = mask(Reaction.STOP)
 BLOCKS_ARM = mask(Reaction.CENTRE, Reaction.STOP, Reaction.NO_ARM)
+LOG_LOST = 1 << F.RECORDER_LOST | 1 << F.DISK_FULL
 
 _SOURCES = ("ENCODER", "PRESSURE", "VALVE")
 NO_SENSORS = sum(
