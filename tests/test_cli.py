@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from commands import object_of, pneud, pneud_here
-from pneud import cli
+from pneud import cli, resources
 from pneud.cli import ORDER, verbs
 from pneud.verbs import NEGATIVE_NUMBERS, check
 
@@ -164,3 +164,30 @@ def test_sim_object_is_the_documented_one() -> None:
     assert summary["lateness_us"] is None
     assert summary["tracking_mm"] is None  # too short
     assert list(summary["frames"]) == ["rx", "tx", "lost", "crc", "stale", "late"]
+
+
+@pytest.mark.parametrize(
+    ("change", "duration_s", "why"),
+    [
+        (('kind = "absolute" ', 'kind = "incremental" '), 0.5, "encoder_unreferenced"),
+        (("", ""), 0.005, "unsettled"),
+        (("", ""), 0.3, ""),
+    ],
+)
+def test_a_simulation_that_never_arms_says_why(
+    change: tuple[str, str], duration_s: float, why: str, tmp_path: Path
+) -> None:
+    text = (resources.configs() / "virtual.toml").read_text()
+    assert change[0] in text
+    file = tmp_path / "axis.toml"
+    file.write_text(text.replace(*change))
+    done = pneud_here("sim", file, "--duration", duration_s, "--json")
+    assert done.returncode == bool(why)
+    assert object_of(done).get("never_armed") == ([why] if why else None)
+    assert done.stderr == (f"pneud: never armed: {why}\n" if why else "")
+
+
+def test_what_shows_only_when_the_axis_is_asked_to_arm_is_named_too() -> None:
+    done = pneud_here("sim", "--scenario", "unreachable")
+    assert done.returncode == 1
+    assert done.stderr == "pneud: never armed: unreachable\n"

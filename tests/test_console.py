@@ -392,6 +392,23 @@ def test_status_has_what_an_operator_needs(desk: Bench) -> None:
     assert found["config_changed"] is False
 
 
+def test_the_journal_has_a_line_when_the_log_is_lost_and_when_it_goes_on(
+    desk: Bench, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = []
+    for n, bits in enumerate((0, F.MOVING, F.DISK_FULL, F.DISK_FULL, 0, F.RECORDER_LOST, F.RECORDER_LOST)):
+        tick = tick_at(n * 1_000_000)._replace(present=1 << bits if bits else 0)
+        desk.ring.put(Record(tick, Timing(21_000, 1, 1, 1, 84_000, 1), (), 0, (), 0.0))
+        desk.watch.poll()
+        told.append(capsys.readouterr().err)
+    full, over, lost = told.pop(2), told.pop(3), told.pop(3)
+    assert full.startswith("pneud: disk_full: the log's disk or its quota is full")
+    assert full.endswith("; make room on the disk; it is logged again from then on\n")
+    assert over == "pneud: disk_full is over: the log goes on\n"
+    assert lost.startswith("pneud: recorder_lost: the recorder process is gone")
+    assert told == [""] * 4
+
+
 # hostility
 
 

@@ -16,8 +16,9 @@ from pneud.log.files.reader import read_log
 from pneud.log.files.writer import LogWriter, realtime_offset_ns
 from pneud.log.format.schema import Level
 from pneud.log.live.recorder import start_recorder
-from pneud.log.live.ring import Ring
-from pneud.signals import Frame, Record, Request, RequestKind, State, Tick, Timing
+from pneud.log.live.ring import RecorderStatus, Ring
+from pneud.loop.recorder_watch import RecorderWatch
+from pneud.signals import Frame, Host, Record, Request, RequestKind, State, Tick, Timing
 
 NO_TIME = Timing(0, 0, 0, 0, 0, 0)
 PATIENCE_S = 30.0  # only ever spent where a test fails
@@ -205,6 +206,54 @@ def test_a_full_disk_stops_neither_the_recorder_nor_the_loop_and_is_reported(tmp
     assert status.written + status.unwritten == ring.put_count
     assert reader.truncated
     assert path.stat().st_size <= 20_000
+
+
+def test_a_disk_that_takes_data_again_is_no_fault_any_longer(tmp_path: Path) -> None:
+    ring = Ring.create()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    limit_files(20_000)
+    try:
+        child = start_recorder(ring, create_log(tmp_path / "x.mcap"), header())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    watch, records = RecorderWatch(ring, child), iter(list(noisy(4000)))
+
+    def shows(bits: int) -> bool:
+        ring.put(next(records))
+        watch.look()
+        return watch.host == bits
+
+    until(lambda: shows(int(Host.RECORDER_LOST)))
+    resource.prlimit(child, resource.RLIMIT_FSIZE, limits)
+    until(lambda: shows(0))
+    ring.set_closed()
+    assert ended(child) == 1, "some are missing"
+    status = ring.status()
+    assert (status.finished, status.written + status.unwritten) == (1, ring.put_count)
+
+
+@pytest.mark.parametrize("full", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_is_a_fault_for_as_long_as_it_is_full(full: int) -> None:
+    ring = Ring.create(slots=64)
+    child = os.fork()
+    if not child:
+        signal.pause()
+        os._exit(0)
+    try:
+        watch = RecorderWatch(ring, child)
+        for failing, error, host, lost in (
+            (0, 0, 0, False),
+            (1, full, int(Host.DISK_FULL), False),
+            (0, full, 0, False),  # the last failure is still told
+            (1, errno.EIO, int(Host.RECORDER_LOST), True),
+            (0, errno.EIO, 0, False),
+        ):
+            ring.set_status(RecorderStatus(1, 0, 0, 0, error, failing, 0, 0))
+            watch.look()
+            assert (watch.host, watch.lost) == (host, lost)
+    finally:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
 
 
 def test_a_disk_with_room_again_goes_on_where_it_stopped(

@@ -120,6 +120,12 @@ flag bits) and `length`; `stamp_after_t_ns` and `data` by byte planes, first the
 second ones; stamps are little-endian signed 64-bit integers, counted from `t_ns` of the frame's tick. `pneud export` writes
 them as a recording that other tools read.
 
+## What may be missing
+
+A recorder that does not keep up, and a disk that is full, cost records, never a tick: what is missing is counted
+(`log_dropped`) and named in `/events`, and a run whose file was finished may end with 0. A run whose log has no end, because the
+recorder died or failed or the disk took nothing to the last, says why and ends with 1, however the axis fared.
+
 ## In Python
 
     from pneud import read_log

@@ -244,6 +244,16 @@ def test_the_third_crash_is_the_last_and_the_node_holds_the_valve_centred() -> N
     assert (applied, state) == (0, ValveState.TIMED_OUT)
 
 
+def test_restarts_in_good_order_are_no_failures() -> None:
+    for n in range(5):
+        run("systemctl", "restart", AXIS)
+        eventually(disarmed, f"disarmed after restart {n}")
+    run("systemctl", "stop", AXIS)
+    assert (shown("Result"), shown("ActiveState")) == ("success", "inactive")
+    # and failures after them count as before
+    test_the_third_crash_is_the_last_and_the_node_holds_the_valve_centred()
+
+
 def valve() -> tuple[int, int]:
     """What the valve node answers to a SYNC: the output of its DAC and its state."""
     dump = subprocess.Popen(["candump", "-L", "-n", "1", "vcan0,183:7FF"], stdout=subprocess.PIPE, text=True)
@@ -291,6 +301,54 @@ def test_a_stop_sends_the_centre_and_ends_well() -> None:
     assert not any(any(command[:2]) for command in commands[-END_TICKS:]), "0 V"
     assert (shown("Result"), shown("ExecMainStatus"), shown("ActiveState")) == ("success", "0", "inactive")
     assert is_whole(newest_log())
+
+
+def told_since(cursor: str) -> str:
+    """What the axis's unit has told the journal since."""
+    return run("journalctl", "--no-pager", "-u", AXIS, f"--after-cursor={cursor}")
+
+
+def cursor() -> str:
+    """Where the journal ends now."""
+    return run("journalctl", "--no-pager", "-n", "0", "--show-cursor").partition("cursor: ")[2].strip()
+
+
+def test_a_full_disk_is_told_when_it_comes_and_when_it_goes() -> None:
+    logs, begun = Path("/var/lib/pneud/vcan"), cursor()
+    run("systemctl", "stop", AXIS)
+    run("mount", "-t", "tmpfs", "-o", "size=2M", "tmpfs", str(logs))
+    try:
+        run("systemctl", "start", AXIS)
+        eventually(disarmed, "disarmed")
+        tried("dd", "if=/dev/zero", f"of={logs}/filling", "bs=4096")
+        eventually(lambda: says(AXIS, "disarmed: disk_full"), "the status line names it")
+        eventually(lambda: "pneud: disk_full: the log's disk" in told_since(begun), "the journal, too")
+        (logs / "filling").unlink()
+        eventually(disarmed, "the status line is as before")
+        eventually(lambda: "pneud: disk_full is over" in told_since(begun), "and the journal says so")
+        assert told_since(begun).count("disk_full") == 2
+    finally:
+        run("systemctl", "stop", AXIS)
+        run("umount", str(logs))
+
+
+def test_a_dead_recorder_is_told() -> None:
+    begun = cursor()
+    (recorder, *_) = Path(f"/proc/{main_pid()}/task/{main_pid()}/children").read_text().split()
+    os.kill(int(recorder), signal.SIGKILL)
+    eventually(lambda: says(AXIS, "disarmed: recorder_lost"), "the status line names it")
+    eventually(lambda: "pneud: recorder_lost: the recorder process is gone" in told_since(begun), "told")
+    run("systemctl", "stop", AXIS)
+    assert "records: the recorder was lost" in told_since(begun)
+    assert (shown("Result"), shown("ExecMainStatus")) == ("exit-code", "1"), "its log is lost"
+
+
+def test_a_stop_after_a_fault_ends_well() -> None:
+    engage()
+    run("systemctl", "stop", PLANT)
+    eventually(lambda: shown("StatusText").startswith("fault: "), "a latched fault")
+    run("systemctl", "stop", AXIS)
+    assert (shown("Result"), shown("ExecMainStatus"), shown("ActiveState")) == ("success", "0", "inactive")
 
 
 def test_the_interface_takes_the_service_along_and_brings_it_back() -> None:

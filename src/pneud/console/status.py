@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from typing import Any
 
 from pneud.log.live.ring import Ring
 from pneud.rt.histogram import Histogram
-from pneud.safety.faults import TABLE
+from pneud.safety.faults import LOG_LOST, TABLE
 from pneud.signals import State
 
 
@@ -22,14 +23,30 @@ class Watch:
         self._skipped = 0
         self._lateness = Histogram()
         self._latency = Histogram()
+        self._log_lost = 0
 
     def poll(self) -> None:
-        """Take what the loop has done since the last call; to be called a few times a second."""
+        """Take what the loop has done since the last call; to be called a few times a second.
+
+        Standard error, under systemd the journal, gets a line when the log is lost and when it goes on.
+        """
         for skipped, lateness_ns, latency_ns in self._reader.skim():
             self._skipped += skipped
             self._lateness.add(lateness_ns)
             if latency_ns >= 0:
                 self._latency.add(latency_ns)
+        last = self._reader.latest()
+        if last is not None:
+            self._say_of_the_log(last.tick.present & LOG_LOST)
+
+    def _say_of_the_log(self, lost: int) -> None:
+        """Tell the journal when the log is lost, and when it goes on: the recorder may be past telling."""
+        came, went, self._log_lost = lost & ~self._log_lost, self._log_lost & ~lost, lost
+        for fault in TABLE:
+            if came >> fault.bit & 1:
+                print(f"pneud: {fault.name}: {fault.when}; {fault.cure}", file=sys.stderr, flush=True)
+            elif went >> fault.bit & 1:
+                print(f"pneud: {fault.name} is over: the log goes on", file=sys.stderr, flush=True)
 
     def fields(self) -> dict[str, Any]:
         """The part of `status` that the records tell."""

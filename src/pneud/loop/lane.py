@@ -141,8 +141,8 @@ class Lane:
         """Whether nothing is left to do for the axis after this tick; to be asked once in each."""
         tick, request = self.turn.tick, self.request
         if request is not None and not self._asked and request.kind == ARM:
-            # what shows only now would show again; anything else may pass, and arming is tried again
-            self.tally.refused = 0 if is_engaged(tick.state) else tick.present & BLOCKS_ARM
+            # unless it says that it cannot be reached, what is in the way may pass, and arming is tried again
+            self.tally.asked_to_arm(tick)
             self._armed = is_engaged(tick.state) or bool(tick.present & 1 << F.UNREACHABLE)
         if is_engaged(tick.state):
             self._idle = 0

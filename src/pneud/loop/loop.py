@@ -19,7 +19,7 @@ from pneud.loop.options import Options
 from pneud.loop.pacer import Pacer
 from pneud.loop.turn import END_TICKS
 from pneud.rt.notify import Service
-from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES, NO_SENSORS
+from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES, LOG_LOST, NO_SENSORS
 from pneud.signals import Frame, Host, State
 
 CHECKS_S = 0.5  # how often the recorder is looked at
@@ -184,7 +184,8 @@ class Loop:
             tick = self._turns[0].tick
             # without its sensors an axis lacks much else; that says nothing
             present = tick.present & NO_SENSORS or tick.present & BLOCKS_ARM
-            service.report(t_ns, self._behind, tick.state, tick.latched or present)
+            faults = (tick.latched or present) | tick.present & LOG_LOST
+            service.report(t_ns, self._behind, tick.state, faults)
             self._behind = 0
         over = True
         for lane in self.lanes:

@@ -13,6 +13,7 @@ RECORDER_LOST, DISK_FULL, CONFIG_CHANGED = (
     int(Host.DISK_FULL),
     int(Host.CONFIG_CHANGED),
 )
+_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class RecorderWatch:
@@ -42,7 +43,7 @@ class RecorderWatch:
         if not self._pid or self._gone:
             return
         status = self.ring.status()
-        disk_full = status.failing != 0 and status.error == errno.ENOSPC
+        disk_full = status.failing != 0 and status.error in _FULL
         self._gone = gone(self._pid)
         self.lost = (status.failing != 0 and not disk_full) or self._gone
         self.host = (

@@ -7,6 +7,8 @@ from typing import Any
 
 from pneud.control.plan import FOLLOWING, Plan
 from pneud.rt.histogram import Histogram
+from pneud.safety.faults import BLOCKS_ARM, names
+from pneud.safety.supervisor import is_engaged
 from pneud.signals import Record, State, Tick
 
 AFTER_S = 5.0
@@ -76,6 +78,20 @@ class Tally:
                 self.latency.add(timing.latency_ns)
         if plan.phase == FOLLOWING:
             self.tracking.add(tick, plan.since_ns, record.truth_m)
+
+    def asked_to_arm(self, tick: Tick) -> None:
+        """See what an axis makes of being asked to arm by the run itself: what shows only then shows again.
+
+        Args:
+            tick: the one in which it was asked.
+        """
+        self.refused = 0 if is_engaged(tick.state) else tick.present & BLOCKS_ARM
+
+    def never_armed(self) -> list[str] | None:
+        """Why a run that should have tracked never did; None where it did, or a fault ended it."""
+        if self.ever_latched or self.state == State.TRACKING:
+            return None
+        return names(self.refused | (self.present & BLOCKS_ARM)) or ["the run was too short"]
 
 
 class Tracking:

@@ -214,9 +214,10 @@ TABLE: tuple[Fault, ...] = (
     Fault(
         F.VALVE_REBOOTED,
         Reaction.CENTRE,
-        "the valve node is not enabled although the axis is engaged",
+        "the valve node is not enabled although the axis is engaged, and has been in the same state for"
+        " longer than bus.valve_timeout_ms",
         "check the valve node's supply voltage",
-        "valve_timeout_ns",
+        clears="as soon as the axis is not engaged",
     ),
     Fault(
         F.TRAVEL,
@@ -265,8 +266,9 @@ TABLE: tuple[Fault, ...] = (
     Fault(
         F.RECORDER_LOST,
         Reaction.WARN,
-        "the recorder process is gone",
-        "check disk space; restart to log again",
+        "the recorder process is gone, or its disk takes nothing for another reason than want of room",
+        "check the disk; restart to log again where the process is gone",
+        clears="within 2 s after the disk takes data again",
     ),
     Fault(
         F.INTERNAL,
@@ -444,9 +446,9 @@ TABLE: tuple[Fault, ...] = (
     Fault(
         F.DISK_FULL,
         Reaction.WARN,
-        "the log's disk was full, so records may be missing",
+        "the log's disk or its quota is full; records are lost meanwhile",
         "make room on the disk; it is logged again from then on",
-        clears="with a restart",
+        clears="within 2 s after the disk takes data again",
     ),
     Fault(
         F.CONFIG_CHANGED,
@@ -490,6 +492,7 @@ def mask(*reactions: Reaction) -> int:
 CENTRES = mask(Reaction.CENTRE)
 STOPS = mask(Reaction.STOP)
 BLOCKS_ARM = mask(Reaction.CENTRE, Reaction.STOP, Reaction.NO_ARM)
+LOG_LOST = 1 << F.RECORDER_LOST | 1 << F.DISK_FULL
 
 _SOURCES = ("ENCODER", "PRESSURE", "VALVE")
 NO_SENSORS = sum(

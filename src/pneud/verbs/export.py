@@ -10,6 +10,7 @@ import typer
 from pneud.config.models import ConfigError
 from pneud.config.reading import parse
 from pneud.loading import codecs_of
+from pneud.log.files.naming import LogError
 from pneud.log.files.reader import read_log
 from pneud.replay import exporting as to
 from pneud.replay.traffic import FORMATS
@@ -29,10 +30,13 @@ def export(
 ) -> int:
     """Write a log in another format, which the suffix names.
 
+    Returns:
+        Exit status: 0, or 1 where no frame was written since none is in its ticks.
+
     Raises:
         ConfigError: the format is not known, or the log's configuration cannot be used by this version.
         DatabaseError: nor its DBC.
-        LogError: not a log, the output is in the way, or a package is missing.
+        LogError: not a log, no tick in it, the output is in the way, or a package is missing.
     """
     suffix = output.suffix
     if suffix not in (*to.TABLES, *FORMATS):
@@ -41,6 +45,8 @@ def export(
     if not output.parent.is_dir():
         raise ConfigError(f"{output}: there is no folder {output.parent}; create it or name another file")
     reader = read_log(log)
+    if next(iter(reader), None) is None:
+        raise LogError(f"{reader.path}: no tick in it{f'; {reader.damage}' if reader.truncated else ''}")
     try:
         if suffix in to.TABLES:
             done, what = to.table(reader, output), "ticks"
@@ -55,4 +61,4 @@ def export(
         print(f"left out: {done.unsent_ticks} ticks whose SYNC could not be sent")
     if reader.truncated:
         print(f"the log: {reader.damage}")
-    return 0
+    return 0 if done.rows else 1

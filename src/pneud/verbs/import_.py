@@ -100,14 +100,17 @@ def import_(
     done = False
     try:
         found = rebuild(ticks, writer, config, codecs, source.known)
-        done = writer.close()
+        done = writer.close() and writer.written > 0
     finally:
         if not done:
             path.unlink(missing_ok=True)
-    if not done:
-        raise ConfigError(f"{path}: could not be written whole")
     if writer.unwritten:
         remarks.add("ticks that no log can hold, left out", path.name, count=writer.unwritten)
+    if not done:
+        for line in remarks.lines():
+            print(line, file=sys.stderr)
+        what = f"{path}: could not be written whole" if writer.error else f"{recording}: made no tick"
+        raise ConfigError(what)
     print(f"{path}: {writer.written} ticks from channel {surveyed.channel}")
     if source.known is None:
         print(

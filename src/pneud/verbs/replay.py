@@ -221,6 +221,8 @@ def _against(one: LogReader, other: LogReader, output: Path | None, json: bool) 
         name, s = next(iter(spreads.items()))
         print(f"{d.differing} of {d.ticks} ticks differ; first at tick {s.first_tick}: {name}")
         _tell(d)
+    elif not d.ticks:
+        print("there is no tick that both have, so there is nothing to compare")
     else:
         print(f"the same in {d.ticks} ticks, {c.engaged_ticks} of them engaged")
     if c.shift_ticks and not json:

@@ -22,7 +22,7 @@ from pneud.replay.lockstep import Simulation, backend_of
 from pneud.safety.faults import FAULT_NAMES
 from pneud.scenario import verdict
 from pneud.scenario.files import load_axis, load_scenario
-from pneud.signals import State
+from pneud.signals import RequestKind, State
 from pneud.study.comparison import as_json, compare
 from pneud.study.comparison import in_words as compared
 from pneud.verbs import JsonOption, ScenarioOption, SeedOption, VerbError
@@ -90,6 +90,9 @@ def sim(
     snapshot_ticks, written = max(1, round(SNAPSHOT_S * loaded.config.loop.rate_hz)), 0
     for record in run.records():
         tally.add(record, run.axis.state.plan, ending=run.shut)
+        request = record.tick.request
+        if request is not None and request.kind == RequestKind.ARM:
+            tally.asked_to_arm(record.tick)
         if not run.shut:
             seen = seen.then(record.tick)
         if writer is not None:
@@ -97,10 +100,10 @@ def sim(
             written += 1
             if written % snapshot_ticks == 0:
                 writer.snapshot(run.turn.freeze())
-    lost = 0
-    if writer is not None and not writer.close():
-        lost = writer.unwritten
-        print(f"pneud: {path}: could not be written whole: {os.strerror(writer.error)}", file=sys.stderr)
+    whole = writer is None or (writer.close() and not writer.unwritten)
+    if writer is not None and not whole:
+        why = os.strerror(writer.error) if writer.error > 0 else "some ticks fit into no log"
+        print(f"pneud: {path}: could not be written whole: {why}", file=sys.stderr)
     if run.axis.failure is not None:
         print(f"pneud: exception in the cycle: {run.axis.failure!r}", file=sys.stderr)
     summary = summarise(
@@ -111,15 +114,19 @@ def sim(
         tx=run.tx,
         rx_dropped=0,
         log=str(path) if path is not None else None,
-        log_dropped=lost,
+        log_dropped=writer.unwritten if writer is not None else 0,
     )
     if run.engine is not None and scenario is not None:
         run.engine.settle()
         summary["scenario"] = verdict.judge(scenario, loaded.config, seen, run.engine.effects.as_dict())
+    never = tally.never_armed()
+    if never is not None:
+        summary["never_armed"] = never
+        print(f"pneud: never armed: {', '.join(never)}", file=sys.stderr)
     print(json_.dumps(summary) if json else in_words(summary))
     if scenario is not None and not json:
         print(verdict.in_words(summary["scenario"]))
-    return 0 if tally.state == State.TRACKING and not tally.ever_latched and not lost else 1
+    return 0 if tally.state == State.TRACKING and not tally.ever_latched and whole else 1
 
 
 def _writer(path: Path, loaded: Loaded, seed: int, law: str) -> LogWriter:
