@@ -274,6 +274,7 @@ STOPPING = [
     Case(F.EMERGENCY, host(Host.EMERGENCY)),
     Case(F.HEARTBEAT_LOST, host(Host.HEARTBEAT_LOST)),
     Case(F.BUS_PASSIVE, host(Host.BUS_PASSIVE)),
+    Case(F.CONSOLE_LOST, host(Host.CONSOLE_LOST)),
 ]
 
 

@@ -43,7 +43,7 @@ def test_nothing_is_said_where_nothing_happens() -> None:
     assert [conditions.host(t * MS, 0) for t in range(5)] == [0] * 5
 
 
-@given(st.integers(0, (1 << 14) - 1))
+@given(st.integers(0, (1 << 15) - 1))
 def test_what_comes_from_elsewhere_is_handed_on(others: int) -> None:
     conditions, _, _ = parts()
     assert conditions.host(MS, others) == others

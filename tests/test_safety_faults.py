@@ -44,7 +44,7 @@ def test_bits_that_logs_hold_keep_their_meaning() -> None:
         unreachable valve_active other_controller saturated saturated_long braking_distance supply_falling
         force_disagrees valve_disagrees encoder_stuck pressure_stuck pressure_jump send_blocked overloaded
         emergency heartbeat_lost bus_passive bus_off identifier_clash disk_full config_changed
-        receive_overflow operator_lost
+        receive_overflow operator_lost homing_failed console_lost
     """
     names_then = was.split()
     assert list(FAULT_NAMES[: len(names_then)]) == names_then

@@ -47,6 +47,7 @@ class Host(IntFlag):
     DISK_FULL = 2048
     CONFIG_CHANGED = 4096
     RECEIVE_OVERFLOW = 8192
+    CONSOLE_LOST = 16384
 
 
 class EncoderStatus(IntFlag):

@@ -7,6 +7,7 @@ from typing import Any
 from pneud.console import protocol
 from pneud.console.facts import Run
 from pneud.console.handoff import Outcome
+from pneud.console.memory import Memory
 from pneud.console.protocol import Error, ProtocolError
 from pneud.console.server import Plan
 from pneud.console.status import Watch, faults
@@ -30,19 +31,20 @@ _URGENT = {protocol.Disarm: RequestKind.DISARM, protocol.Stop: RequestKind.STOP}
 class AxisDesk:
     """The desk of one axis."""
 
-    def __init__(self, run: Run, ring: Ring, watch: Watch) -> None:
+    def __init__(self, run: Run, ring: Ring, watch: Watch, memory: Memory | None = None) -> None:
         """Ready to be asked.
 
         Args:
             run: what runs.
             ring: where its records are.
             watch: follows them.
+            memory: of the desk before this one, and for the one after it.
         """
         self.name = run.config.name
         self._run = run
         self._ring = ring
         self._watch = watch
-        self._tuning = Tuning(run.config, run.path, run.text)
+        self._tuning = Tuning(run.config, run.path, run.text, memory)
 
     def status(self) -> dict[str, Any]:
         """The fields of the reply to `status`."""

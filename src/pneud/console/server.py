@@ -150,6 +150,7 @@ class Server:
         say: Callable[[int, str], None],
         bounds: Bounds = BOUNDS,
         clock: Callable[[], float] = time.monotonic,
+        first: int = 0,
     ) -> None:
         """A server that is ready to take its turns.
 
@@ -160,6 +161,7 @@ class Server:
             say: level and words for the log.
             bounds: what clients may use up.
             clock: seconds.
+            first: its requests' numbers begin after it.
         """
         self.over = False  # the loop is gone
         self._listener = listener
@@ -173,7 +175,7 @@ class Server:
         self._lease: Lease[_Client] = Lease(bounds.lease_s)
         self._jobs: deque[_Job] = deque()
         self._flight: tuple[int, _Job, float] | None = None  # number, whose, given up at
-        self._number = 0
+        self._number = first
         self._jogging: _Client | None = None
         self._unfinished: tuple[_Client | None, Plan] | None = None
         self._jog_words = ""

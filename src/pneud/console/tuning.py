@@ -8,6 +8,7 @@ from typing import Any
 from pneud.config.conversions import reference_of
 from pneud.config.models import Config, ConfigError
 from pneud.config.reading import load_config
+from pneud.console.memory import Memory
 from pneud.console.protocol import Error, ProtocolError
 from pneud.console.server import Plan
 from pneud.control.tunables import LAWS, SLIDING_LAWS, names_of
@@ -62,18 +63,27 @@ def difference(old: Values, new: Values) -> str:
 class Tuning:
     """The running gains and reference of one axis."""
 
-    def __init__(self, config: Config, path: Path, text: str) -> None:
-        """As they were loaded.
+    def __init__(self, config: Config, path: Path, text: str, memory: Memory | None = None) -> None:
+        """As they were loaded, or are remembered.
 
         Args:
             config: what runs.
             path: its file.
             text: the file's, as it was loaded.
+            memory: keeps them for another one that comes after this one.
         """
         self._values = values_of(config)
         self._config = config
         self._path = path
         self._text = text
+        self._memory = memory
+        kept = memory.kept() if memory is not None else None
+        if kept is not None:
+            self._values, self._text = kept["values"], kept["text"]
+
+    def _keep(self) -> None:
+        if self._memory is not None:
+            self._memory.keep({"values": self._values, "text": self._text})
 
     @property
     def running(self) -> Values:
@@ -140,6 +150,7 @@ class Tuning:
 
         def done() -> dict[str, Any]:
             self._text = text
+            self._keep()
             return plan.done() if plan.done is not None else {}
 
         return plan._replace(words=words, done=done)
@@ -153,6 +164,7 @@ class Tuning:
 
         def done() -> dict[str, Any]:
             self._values = wanted
+            self._keep()
             return {"gains": self.running, "changed": changes, **more}
 
         requests = (Request(RequestKind.GAINS, values),) if changes else ()

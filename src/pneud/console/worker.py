@@ -1,16 +1,17 @@
-"""The console's process: forked beside the loop, serves until the loop is gone."""
+"""The console's process: serves until the loop is gone, and says again and again that it lives."""
 
 from __future__ import annotations
 
-import os
 import signal
 import socket
 import sys
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from pneud import crew
+from pneud.console import handoff
 from pneud.console.facts import Run
+from pneud.console.memory import Memory
 from pneud.log.live.notes import Teller
 from pneud.log.live.ring import Ring
 
@@ -19,64 +20,59 @@ if TYPE_CHECKING:
 
 _STEP_S = 0.02
 _WATCH_S = 0.1  # the ring keeps some seconds
+_NUMBERS = 1 << 24  # requests that one console may number before it comes to the next one's
 
 
-def fork_console(
-    listener: socket.socket, loop: socket.socket, words: socket.socket, run: Run, ring: Ring
-) -> int:
-    """Fork the console; the sockets are the child's from here on.
+class Post(NamedTuple):
+    """What every console of a run works with, one after the other."""
 
-    It finishes by itself when the ring is closed or this process dies, however it dies.
+    listener: socket.socket  # bound and listening
+    loop: socket.socket  # the console's end of the hand-off
+    words: socket.socket  # the teller's end to the recorder
+    run: Run  # what runs
+    ring: Ring  # where its records are
+    memory: Memory  # what the one before has left
+
+    @property
+    def descriptors(self) -> tuple[int, ...]:
+        """Those that a console needs."""
+        return self.listener.fileno(), self.loop.fileno(), self.words.fileno(), self.ring.descriptor
+
+
+def serve(post: Post, keeper: int, place: int) -> None:
+    """Serve until the ring is closed or the loop is gone; SIGHUP takes gains and reference of the file.
 
     Args:
-        listener: bound and listening.
-        loop: the console's end of the hand-off.
-        words: the teller's end to the recorder.
-        run: what runs.
-        ring: where its records are.
-
-    Returns:
-        The child's process id.
-
-    Raises:
-        OSError: no more processes.
+        post: what it works with.
+        keeper: process id of the one that forks the consoles; this one does not outlive it.
+        place: how many consoles of this run came before.
     """
-    parent = os.getpid()
-    child = crew.fork(
-        lambda: _serve(listener, loop, words, run, ring, parent),
-        keep=(listener.fileno(), loop.fileno(), words.fileno(), ring.descriptor),
-        orphaned=None,
-    )
-    for end in (listener, loop, words):
-        end.close()
-    return child
-
-
-def _serve(
-    listener: socket.socket, loop: socket.socket, words: socket.socket, run: Run, ring: Ring, parent: int
-) -> None:
-    """Serve until the ring is closed or the parent is gone; SIGHUP takes gains and reference of the file."""
-    # the protocol is loaded here, beside the loop's own start; who calls meanwhile is queued
-    from pneud.console import protocol  # noqa: PLC0415
-    from pneud.console.commands import AxisDesk  # noqa: PLC0415
-    from pneud.console.server import Server  # noqa: PLC0415
-    from pneud.console.status import Watch  # noqa: PLC0415
-
     reload = False
 
     def hang_up(*_: object) -> None:
         nonlocal reload
         reload = True
 
+    signal.signal(signal.SIGHUP, hang_up)
+    crew.die_with_parent(keeper)
+    # the protocol is loaded here, beside the loop's own start; who calls meanwhile is queued
+    from pneud.console import protocol  # noqa: PLC0415
+    from pneud.console.commands import AxisDesk  # noqa: PLC0415
+    from pneud.console.server import Server  # noqa: PLC0415
+    from pneud.console.status import Watch  # noqa: PLC0415
+
     def refused(error: ProtocolError) -> None:
         print(f"pneud: {error}", file=sys.stderr, flush=True)
 
-    signal.signal(signal.SIGHUP, hang_up)
-    teller = Teller(words, "console")
+    teller, ring = Teller(post.words, "console"), post.ring
     watch = Watch(ring)
-    server = Server(listener, loop, AxisDesk(run, ring, watch), teller.say)
+    desk = AxisDesk(post.run, ring, watch, post.memory)
+    server = Server(post.listener, post.loop, desk, teller.say, first=place * _NUMBERS)
+    if place:
+        _pass_over(post.loop)
     due_s = 0.0
-    while not (ring.closed or server.over) and os.getppid() == parent:
+    while not (ring.closed or server.over):
+        ring.set_console(time.monotonic_ns())
         now_s = time.monotonic()
         if now_s >= due_s:
             watch.poll()
@@ -86,3 +82,12 @@ def _serve(
             server.ask(protocol.TuneReload(v=1, id=0, verb="tune_reload"), "SIGHUP", refused)
         server.step(_STEP_S)
     server.close()
+
+
+def _pass_over(loop: socket.socket) -> None:
+    """Leave answers to what another console has asked."""
+    try:
+        while handoff.receive(loop) is not None:
+            pass
+    except EOFError:
+        return  # the server finds it, too

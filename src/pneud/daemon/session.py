@@ -13,7 +13,7 @@ from pneud.bus.inbox import Inbox
 from pneud.config import conversions
 from pneud.console import handoff
 from pneud.console.facts import Run
-from pneud.console.worker import fork_console
+from pneud.console.keeper import fork_console
 from pneud.daemon.preparation import Ready
 from pneud.log.format.header import LogHeader, Rotation
 from pneud.log.live import notes

@@ -8,6 +8,7 @@ import time
 from pneud.bus.link import Link
 from pneud.console.handoff import LoopEnd
 from pneud.loop.conditions import Conditions
+from pneud.loop.console_watch import ConsoleWatch
 from pneud.loop.options import Options
 from pneud.loop.recorder_watch import RecorderWatch
 from pneud.loop.tally import Tally
@@ -65,6 +66,7 @@ class Lane:
         self._truth = truth
         self._truth_m = math.nan
         self._console = console
+        self._watch = ConsoleWatch(recorder.ring)
         self._asked = False  # the request is an operator's
         self._armed = not options.auto_arm
         self._shut = False  # shutdown has been requested of the axis
@@ -96,6 +98,16 @@ class Lane:
         if last.state != DISARMED or last.present & BLOCKS_ARM or not self.recorder.begun:
             return None
         return Request(RequestKind.ARM, (1.0,))
+
+    def host(self, t_ns: int, others: int) -> int:
+        """Bits of `signals.Host`.
+
+        Args:
+            t_ns: this tick's SYNC.
+            others: bits that come from elsewhere: what the machine and its clock lack.
+        """
+        lost = 0 if self._shut else self._watch.host(t_ns)
+        return self.conditions.host(t_ns, others | lost | self.recorder.host)
 
     def see_truth(self, sync_ns: int) -> None:
         """Look for the true position at this tick's SYNC.
@@ -140,6 +152,7 @@ class Lane:
     def over(self) -> bool:
         """Whether nothing is left to do for the axis after this tick; to be asked once in each."""
         tick, request = self.turn.tick, self.request
+        self._watch.after(tick, asked=self._asked)
         if request is not None and not self._asked and request.kind == ARM:
             # unless it says that it cannot be reached, what is in the way may pass, and arming is tried again
             self.tally.asked_to_arm(tick)

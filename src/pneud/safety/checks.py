@@ -36,6 +36,7 @@ _HOST = (
     (int(Host.DISK_FULL), 1 << F.DISK_FULL),
     (int(Host.CONFIG_CHANGED), 1 << F.CONFIG_CHANGED),
     (int(Host.RECEIVE_OVERFLOW), 1 << F.RECEIVE_OVERFLOW),
+    (int(Host.CONSOLE_LOST), 1 << F.CONSOLE_LOST),
 )
 
 

@@ -82,6 +82,7 @@ class F(IntEnum):
     RECEIVE_OVERFLOW = 56
     OPERATOR_LOST = 57
     HOMING_FAILED = 58
+    CONSOLE_LOST = 59
 
 
 class Fault(NamedTuple):
@@ -476,6 +477,14 @@ TABLE: tuple[Fault, ...] = (
         Reaction.CENTRE,
         "homing found the load stuck, or no stop in the time that a stroke takes",
         "check that the load is free, encoder.homing.force_n against friction, and the supply; home again",
+    ),
+    Fault(
+        F.CONSOLE_LOST,
+        Reaction.STOP,
+        "the console, at whose operator's request the axis is engaged, has been silent for 0.5 s, or is gone",
+        "none but to clear and arm: the console is started again by itself; where nobody answers, restart the"
+        " daemon; where it repeats itself, see pneud doctor for what takes this machine's time",
+        clears="when the axis is no longer engaged, or the console is back",
     ),
 )
 

@@ -169,7 +169,10 @@ class _Recorder:
     def _say_that_the_console_is_gone(self) -> None:
         if self._ring.closed or os.getppid() != self._parent:
             return
-        words = "the console is gone; control goes on, but takes no requests until it is restarted"
+        words = (
+            "the console is gone for good, and what an operator had engaged comes to rest; restart pneud to"
+            " operate the axis again"
+        )
         self._writer.say(Message(time.monotonic_ns(), _ERROR, "console", words))
         print(f"pneud: {words}", file=sys.stderr, flush=True)
 

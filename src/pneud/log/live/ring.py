@@ -26,8 +26,10 @@ from pneud.log.format.layout import NUMBERS
 from pneud.log.live.packing import REFUSALS, Pack, Skimmed, packed, skimmed, unpacked
 from pneud.signals import Frame, Record, Tick
 
-# 64-bit words of the head of the mapping; the loop's and the recorder's lie in different cache lines.
+# 64-bit words of the head of the mapping; the loop's, the console's and the recorder's lie in different cache
+# lines.
 _HEAD, _NUMBER, _CLOSED, _NEWEST = 0, 1, 2, 3
+_CONSOLE = 8
 _HEARTBEAT = 16
 _NOTES_LENGTH = 32
 _NOTES_BYTE = 33 * 8
@@ -36,6 +38,7 @@ _PREFIX = struct.Struct("QQII")  # sequence, record (0 for a state), part, parts
 _LEAST_BYTES = 128  # of a slot
 
 RECORDER_FAILED = -1
+CONSOLE_GONE = 1  # the console's last word, as old as any
 
 Item = TypeVar("Item")
 
@@ -221,6 +224,19 @@ class Ring:
     def closed(self) -> bool:
         """Whether nothing more will be put."""
         return self._words[_CLOSED] != 0
+
+    def set_console(self, beat_ns: int) -> None:
+        """For the console: say that it lives.
+
+        Args:
+            beat_ns: now, CLOCK_MONOTONIC; `CONSOLE_GONE` where it does not live.
+        """
+        self._words[_CONSOLE] = beat_ns
+
+    @property
+    def console_ns(self) -> int:
+        """What the console said last; 0 before it has begun. A look costs no system call."""
+        return self._words[_CONSOLE]
 
     def set_notes(self, notes: dict[str, str]) -> None:
         """Hand the recorder what is known only after the fork (the report of the real-time set-up).

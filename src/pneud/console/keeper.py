@@ -1,0 +1,128 @@
+"""The console's keeper: forks the console, and another one when it has died or stands still.
+
+It holds all that outlives a console, so that clients who call meanwhile wait for the next one, and the loop
+does not take the console for gone for good. A small process: it loads nothing of the console's.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import time
+from contextlib import suppress
+
+from pneud import crew
+from pneud.console.facts import Run
+from pneud.console.memory import Memory
+from pneud.console.worker import Post, serve
+from pneud.log.live.notes import Teller
+from pneud.log.live.ring import CONSOLE_GONE, Ring
+
+_LOOK_S = 0.02
+_STANDS_NS = 2_000_000_000  # a console that has been silent for longer is killed
+_LOADING_NS = 20_000_000_000  # one that has not begun, after so long
+_APART_NS = 1_000_000_000  # from one start to the next
+_LEAVE_S = 0.8
+_WARNING, _ERROR = 3, 4  # levels of the log's events; their module is heavy to load
+
+
+def fork_console(
+    listener: socket.socket, loop: socket.socket, words: socket.socket, run: Run, ring: Ring
+) -> int:
+    """Fork the console's keeper, which forks the console; the sockets are theirs from here on.
+
+    They finish by themselves when the ring is closed or this process dies, however it dies.
+
+    Args:
+        listener: bound and listening.
+        loop: the console's end of the hand-off.
+        words: the teller's end to the recorder.
+        run: what runs.
+        ring: where its records are.
+
+    Returns:
+        The keeper's process id; a SIGHUP reaches the console through it.
+
+    Raises:
+        OSError: no more processes.
+    """
+    daemon, post = os.getpid(), Post(listener, loop, words, run, ring, Memory())
+    child = crew.fork(lambda: _Keeper(post, daemon).run(), keep=post.descriptors, orphaned=None)
+    for end in (listener, loop, words):
+        end.close()
+    return child
+
+
+class _Keeper:
+    def __init__(self, post: Post, daemon: int) -> None:
+        self._post = post
+        self._daemon = daemon
+        self._teller = Teller(post.words, "console")
+        self._console = 0
+        self._begun_ns = 0
+        self._before = 0  # consoles that have been started
+
+    def _over(self) -> bool:
+        return self._post.ring.closed or os.getppid() != self._daemon
+
+    def run(self) -> None:
+        signal.signal(signal.SIGHUP, lambda *_: self._hang_up())
+        while not self._over():
+            self._begun_ns = time.monotonic_ns()
+            try:
+                self._start()
+                why = self._watch()
+            except OSError as e:
+                why = f"cannot be started: {e.strerror}"
+            self._post.ring.set_console(CONSOLE_GONE)
+            time.sleep(_LOOK_S)  # it may have seen the daemon's end a little earlier
+            if not self._over():
+                self._say(_ERROR, f"the console {why}; what an operator had engaged comes to rest")
+            while not self._over() and time.monotonic_ns() < self._begun_ns + _APART_NS:
+                time.sleep(_LOOK_S)
+        if self._console and not crew.wait(self._console, _LEAVE_S):
+            crew.kill(self._console)
+
+    def _hang_up(self) -> None:
+        if self._console:
+            with suppress(ProcessLookupError):
+                os.kill(self._console, signal.SIGHUP)
+
+    def _start(self) -> None:
+        keeper, post, place = os.getpid(), self._post, self._before
+        self._console = crew.fork(lambda: serve(post, keeper, place), keep=post.descriptors, orphaned=None)
+        self._before += 1
+
+    def _watch(self) -> str:
+        """Wait for the console's end.
+
+        Returns:
+            What has become of it.
+        """
+        ring, begins = self._post.ring, True
+        while not self._over():
+            ended, status = os.waitpid(self._console, os.WNOHANG)
+            if ended:
+                self._console = 0
+                code = os.waitstatus_to_exitcode(status)
+                return f"was killed (signal {-code})" if code < 0 else f"has ended ({code})"
+            beat_ns, now_ns = ring.console_ns, time.monotonic_ns()
+            if begins and beat_ns > self._begun_ns:
+                begins = False
+                if self._before > 1:
+                    self._say(_WARNING, "the console was started again")
+            if now_ns > (self._begun_ns + _LOADING_NS if begins else beat_ns + _STANDS_NS):
+                ring.set_console(CONSOLE_GONE)
+                crew.kill(self._console)
+                self._console = 0
+                return (
+                    "did not begin" if begins else f"stood still for {_STANDS_NS * 1e-9:g} s and was killed"
+                )
+            time.sleep(_LOOK_S)
+        return "is gone"
+
+    def _say(self, level: int, words: str) -> None:
+        self._teller.say(level, words)
+        with suppress(OSError):  # standard error may be closed or full; what is not written must not stay
+            os.write(2, f"pneud: {words}\n".encode())

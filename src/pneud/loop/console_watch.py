@@ -1,0 +1,53 @@
+"""The loop's side of the console: whether an operator has engaged the axis, and the console still lives."""
+
+from __future__ import annotations
+
+from pneud.log.live.ring import Ring
+from pneud.safety.supervisor import ENGAGES, STEERS, is_engaged
+from pneud.signals import Answer, Host, Tick
+
+SILENT_S = 0.5  # how long a console may be silent while the axis is engaged at its operator's request
+SILENT_NS = round(SILENT_S * 1e9)
+TAKEN, CONSOLE_LOST = int(Answer.TAKEN), int(Host.CONSOLE_LOST)
+_COMMANDS = frozenset((*ENGAGES, *STEERS))
+
+
+class ConsoleWatch:
+    """What is known of a console; `host` once a tick, then `after`.
+
+    An axis that has armed by itself, and that no operator has steered since, goes on without a console.
+    """
+
+    __slots__ = ("_commanded", "_ring")
+
+    def __init__(self, ring: Ring) -> None:
+        """Nobody has asked for anything.
+
+        Args:
+            ring: where the console says that it lives.
+        """
+        self._ring = ring
+        self._commanded = False  # the axis is engaged at an operator's request
+
+    def host(self, t_ns: int) -> int:
+        """Bits of `signals.Host`.
+
+        Args:
+            t_ns: this tick's SYNC.
+        """
+        if not self._commanded:
+            return 0
+        beat_ns = self._ring.console_ns
+        return CONSOLE_LOST if beat_ns and t_ns - beat_ns > SILENT_NS else 0
+
+    def after(self, tick: Tick, *, asked: bool) -> None:
+        """See what has become of the axis.
+
+        Args:
+            tick: as it was decided.
+            asked: its request is an operator's.
+        """
+        if not is_engaged(tick.state):
+            self._commanded = False
+        elif asked and tick.answer == TAKEN and tick.request is not None and tick.request.kind in _COMMANDS:
+            self._commanded = True

@@ -1,0 +1,170 @@
+"""The console's keeper: another console when one has died or stands still, and what that one takes over."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from axis_rig import loaded
+from commands import children, eventually
+from pneud import crew
+from pneud.console import handoff
+from pneud.console.client import Client
+from pneud.console.facts import Run
+from pneud.console.keeper import fork_console
+from pneud.console.memory import Memory
+from pneud.log.live import notes
+from pneud.log.live.ring import CONSOLE_GONE, Ring
+from pneud.signals import Answer, RequestKind, State, Tick
+
+
+class Kept(NamedTuple):
+    keeper: int
+    ring: Ring
+    loop: handoff.LoopEnd
+    words: notes.Listener
+    path: str
+
+    @property
+    def console(self) -> int:
+        (only,) = children(self.keeper)
+        return only
+
+    def lives(self) -> bool:
+        return time.monotonic_ns() - self.ring.console_ns < 300_000_000
+
+    def said(self) -> str:
+        return "\n".join(message.words for message in self.words.poll())
+
+
+@pytest.fixture
+def kept(tmp_path: Path) -> Iterator[Kept]:
+    path = str(tmp_path / "s")
+    listener = socket.socket(socket.AF_UNIX)
+    listener.bind(path)
+    listener.listen(8)
+    asking, taking = handoff.pair()
+    words, heard = notes.pair()
+    ring = Ring.create(slots=64)
+    one = loaded()
+    run = Run(one.config, one.path, one.text, "bus", "", "log")
+    keeper = fork_console(listener, asking, words, run, ring)
+    yield Kept(keeper, ring, handoff.LoopEnd(taking), notes.Listener(heard), path)
+    ring.set_closed()
+    if not crew.wait(keeper, 10.0):
+        crew.kill(keeper)
+
+
+def answered(kept: Kept, client: Client, kind: RequestKind, verb: str, **fields: object) -> dict[str, object]:
+    """Ask, be the loop that takes it, and hear the answer."""
+    client.send(verb, **fields)
+    found = []
+
+    def taken() -> bool:
+        found.append(kept.loop.take())
+        return found[-1] is not None
+
+    eventually(taken)
+    assert found[-1] is not None
+    assert found[-1].kind == kind
+    rest: Any = dict.fromkeys(Tick._fields, 0)
+    kept.loop.answer(Tick(**rest | {"state": int(State.HOLDING), "answer": int(Answer.TAKEN)}))
+    replies: list[dict[str, object]] = []
+
+    def replied() -> bool:
+        replies.extend(client.replies())
+        return bool(replies)
+
+    eventually(replied)
+    return replies[-1]
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_console_that_dies_or_stands_still_is_followed_by_another(kept: Kept, number: int) -> None:
+    eventually(kept.lives)
+    first = kept.console
+    with Client(kept.path) as client:
+        gains = {"k1": 90000.0}
+        assert answered(kept, client, RequestKind.GAINS, "tune_set", gains=gains)["ok"] is True
+    os.kill(first, number)
+    began = time.monotonic()
+    eventually(lambda: kept.ring.console_ns == CONSOLE_GONE)
+    assert (time.monotonic() - began > 1.5) == (number == signal.SIGSTOP)
+    nothing: Any = [0] * len(Tick._fields)
+    kept.loop.answer(Tick(*nothing))  # to one that is no more
+    with Client(kept.path) as client:  # who calls meanwhile waits
+        eventually(kept.lives)
+        assert kept.console != first
+        assert not Path(f"/proc/{first}").exists()
+        assert client.ask("tune_get")["gains"]["k1"] == 90000.0, "the next one knows what runs"
+        assert answered(kept, client, RequestKind.ARM, "arm")["ok"] is True
+    said = kept.said()
+    why = "was killed (signal 9)" if number == signal.SIGKILL else "stood still for 2 s and was killed"
+    assert f"the console {why}; what an operator had engaged comes to rest" in said
+    assert "the console was started again" in said
+
+
+def test_consoles_that_die_at_once_are_started_once_a_second(kept: Kept) -> None:
+    eventually(kept.lives)
+    began, killed = time.monotonic(), set()
+    while time.monotonic() < began + 2.5:
+        for pid in children(kept.keeper):
+            killed.add(pid)
+            os.kill(pid, signal.SIGKILL)
+        time.sleep(0.01)
+    assert 2 <= len(killed) <= 4
+
+
+def test_a_console_dies_with_its_keeper_and_falls_silent(kept: Kept) -> None:
+    eventually(kept.lives)
+    console = kept.console
+    crew.kill(kept.keeper)
+    eventually(lambda: not kept.lives())
+    eventually(lambda: not Path(f"/proc/{console}").exists())
+    kept.words.poll()
+    assert kept.words.gone
+
+
+def test_a_signal_to_the_keeper_reaches_the_console_and_a_group_kill_does_not(kept: Kept) -> None:
+    eventually(kept.lives)
+    first = kept.console
+    for pid in (kept.keeper, first):
+        os.kill(pid, signal.SIGTERM)
+    os.kill(kept.keeper, signal.SIGHUP)
+    heard: list[str] = []
+
+    def told() -> bool:
+        heard.append(kept.said())
+        return any("SIGHUP: tune from the file" in words for words in heard)
+
+    eventually(told)
+    assert kept.console == first
+
+
+def test_a_console_ends_with_the_run(kept: Kept) -> None:
+    eventually(kept.lives)
+    console = kept.console
+    kept.ring.set_closed()
+    assert crew.wait(kept.keeper, 10.0)
+    assert not Path(f"/proc/{console}").exists()
+    assert "the console" not in kept.said()
+
+
+def test_a_memory_keeps_the_last_that_fits() -> None:
+    memory = Memory()
+    assert memory.kept() is None
+    for n in range(3):
+        memory.keep({"n": n, "x": 0.1, "words": "µ"})
+        assert memory.kept() == {"n": n, "x": 0.1, "words": "µ"}
+    memory.keep({"words": "x" * (1 << 18)})
+    assert memory.kept() == {"n": 2, "x": 0.1, "words": "µ"}
+    child = crew.fork(lambda: memory.keep({"n": 3}))
+    assert crew.wait(child, 10.0)
+    assert memory.kept() == {"n": 3}
