@@ -60,11 +60,11 @@ def test_log_is_never_overwritten(tmp_path: Path) -> None:
     assert log.read_bytes() == b"precious"
 
 
-def test_every_verb_stands_in_its_order() -> None:
-    assert list(verbs()) == list(ORDER)
+def test_verbs_stand_in_their_order_and_others_behind_them() -> None:
+    assert list(verbs())[: len(ORDER)] == list(ORDER)
 
 
-@pytest.mark.parametrize("verb", ORDER)
+@pytest.mark.parametrize("verb", verbs())
 def test_what_help_says_of_a_verb_is_the_first_line_of_its_module(verb: str) -> None:
     listed = " ".join(pneud_here("--help").stdout.split())
     done = pneud_here(verb, "--help")
