@@ -34,7 +34,7 @@ _UNITS: dict[str, dict[str, Fraction]] = {
 
 # Each role's values in order; a value with a default may be missing from a device's message
 _REQUIRED = None
-_ROLES: dict[str, dict[str, float | None]] = {
+ROLES: dict[str, dict[str, float | None]] = {
     "sync": {},
     "encoder": {"position_m": _REQUIRED, "status": 1, "age_s": 0.0},
     "pressure": {"p1_pa": _REQUIRED, "p2_pa": _REQUIRED, "supply_pa": _REQUIRED},
@@ -116,7 +116,7 @@ def load_codecs(bus: BusConfig, dbc_path: Path, *, keep: bool = False) -> Codecs
         DatabaseError: the file, a message or a signal is missing or cannot be used; names it and the cure.
     """
     loader = _Loader(dbc_path, _load(dbc_path, keep))
-    codecs = {role: loader.codec(role, getattr(bus.frames, role)) for role in _ROLES}
+    codecs = {role: loader.codec(role, getattr(bus.frames, role)) for role in ROLES}
     voltage = loader.fields["valve_command"]["voltage_v"]
     age = loader.fields["encoder"].get("age_s")
     low, high = sorted((voltage.si(voltage.low), voltage.si(voltage.high)))
@@ -150,7 +150,7 @@ class _Loader:
     def codec(self, role: str, frame: FrameConfig) -> Codec:
         """The codec of the message that plays `role`."""
         message = self._message(role, frame)
-        values = _ROLES[role]
+        values = ROLES[role]
         for key in frame.signals:
             if key not in values:
                 wanted = ", ".join(values) or "none"

@@ -14,7 +14,7 @@ from itertools import chain, pairwise
 from typing import NamedTuple
 
 from pneud.axis.cycle import Axis
-from pneud.bus.codec import Codec, Codecs
+from pneud.bus.codec import ROLES, Codec, Codecs
 from pneud.bus.inbox import Inbox
 from pneud.compiled.backend import backend
 from pneud.config import conversions
@@ -31,7 +31,6 @@ from pneud.signals import Command, Frame, Record, Request, RequestKind, State, T
 
 UNTIMED = Timing(-1, -1, -1, -1, -1, -1)
 _NAN = float("nan")
-_ROLES = ("sync", "encoder", "pressure", "valve_status", "valve_command")
 
 
 class Heard(NamedTuple):
@@ -73,7 +72,7 @@ class Ticks:
         self._times = times
         self._remarks = remarks
         self._lengths = {
-            codec.can_id: (role, codec.length) for role in _ROLES for codec in (getattr(codecs, role),)
+            codec.can_id: (role, codec.length) for role in ROLES for codec in (getattr(codecs, role),)
         }
 
     def __iter__(self) -> Iterator[Heard]:

@@ -12,7 +12,7 @@ import random
 from collections.abc import Callable, Sequence
 from typing import Any, get_args
 
-from pneud.bus.codec import Codec, Codecs
+from pneud.bus.codec import ROLES, Codec, Codecs
 from pneud.bus.wire import CAN_ERR_FLAG, wire_time_ns
 from pneud.physics.friction import Friction
 from pneud.physics.plant import PlantParameters
@@ -28,7 +28,6 @@ NODES = {"encoder": ENCODER_NODE, "pressure": PRESSURE_NODE, "valve": VALVE_NODE
 SETTLE_S = 2.0  # how long the load is watched after the controller has ended
 WATCH_S = 1e-3  # how closely
 BUS_OFF, RESTARTED = 0x40, 0x100  # classes of error frames
-_ROLES = ("sync", "valve_command", "encoder", "pressure", "valve_status")
 _OF_NODE = {  # what a node sends, then what it alone hears
     "encoder": ("encoder",),
     "pressure": ("pressure",),
@@ -135,7 +134,7 @@ class Engine:
         self._later = {since: [p for p in playing if p.fault.since == since] for since in ("start", "armed")}
         self._due: list[_Playing] = []  # whose time has come, if not their condition
         self._active: list[_Playing] = []
-        self._roles = {getattr(codecs, role).can_id: role for role in _ROLES}
+        self._roles = {getattr(codecs, role).can_id: role for role in ROLES}
         self._last: dict[int, bytes] = {}  # the newest frame of each kind, as it was meant
         self._start_ns = self._armed_ns = -1
 

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from pneud.bus.codec import ROLES
 from pneud.config.toml import tables_of
 
 Positive = Annotated[float, Field(gt=0)]
@@ -18,19 +19,21 @@ Probability = Annotated[float, Field(gt=0, le=1)]
 Role = Literal["sync", "encoder", "pressure", "valve_status", "valve_command"]
 Node = Literal["encoder", "pressure", "valve"]
 Who = Literal["daemon", "recorder", "plant"]
-Signal = Literal[
-    "position_m", "encoder_status", "age_s", "p1_pa", "p2_pa", "supply_pa", "applied_v", "valve_state"
-]
-SIGNALS: dict[Signal, tuple[Role, int]] = {  # the frame it is in, and its place among the frame's values
-    "position_m": ("encoder", 0),
-    "encoder_status": ("encoder", 1),
-    "age_s": ("encoder", 2),
-    "p1_pa": ("pressure", 0),
-    "p2_pa": ("pressure", 1),
-    "supply_pa": ("pressure", 2),
-    "applied_v": ("valve_status", 0),
-    "valve_state": ("valve_status", 1),
+_OTHERWISE = {"status": "encoder_status", "state": "valve_state"}  # among the values of all frames
+SIGNALS = {  # the frame that each is in, and its place among the frame's values
+    _OTHERWISE.get(value, value): (role, place)
+    for role in ("encoder", "pressure", "valve_status")
+    for place, value in enumerate(ROLES[role])
 }
+
+
+def _known(signal: str) -> str:
+    if signal not in SIGNALS:
+        raise ValueError(f"must be one of {', '.join(SIGNALS)}")
+    return signal
+
+
+Signal = Annotated[str, AfterValidator(_known)]
 TRAVEL_MM, IMPACT_M_S = 20.0, 0.05  # what an axis may use up after a fault, unless a reason is given
 
 
