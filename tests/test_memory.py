@@ -79,7 +79,7 @@ def test_the_recorder_keeps_the_index_of_one_part_and_no_more(tmp_path: Path, fi
             kept.append(tracemalloc.get_traced_memory()[0])
             log._rotation = log._rotation._replace(part_bytes=1)  # type: ignore[union-attr]
             log.snapshot(None)
-            log._rotation = log._rotation._replace(part_bytes=1 << 60)  # type: ignore[union-attr]
+            log._rotation = log._rotation._replace(part_bytes=1 << 60)
             left.append(tracemalloc.get_traced_memory()[0])
     finally:
         tracemalloc.stop()
