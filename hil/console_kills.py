@@ -11,6 +11,7 @@ Exit status: 0 where all held, 1 else.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import random
@@ -96,6 +97,18 @@ def begin(client: Client, activity: str) -> None:
         client.ask("goto", x_mm=limits["max_mm"] if forward else limits["min_mm"], speed_mm_s=100.0)
 
 
+def recover(client: Client, refusal: RefusedError) -> None:
+    """Get the axis back to where it can be asked again; a fault of a machine that is too busy is told."""
+    status = client.ask("status")
+    latched = [fault["name"] for fault in status["faults"] if fault["latched"]]
+    if latched:
+        print(f"{refusal}; held by {', '.join(latched)}", flush=True)
+    for verb in ("clear",) if status["state"] == "fault" else ("disarm",):
+        with contextlib.suppress(RefusedError):
+            client.ask(verb)
+    time.sleep(0.2)
+
+
 def one(daemon: int, socket: str, activity: str, number: int, after_s: float) -> Lost:
     """Take the console away, `after_s` after something has begun, and get the axis back."""
     until(lambda: ask(socket, "status")["state"] == "disarmed", "disarmed")
@@ -105,10 +118,10 @@ def one(daemon: int, socket: str, activity: str, number: int, after_s: float) ->
             try:
                 begin(client, activity)
                 break
-            except RefusedError:  # the load still swings on the trapped air
+            except RefusedError as e:  # the load still swings on the trapped air
                 if time.monotonic() > deadline:
                     raise
-                time.sleep(0.1)
+                recover(client, e)
         time.sleep(after_s)
         console, at_s = console_of(daemon), time.monotonic()
         os.kill(console, number)
