@@ -235,7 +235,8 @@ def operate(
         return
     end, next_sample, held = time.monotonic() + duration_s, 0.0, 0.0
     refusal, tracked = "none", False
-    recorder, console = children(daemon.pid)
+    recorder, keeper = children(daemon.pid)
+    (console,) = children(keeper)
     processes = {"control": daemon.pid, "recorder": recorder, "console": console, "plant": plant.pid}
     sizes: dict[str, list[tuple[int, int]]] = {name: [] for name in processes}
     with client:

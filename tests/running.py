@@ -111,7 +111,8 @@ class Running:
     def ready(self) -> bool:
         """Nothing keeps it from arming, and its log is being written."""
         found = self._ask()
-        return found["state"] == "disarmed" and not found["faults"] and found["log_written"] > 0
+        names = {fault["name"] for fault in found["faults"]} - {"encoder_unreferenced"}  # homing is for that
+        return found["state"] == "disarmed" and not names and found["log_written"] > 0
 
     def _ask(self) -> dict[str, Any]:
         with Client(self.socket) as client:
@@ -163,11 +164,13 @@ class Running:
 
 
 @contextmanager
-def running(folder: Path) -> Iterator[Running]:
-    """A daemon that is ready to arm."""
+def running(folder: Path, *, incremental: bool = False) -> Iterator[Running]:
+    """A daemon that is ready to arm, or to be homed."""
     name = f"{os.getpid()}-{secrets.token_hex(3)}"
     bus, socket, log = f"unixcan:fire-{name}", Path(f"/tmp/pneud-fire-{name}.sock"), folder / "run.mcap"
     axis = patient_axis(folder)
+    if incremental:
+        axis.write_text(axis.read_text().replace('kind = "absolute"', 'kind = "incremental"'))
     common = ["--config", str(axis), "--bus", bus]
     # it tells whatever its valve node does, and nobody reads that
     plant = subprocess.Popen([*PNEUD, "plant", *common], stderr=subprocess.DEVNULL)

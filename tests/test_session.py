@@ -242,21 +242,22 @@ def test_the_reference_in_the_file_is_taken_while_the_axis_tracks(axis: Path, tm
     ]
 
 
-def test_a_killed_console_is_reported_and_control_goes_on(axis: Path, tmp_path: Path) -> None:
+def test_a_console_that_is_gone_for_good_is_reported_and_the_axis_rests(axis: Path, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     with daemon(axis, log) as (process, path):
         with Client(path) as client:
             until(client, "tracking")
             client.ask("hold")
             client.ask("jog", velocity_mm_s=5.0, lease_s=0.3)
-        kill(children(process.pid)[1])
+        kill(children(process.pid)[1])  # its keeper
         assert process.stderr is not None
         assert any("the console is gone" in line for line in iter(process.stderr.readline, ""))
-        time.sleep(1.0)  # for the lease to run out and the load to come to rest
+        time.sleep(1.5)  # for the silence to be noticed and the load to come to rest
         status, out, err = ended(process)
-    assert status == 0, err
+    assert status == 1, err
     assert "the console is gone" not in err  # it has been said once
-    assert json.loads(out)["state"] == "holding"
+    summary = json.loads(out)
+    assert (summary["state"], summary["faults"]) == ("fault", ["console_lost"])
     assert not Path(path).exists()
     assert object_of(pneud("replay", log, "--json"))["identical"] is True
 

@@ -48,6 +48,13 @@ def test_kills_in_motion_are_survived(count: int, figures: Figures) -> None:
     figures(words)
 
 
+@sizes(4, 100)
+def test_consoles_taken_away_leave_an_axis_at_rest(count: int, figures: Figures) -> None:
+    words = run("console_kills.py", count, timeout_s=180 + 30 * count)
+    assert f"{count} consoles taken away, 0 problems" in words
+    figures(words)
+
+
 @pytest.mark.soak
 def test_every_scenario_in_real_time_comes_as_expected(figures: Figures) -> None:
     figures(run("campaign.py", "--bus", "unixcan", "-o", HIL.parent / "build" / "campaign", timeout_s=3600))

@@ -171,8 +171,9 @@ def find(given: str | None) -> socket.socket:
 
 def _mute(path: Path, pid: str) -> str:
     return (
-        f"{path}: the daemon (process {pid}) runs, but nobody listens there: its console is gone, and what"
-        f" was engaged comes to rest by itself; restart the daemon, or end it: kill {pid}"
+        f"{path}: the daemon (process {pid}) runs, but nobody listens there: its console is gone"
+        " for good, and what an operator had engaged comes to rest; restart the daemon, or end it:"
+        f" kill {pid}"
     )
 
 

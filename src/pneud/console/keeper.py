@@ -1,7 +1,7 @@
 """The console's keeper: forks the console, and another one when it has died or stands still.
 
 It holds all that outlives a console, so that clients who call meanwhile wait for the next one, and the loop
-does not take the console for gone for good. A small process: it loads nothing of the console's.
+does not take the console for gone for good.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from contextlib import suppress
 from pneud import crew
 from pneud.console.facts import Run
 from pneud.console.memory import Memory
-from pneud.console.worker import Post, serve
+from pneud.console.worker import Post, load, serve
 from pneud.log.live.notes import Teller
 from pneud.log.live.ring import CONSOLE_GONE, Ring
 
@@ -110,6 +110,7 @@ class _Keeper:
             beat_ns, now_ns = ring.console_ns, time.monotonic_ns()
             if begins and beat_ns > self._begun_ns:
                 begins = False
+                load()  # beside the loop, so that the next one begins at once
                 if self._before > 1:
                     self._say(_WARNING, "the console was started again")
             if now_ns > (self._begun_ns + _LOADING_NS if begins else beat_ns + _STANDS_NS):

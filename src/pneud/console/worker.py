@@ -39,6 +39,11 @@ class Post(NamedTuple):
         return self.listener.fileno(), self.loop.fileno(), self.words.fileno(), self.ring.descriptor
 
 
+def load() -> None:
+    """Load what a console needs and the loop does not."""
+    from pneud.console import commands, protocol, server, status  # noqa: F401, PLC0415
+
+
 def serve(post: Post, keeper: int, place: int) -> None:
     """Serve until the ring is closed or the loop is gone; SIGHUP takes gains and reference of the file.
 
