@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import IO, NamedTuple
 
 from pneud.bus.wire import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from pneud.inputs import open_file
 from pneud.log.files.naming import LogError
 from pneud.replay.passing import (
     EXTENDED,
@@ -88,7 +89,7 @@ def read(path: Path, remarks: Remarks) -> Iterator[Passing]:
         OSError: the file cannot be read.
         LogError: it is not such a recording.
     """
-    with path.open("rb") as file:
+    with open_file(path) as file:
         end = file.seek(0, 2)
         head = _head(path, file, end)
         stream = _Stream(head.start_ns, remarks)

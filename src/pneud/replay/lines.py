@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from pneud.inputs import open_file
 from pneud.log.files.naming import LogError
 from pneud.replay.remarks import Remarks
 
@@ -36,7 +37,7 @@ def lines(path: Path, remarks: Remarks) -> Iterator[Line]:
         OSError: the file cannot be read.
         LogError: it is UTF-16.
     """
-    with path.open("rb") as file:
+    with open_file(path) as file:
         number = 0
         while piece := file.readline(_LONGEST):
             number += 1

@@ -9,6 +9,7 @@ from typing import Annotated, NamedTuple
 import typer
 
 from pneud.config.models import ConfigError, load_with_text, parse
+from pneud.inputs import read_whole
 from pneud.loading import at_rate, codecs_of
 from pneud.log.files.naming import create_log, log_path
 from pneud.log.files.writer import LogWriter
@@ -140,7 +141,7 @@ def _placed(start_ns: int, known: Sidecar | None, remarks: Remarks) -> Placed:
 def _source(recording: Path, dbc: Path | None, config_file: str | None) -> Source:
     known = sidecar.read(sidecar.beside(recording))
     try:
-        dbc_bytes = None if dbc is None else dbc.read_bytes()
+        dbc_bytes = None if dbc is None else read_whole(dbc)
     except OSError as e:
         raise ConfigError(f"{dbc}: cannot be read: {e.strerror}; see --dbc") from None
     if known is not None:

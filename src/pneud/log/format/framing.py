@@ -17,6 +17,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Metadata, Schema, Statistics
 
+from pneud.inputs import open_file
 from pneud.log.files.naming import LogError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -71,7 +72,7 @@ def open_mcap(path: Path, *, damaged: bool = False) -> IO[bytes]:
         LogError: no such file, or none of MCAP.
     """
     try:
-        file = path.open("rb")
+        file = open_file(path)
     except OSError as e:
         raise LogError(f"{path}: cannot be read: {e.strerror}") from None
     try:
