@@ -13,15 +13,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
-import typer
-from typer.core import TyperCommand, TyperGroup
+try:
+    import typer
+    from typer.core import TyperCommand, TyperGroup
 
-from pneud import __version__
-from pneud.verbs import BusOption, ConfigOption, JsonOption, ScenarioOption, SeedOption, SocketOption
+    from pneud import __version__
+    from pneud.verbs import BusOption, ConfigOption, JsonOption, ScenarioOption, SeedOption, SocketOption
+except KeyboardInterrupt:  # nobody waits for the end of a start
+    sys.exit(130)
 
-DONE, USAGE, MACHINE = 0, 2, 3
+DONE, USAGE, MACHINE, INTERRUPTED = 0, 2, 3, 130
 LACKS = (errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EIO)  # the machine does
 LAST_STREAM = 2  # descriptor of standard error
+BYTE = 0xDC00  # and more: a byte of a name that is no UTF-8, as Python keeps it
 FOLDER = Path(__file__).parent / "verbs"
 # of help and completion, what one looks for together; a verb that does not stand here comes last
 ORDER = (
@@ -97,6 +101,13 @@ class VerbsByName(Verbs):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The verb of a name, if there is one."""
         return self.commands[cmd_name] if cmd_name in self.list_commands(ctx) else None
+
+    def invoke(self, ctx: Any) -> Any:
+        """Load the verb and run it."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:  # while it was being loaded
+            sys.exit(INTERRUPTED)
 
 
 app = typer.Typer(
@@ -191,8 +202,20 @@ def daemon(
 
 
 def _fail(text: str, status: int = USAGE) -> NoReturn:
-    typer.echo(f"pneud: {text}", err=True)
+    typer.echo(f"pneud: {printable(text)}", err=True)
     raise typer.Exit(status)
+
+
+def printable(text: str) -> str:
+    """A text on one line of a terminal: what ends lines, moves cursors or is no UTF-8 stands as escapes."""
+    return text if text.isprintable() else "".join(map(_shown, text))
+
+
+def _shown(c: str) -> str:
+    if c.isprintable():
+        return c
+    byte = ord(c) - BYTE
+    return f"\\x{byte:02x}" if 0x80 <= byte <= 0xFF else ascii(c)[1:-1]
 
 
 def _exit(run: Callable[..., int], *args: Any) -> NoReturn:
@@ -208,7 +231,7 @@ def _exit(run: Callable[..., int], *args: Any) -> NoReturn:
     except MemoryError:
         _fail("not enough memory", MACHINE)
     except KeyboardInterrupt:
-        status = 130
+        status = INTERRUPTED
     except BrokenPipeError:
         status = DONE
     except OSError as e:
@@ -237,12 +260,22 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without Greek letters is no reason to fail
     gc.disable()  # else a sixth of the start would be a search for garbage in what is being imported
+    said = False  # a second line would be one too many
     try:
         app()
+    except SystemExit as e:
+        said = e.code in (USAGE, MACHINE)
+        raise
     except KeyboardInterrupt:
-        sys.exit(130)
+        sys.exit(INTERRUPTED)
+    except BrokenPipeError:
+        sys.exit(DONE)
+    except OSError as e:  # what is raised out of a verb does not get here, but help and version do
+        said = True
+        print(f"pneud: standard output: {e.strerror}", file=sys.stderr)
+        sys.exit(MACHINE)
     finally:
-        _flush()
+        _flush(said)
 
 
 def fill_closed_streams() -> None:
@@ -252,8 +285,12 @@ def fill_closed_streams() -> None:
     os.close(opened)
 
 
-def _flush() -> None:
-    """Write out what was printed; what cannot be written ends the program with a line, not in silence."""
+def _flush(said: bool) -> None:
+    """Write out what was printed; what cannot be written ends the program with a line, not in silence.
+
+    Args:
+        said: there has been one.
+    """
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
@@ -261,7 +298,7 @@ def _flush() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     except OSError as e:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        if sys.stderr is not None:
+        if sys.stderr is not None and not said:
             print(f"pneud: standard output: {e.strerror}", file=sys.stderr)
         os._exit(MACHINE)
 

@@ -16,6 +16,7 @@ from pneud.bus import database
 from pneud.bus.database import Message, Signal
 from pneud.bus.layout import Field, bit_range, compile_functions
 from pneud.config.models import BusConfig, FrameConfig
+from pneud.rt.inputs import read_whole
 
 _KILO, _MILLI, _MICRO = Fraction(1000), Fraction(1, 1000), Fraction(1, 1_000_000)
 _UNITS: dict[str, dict[str, Fraction]] = {
@@ -131,7 +132,7 @@ def load_codecs(bus: BusConfig, dbc_path: Path, *, keep: bool = False) -> Codecs
 
 def _load(path: Path, keep: bool) -> list[Message]:
     try:
-        return database.messages(path.read_bytes(), keep=keep)
+        return database.messages(read_whole(path), keep=keep)
     except OSError as e:
         raise DatabaseError(f"{path}: cannot be read: {e.strerror or e}; see bus.dbc") from None
     except Exception as e:  # the parser lets more than its own errors through

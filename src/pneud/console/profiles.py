@@ -7,6 +7,7 @@ metres of the stroke coordinate, times in seconds.
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
@@ -17,6 +18,7 @@ import numpy.typing as npt
 
 from pneud.control.profile import LONGEST_S, MOST_PIECES, ROUNDING, SHORTEST_S, extent, is_inside, meet
 from pneud.control.reference import Bounds, Septic, at, move, rest, septic
+from pneud.rt.inputs import open_file
 from pneud.signals import Reference, Request, RequestKind
 
 PIECES_PER_PERIOD = 8  # a polynomial of degree seven over an eighth of a sine is off by 1e-8 of it
@@ -103,7 +105,7 @@ def from_csv(file: str | Path) -> list[Septic]:
         ProfileError: the file cannot be read, a line is no pair of numbers, or as in `from_samples`.
     """
     try:
-        with Path(file).open(newline="", encoding="utf-8-sig") as f:
+        with io.TextIOWrapper(open_file(Path(file)), encoding="utf-8-sig", newline="") as f:
             rows = [(n, row) for n, row in enumerate(csv.reader(f), start=1) if any(map(str.strip, row))]
     except (OSError, UnicodeDecodeError, csv.Error) as e:
         raise ProfileError(f"{file}: cannot be read: {getattr(e, 'strerror', None) or e}") from None

@@ -27,6 +27,7 @@ from pneud.replay.passing import (
     Passing,
 )
 from pneud.replay.remarks import Remarks
+from pneud.rt.inputs import open_file
 from pneud.signals import Frame
 
 _FILE = struct.Struct("<4sL8xQ8xL4x8H16x")  # magic, its size, size of the file, objects, when it began
@@ -88,7 +89,7 @@ def read(path: Path, remarks: Remarks) -> Iterator[Passing]:
         OSError: the file cannot be read.
         LogError: it is not such a recording.
     """
-    with path.open("rb") as file:
+    with open_file(path) as file:
         end = file.seek(0, 2)
         head = _head(path, file, end)
         stream = _Stream(head.start_ns, remarks)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from pneud.log.files.naming import LogError
 from pneud.replay.remarks import Remarks
+from pneud.rt.inputs import open_file
 
 CUT = "cut short where the file ends, passed over"
 _NULS = "NUL bytes, as a loss of power leaves them, passed over"
@@ -36,7 +37,7 @@ def lines(path: Path, remarks: Remarks) -> Iterator[Line]:
         OSError: the file cannot be read.
         LogError: it is UTF-16.
     """
-    with path.open("rb") as file:
+    with open_file(path) as file:
         number = 0
         while piece := file.readline(_LONGEST):
             number += 1

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LogReader
+from pneud.rt.inputs import read_whole
 from pneud.rt.outputs import write_whole
 from pneud.signals import Request
 
@@ -93,12 +94,12 @@ def read(path: Path) -> Sidecar | None:
         LogError: it is something else, or damaged.
     """
     try:
-        content: Any = json.loads(path.read_text(encoding="utf-8"))
+        content: Any = json.loads(read_whole(path))
     except FileNotFoundError:
         return None
     except OSError as e:
         raise LogError(f"{path}: cannot be read: {e.strerror}") from None
-    except ValueError:
+    except (ValueError, RecursionError):
         content = None
     try:
         if content["pneud"] != SCHEMA:

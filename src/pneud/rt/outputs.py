@@ -19,6 +19,8 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OSError: nothing can be made there.
     """
+    with contextlib.suppress(FileNotFoundError):
+        path.stat()  # refuses what leads round in circles
     target = path.resolve() if path.is_symlink() else path
     if target.exists() and not target.is_file():
         yield path

@@ -21,6 +21,7 @@ from pneud.replay.sidecar import Sidecar
 from pneud.replay.surveying import survey
 from pneud.replay.times import Times
 from pneud.replay.traffic import FORMATS
+from pneud.rt.inputs import read_whole
 from pneud.safety.faults import FAULT_NAMES
 
 _LEAD_NS = 1_000_000_000  # the log's own times begin one second before the first frame
@@ -144,7 +145,7 @@ def _placed(start_ns: int, known: Sidecar | None, remarks: Remarks) -> Placed:
 def _source(recording: Path, dbc: Path | None, config_file: str | None) -> Source:
     known = sidecar.read(sidecar.beside(recording))
     try:
-        dbc_bytes = None if dbc is None else dbc.read_bytes()
+        dbc_bytes = None if dbc is None else read_whole(dbc)
     except OSError as e:
         raise ConfigError(f"{dbc}: cannot be read: {e.strerror}; see --dbc") from None
     if known is not None:

@@ -13,6 +13,7 @@ from pneud.log.files.reader import read_log
 from pneud.report import pictures
 from pneud.report.gather import Window, gather
 from pneud.report.page import is_reference, page
+from pneud.rt.inputs import read_whole
 from pneud.rt.outputs import write_whole
 
 _BUCKETS = 8192  # of a page, shared by its logs
@@ -70,10 +71,10 @@ def report(
 
 def _reference(path: Path) -> Any:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = json.loads(read_whole(path))
     except OSError as e:
         raise ConfigError(f"{path}: cannot be read: {e.strerror}") from None
-    except ValueError:
+    except (ValueError, RecursionError):
         found = None
     if not is_reference(found):
         raise ConfigError(f"{path}: not what pneud bench --json prints")

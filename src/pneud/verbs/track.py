@@ -16,6 +16,7 @@ from pneud.console.profiles import ProfileError
 from pneud.console.protocol import MAX_PIECES
 from pneud.console.results import ask, refused, show
 from pneud.control.reference import Bounds, Septic
+from pneud.rt.inputs import read_whole
 from pneud.verbs import NEGATIVE_NUMBERS, JsonOption, SocketOption
 
 SETTINGS = NEGATIVE_NUMBERS
@@ -106,9 +107,9 @@ def _from_file(path: Path) -> list[Septic]:
 def _from_json(path: Path) -> list[Septic]:
     """Pieces as `upload` has them: a list of [duration, eight coefficients], seconds and metres."""
     try:
-        found = json_.loads(path.read_text(encoding="utf-8"))
+        found = json_.loads(read_whole(path))
         return [Septic(*map(float, piece)) for piece in found]
     except OSError as e:
         raise ProfileError(f"{path}: cannot be read: {e.strerror}") from None
-    except (ValueError, TypeError) as e:
+    except (ValueError, TypeError, OverflowError, RecursionError) as e:
         raise ProfileError(f"{path}: is no list of pieces [T, c0 … c7]: {e}") from None

@@ -72,6 +72,10 @@ def recover(src: Path, dst: Path) -> RecoverReport:
             with contextlib.suppress(OSError):
                 dst.unlink()
             raise LogError(f"{dst}: cannot be written: {e.strerror}") from None
+        except BaseException:
+            with contextlib.suppress(OSError):
+                dst.unlink()
+            raise
     return report
 
 

@@ -18,6 +18,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Metadata, Schema, Statistics
 
 from pneud.log.files.naming import LogError
+from pneud.rt.inputs import open_file
 
 MAGIC = b"\x89MCAP0\r\n"
 SPAN = struct.Struct("<QQ")  # first and last time in a chunk, with which it begins
@@ -71,7 +72,7 @@ def open_mcap(path: Path, *, damaged: bool = False) -> IO[bytes]:
         LogError: no such file, or none of MCAP.
     """
     try:
-        file = path.open("rb")
+        file = open_file(path)
     except OSError as e:
         raise LogError(f"{path}: cannot be read: {e.strerror}") from None
     try:
