@@ -172,7 +172,7 @@ def main() -> int:
         text = (resources.configs() / "virtual.toml").read_text()
         text = text.replace("_timeout_ms = 50.0", "_timeout_ms = 250.0")  # as a shared machine needs it
         text = text.replace('kind = "absolute"', 'kind = "incremental"')
-        axis.write_text(text.replace("speed_m_s = 0.02", "speed_m_s = 0.1"))  # of homing
+        axis.write_text(text.replace("\nspeed_m_s = 0.02\n", "\nspeed_m_s = 0.1\n"))  # of homing
         bus = ["--config", str(axis), "--bus", f"unixcan:console-kills-{os.getpid()}"]
         plant = subprocess.Popen([*PNEUD, "plant", *bus], stderr=subprocess.DEVNULL)
         daemon = subprocess.Popen(
