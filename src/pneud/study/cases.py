@@ -22,7 +22,6 @@ Model = TypeVar("Model")
 BEFORE_S = 0.2  # at rest before a move
 AFTER_S = 1.5  # after its end
 BAND_M = 1e-4
-LIMIT_CYCLE_M = 5e-3  # an error this large at the end of a recovery is none
 DAC_RANGE_V = 10.0
 NORMAL_KG_PER_L = 1.2045e-3  # air at 20 °C and 1.01325 bar
 LEAST_STROKE_M, MOST_STROKE_M = 0.02, 0.98
