@@ -97,6 +97,16 @@ def begin(client: Client, activity: str) -> None:
         client.ask("goto", x_mm=limits["max_mm"] if forward else limits["min_mm"], speed_mm_s=100.0)
 
 
+def home(socket: str) -> None:
+    """Give a disarmed axis its reference where it has none: a homing that was cut short leaves none."""
+    until(lambda: ask(socket, "status")["state"] == "disarmed", "disarmed")
+    if "encoder_unreferenced" not in [fault["name"] for fault in ask(socket, "status")["faults"]]:
+        return
+    until(lambda: ask(socket, "home"), "homes")
+    until(lambda: ask(socket, "status")["state"] == "holding", "homed")
+    ask(socket, "disarm")
+
+
 def recover(client: Client, refusal: RefusedError) -> None:
     """Get the axis back to where it can be asked again; a fault of a machine that is too busy is told."""
     status = client.ask("status")
@@ -161,7 +171,8 @@ def main() -> int:
         axis, log, socket = folder / "axis.toml", folder / "run.mcap", str(folder / "s")
         text = (resources.configs() / "virtual.toml").read_text()
         text = text.replace("_timeout_ms = 50.0", "_timeout_ms = 250.0")  # as a shared machine needs it
-        axis.write_text(text.replace('kind = "absolute"', 'kind = "incremental"'))
+        text = text.replace('kind = "absolute"', 'kind = "incremental"')
+        axis.write_text(text.replace("\nspeed_m_s = 0.02\n", "\nspeed_m_s = 0.1\n"))  # of homing
         bus = ["--config", str(axis), "--bus", f"unixcan:console-kills-{os.getpid()}"]
         plant = subprocess.Popen([*PNEUD, "plant", *bus], stderr=subprocess.DEVNULL)
         daemon = subprocess.Popen(
@@ -171,10 +182,8 @@ def main() -> int:
         )
         try:
             until(lambda: ask(socket, "status")["state"] == "disarmed", "began")
-            until(lambda: ask(socket, "home"), "homes")
-            until(lambda: ask(socket, "status")["state"] == "holding", "homed")
-            ask(socket, "disarm")
             for n in range(count):
+                home(socket)
                 activity = ACTIVITIES[n // 2 % len(ACTIVITIES)]
                 number = (signal.SIGKILL, signal.SIGSTOP)[n % 2]
                 longest_s = 0.7 if activity == "jogging" else 2.0  # a jog is not renewed here

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from log_samples import tick_at
-from pneud import resources
+from pneud import crew, resources
 from pneud.config.reading import load_config
 from pneud.console import handoff
 from pneud.console.commands import AxisDesk
@@ -42,7 +42,7 @@ class Bench:
         listener = socket.socket(socket.AF_UNIX)
         listener.bind(str(self.path))
         listener.listen(128)
-        ours, loops = handoff.pair()
+        ours, loops = crew.pair()
         self.loop_socket = loops
         self.loop = handoff.LoopEnd(loops)
         self.ring = Ring.create(slots=64)

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from console_bench import COMMANDS, LOOKS, PIECE, Bench, bench, message
 from fuzzing import hostile, well_formed
 from log_samples import tick_at
-from pneud import resources
+from pneud import crew, resources
 from pneud.console import handoff, server
 from pneud.console.lease import Lease
 from pneud.console.lines import MAX_LINE
@@ -343,7 +343,7 @@ def test_a_signal_asks_without_a_client_and_every_refusal_is_told(tmp_path: Path
 
 
 def test_late_requests_are_turned_away_but_for_stops() -> None:
-    ours, loops = handoff.pair()
+    ours, loops = crew.pair()
     loop = handoff.LoopEnd(loops, late_ns=-1)
     assert handoff.send(ours, 7, Request(RequestKind.GOTO, (0.1, 0.0, 0.0, 0.0)))
     assert handoff.send(ours, 8, Request(RequestKind.STOP))

@@ -1,4 +1,4 @@
-"""Child processes: the one way to fork, to watch and to end them. Linux only."""
+"""Child processes: the one way to fork, to watch and to end them, and to send them messages. Linux only."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import contextlib
 import ctypes
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -21,6 +22,18 @@ _LEAVE_S = 10.0  # patience with a program that has been asked to end
 
 Main = Callable[[], int | None]
 """The whole life of a child; returns its exit status, None for 0."""
+
+
+def pair() -> tuple[socket.socket, socket.socket]:
+    """Two ends of a way for messages between processes; neither waits.
+
+    Raises:
+        OSError: no more descriptors.
+    """
+    one, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    one.setblocking(False)
+    other.setblocking(False)
+    return one, other
 
 
 def fork(

@@ -33,23 +33,11 @@ class Outcome(NamedTuple):
     latched: int
 
 
-def pair() -> tuple[socket.socket, socket.socket]:
-    """The console's end and the loop's.
-
-    Raises:
-        OSError: no more descriptors.
-    """
-    ours, loops = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    ours.setblocking(False)
-    loops.setblocking(False)
-    return ours, loops
-
-
 class LoopEnd:
     """The loop's end: a look costs a quarter of a microsecond where nothing has come."""
 
     def __init__(self, end: socket.socket, late_ns: int = LATE_NS) -> None:
-        """Look at one end of a `pair`.
+        """Look at one end of a `crew.pair`.
 
         Args:
             end: the loop's.

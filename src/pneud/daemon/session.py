@@ -16,7 +16,6 @@ from pneud.console.facts import Run
 from pneud.console.keeper import fork_console
 from pneud.daemon.preparation import Ready
 from pneud.log.format.header import LogHeader, Rotation
-from pneud.log.live import notes
 from pneud.log.live.recorder import start_recorder
 from pneud.log.live.ring import Ring
 from pneud.loop.lane import Lane
@@ -82,8 +81,8 @@ class Session:
         """
         ready, o, wanted = self.ready, self.ready.options, self.ready.config.realtime
         cpu = setup.own_cpu(wanted.cpu)
-        words, heard = notes.pair()
-        asking, taking = handoff.pair()
+        words, heard = crew.pair()
+        asking, taking = crew.pair()
         self.reports = [setup.leave_to_the_loop(cpu, wanted.other_cpus)]
         recorder = self._start_recorder(ends, heard)
         console = self._start_console(ends, asking, words)

@@ -5,7 +5,7 @@ Unknown keys are errors; units are part of the names.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
@@ -365,13 +365,6 @@ class Scenario(Part):
     def needs_interface(self) -> bool:
         """Whether it takes an interface of the kernel, and the right to change it."""
         return self.interface or any(isinstance(f, Interface) for f in self.fault)
-
-
-KINDS = tuple(
-    kind
-    for cls in get_args(BUS | NODES | PLANT | MACHINE)
-    for kind in get_args(cls.model_fields["kind"].annotation)
-)
 
 
 def parse_scenario(text: str) -> Scenario:

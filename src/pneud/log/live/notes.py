@@ -20,23 +20,11 @@ class Message(NamedTuple):
     words: str
 
 
-def pair() -> tuple[socket.socket, socket.socket]:
-    """The teller's end and the recorder's; neither waits.
-
-    Raises:
-        OSError: no more descriptors.
-    """
-    teller, recorders = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    teller.setblocking(False)
-    recorders.setblocking(False)
-    return teller, recorders
-
-
 class Teller:
     """One process that has something to say."""
 
     def __init__(self, end: socket.socket, name: str) -> None:
-        """Speak through the teller's end of a `pair`, as `name`."""
+        """Speak through the teller's end of a `crew.pair`, as `name`."""
         self._end = end
         self._name = name
         self._lost = 0
@@ -57,7 +45,7 @@ class Listener:
     """The recorder's end."""
 
     def __init__(self, end: socket.socket) -> None:
-        """Listen at the recorder's end of a `pair`."""
+        """Listen at the recorder's end of a `crew.pair`."""
         self._end = end
         self.gone = False
         """Whether the teller has left."""
