@@ -14,9 +14,9 @@ from pneud import crew, resources
 from pneud.config.reading import load_config
 from pneud.console import handoff
 from pneud.console.commands import AxisDesk
-from pneud.console.facts import Run
-from pneud.console.server import BOUNDS, Bounds, Server
-from pneud.console.status import Watch
+from pneud.console.facts import RunFacts
+from pneud.console.server import BOUNDS, ClientBounds, Server
+from pneud.console.status import StatusWatch
 from pneud.log.live.ring import Ring
 from pneud.signals import Answer, Request, State
 
@@ -36,7 +36,7 @@ LOOKS = ("status", "attach", "observe", "tune_get")
 class Bench:
     """The console, its clients and its loop, all in one thread; time passes only where a test says so."""
 
-    def __init__(self, folder: Path, bounds: Bounds = BOUNDS, config: Path = CONFIG) -> None:
+    def __init__(self, folder: Path, bounds: ClientBounds = BOUNDS, config: Path = CONFIG) -> None:
         self.now_s = 1000.0
         self.path = folder / "console.sock"
         listener = socket.socket(socket.AF_UNIX)
@@ -46,8 +46,8 @@ class Bench:
         self.loop_socket = loops
         self.loop = handoff.LoopEnd(loops)
         self.ring = Ring.create(slots=64)
-        self.watch = Watch(self.ring)
-        run = Run(load_config(config), config, config.read_text(), "unixcan:x", "", "/tmp/x.mcap")
+        self.watch = StatusWatch(self.ring)
+        run = RunFacts(load_config(config), config, config.read_text(), "unixcan:x", "", "/tmp/x.mcap")
         self.said: list[str] = []
         self.server = Server(
             listener,
@@ -116,7 +116,7 @@ def message(verb: str, **fields: Any) -> dict[str, Any]:
 
 
 @contextmanager
-def bench(folder: Path, bounds: Bounds = BOUNDS, config: Path = CONFIG) -> Iterator[Bench]:
+def bench(folder: Path, bounds: ClientBounds = BOUNDS, config: Path = CONFIG) -> Iterator[Bench]:
     b = Bench(folder, bounds, config)
     try:
         yield b

@@ -12,7 +12,7 @@ from pneud.log.files.naming import create_log
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import LogHeader
 from pneud.log.format.schema import Level
-from pneud.log.live.notes import Message
+from pneud.log.live.notes import Note
 from pneud.replay.lockstep import Simulation
 from pneud.safety.faults import FAULT_NAMES
 from pneud.signals import Frame, Request, RequestKind
@@ -80,7 +80,7 @@ def simulated(
         if remark and number == 300:
             request = Request(int(RequestKind.MARK))
             record = record._replace(tick=record.tick._replace(request=request))  # noqa: PLW2901
-            writer.say(Message(record.tick.t_ns, Level.INFO, "console", f"uid 0: mark {remark} → taken"))
+            writer.say(Note(record.tick.t_ns, Level.INFO, "console", f"uid 0: mark {remark} → taken"))
         writer.write(record)
     assert writer.close()
     return run.inbox.counts()

@@ -21,10 +21,10 @@ from hypothesis import strategies as st
 
 from commands import object_of, pneud
 from pneud.bench import chart, contestants, rates
-from pneud.bench.contestants import AbsentError, Track
+from pneud.bench.contestants import AbsentError, TrackScript
 from pneud.bench.disturbances import DISTURBANCES, Disturb, cpus_busy
 from pneud.bench.law_cost import Law, LawState, begin, header, law_of, reference, tick
-from pneud.bench.sample import Sample, Series, from_object, process_state, ratio_of_turns
+from pneud.bench.sample import Sample, Samples, from_object, process_state, ratio_of_turns
 from pneud.bench.tables import as_object, in_words
 from pneud.config.models import ConfigError
 from pneud.loading import Loaded, load
@@ -42,24 +42,24 @@ def sample(lateness_us: list[int], **more: object) -> Sample:
     return Sample({"lateness": values, "wakeup": values}, len(lateness_us))._replace(**more)  # type: ignore[arg-type]
 
 
-def series(name: str, *turns: list[int]) -> Series:
-    one = Series(name, f"what {name} is")
+def series(name: str, *turns: list[int]) -> Samples:
+    one = Samples(name, f"what {name} is")
     for number, turn in enumerate(turns):
         one.add(sample(turn), number)
     return one
 
 
 @pytest.fixture
-def track(tmp_path: Path) -> Track:
+def track(tmp_path: Path) -> TrackScript:
     axis = load("virtual.toml")
-    return Track(axis, axis.path, None, 0, None, tmp_path)
+    return TrackScript(axis, axis.path, None, 0, None, tmp_path)
 
 
 # Samples
 
 
 def test_a_series_tells_when_the_first_ticks_came() -> None:
-    one = Series("x", "")
+    one = Samples("x", "")
     assert one.as_object()["first_tick_ms"] is None
     for turn, start_ns in enumerate((3_000_000, 8_000_000, 4_000_000)):
         one.add(sample([10], start_ns=start_ns), turn)
@@ -68,7 +68,7 @@ def test_a_series_tells_when_the_first_ticks_came() -> None:
 
 
 def test_a_series_counts_all_values_of_all_turns() -> None:
-    one = Series("x", "")
+    one = Samples("x", "")
     one.add(
         sample([10, 20], skipped=1, cpu_s={"loop": 0.25}, elapsed_s=1.0, page_faults=3, switches=(2, 0)), 0
     )
@@ -86,7 +86,7 @@ def test_a_series_counts_all_values_of_all_turns() -> None:
 
 
 def test_ratios_are_those_of_turns_that_followed_each_other() -> None:
-    ours, theirs = series("pneud", [20], [30], [40]), Series("x", "")
+    ours, theirs = series("pneud", [20], [30], [40]), Samples("x", "")
     theirs.add(sample([10]), 0)
     theirs.add(sample([10]), 2)  # it missed turn 1
     found = ratio_of_turns(ours, theirs, "lateness")
@@ -97,7 +97,7 @@ def test_ratios_are_those_of_turns_that_followed_each_other() -> None:
 
 
 def test_without_common_turns_there_is_no_ratio() -> None:
-    ours, theirs = series("pneud", [20]), Series("x", "")
+    ours, theirs = series("pneud", [20]), Samples("x", "")
     theirs.add(sample([10]), 5)
     assert ratio_of_turns(ours, theirs, "lateness") is None
     assert ratio_of_turns(ours, series("y", [10]), "own") is None
@@ -195,8 +195,8 @@ def test_columns_hold_all_values(values: list[tuple[int, int]]) -> None:
 
 
 @pytest.mark.parametrize("limit_hz", [*rates.RATES_HZ, 0.0])
-def test_the_highest_rate_is_the_last_one_held(limit_hz: float, track: Track) -> None:
-    def turn(_: Track, rate_hz: float, __: float) -> Sample:
+def test_the_highest_rate_is_the_last_one_held(limit_hz: float, track: TrackScript) -> None:
+    def turn(_: TrackScript, rate_hz: float, __: float) -> Sample:
         if rate_hz > limit_hz and rate_hz > 3000:
             raise AbsentError("too fast to start")
         return Sample({}, 1000, skipped=0 if rate_hz <= limit_hz else 100)
@@ -204,18 +204,18 @@ def test_the_highest_rate_is_the_last_one_held(limit_hz: float, track: Track) ->
     assert rates.highest(turn, track, 1.0) == (limit_hz or None)
 
 
-def test_who_cannot_start_at_any_rate_says_why(track: Track) -> None:
-    def turn(_: Track, rate_hz: float, __: float) -> Sample:
+def test_who_cannot_start_at_any_rate_says_why(track: TrackScript) -> None:
+    def turn(_: TrackScript, rate_hz: float, __: float) -> Sample:
         raise AbsentError("out of order")
 
     with pytest.raises(AbsentError, match="out of order"):
         rates.highest(turn, track, 1.0)
 
 
-def test_one_pause_of_the_host_does_not_decide(track: Track) -> None:
+def test_one_pause_of_the_host_does_not_decide(track: TrackScript) -> None:
     tried: list[float] = []
 
-    def turn(_: Track, rate_hz: float, __: float) -> Sample:
+    def turn(_: TrackScript, rate_hz: float, __: float) -> Sample:
         tried.append(rate_hz)
         return Sample({}, 1000, skipped=100 if tried.count(rate_hz) == 1 else 0)
 
@@ -240,7 +240,7 @@ def test_a_rate_is_held_when_hardly_a_tick_is_missing(found: Sample, holds: bool
 @pytest.mark.parametrize("name", ["virtual.toml", "rig.toml", "paper-case1.toml"])
 def test_a_bus_without_time_is_the_same_axis_otherwise(name: str, tmp_path: Path) -> None:
     axis = load(name)
-    quick = rates.without_bus_time(Track(axis, axis.path, None, 0, None, tmp_path))
+    quick = rates.without_bus_time(TrackScript(axis, axis.path, None, 0, None, tmp_path))
     config = quick.axis.config
     assert config.plant.bitrate_bit_s == config.bus.bitrate_bit_s == math.inf
     same = axis.config.model_copy(
@@ -403,7 +403,7 @@ def test_a_log_yields_the_durations_of_its_ticks(tmp_path: Path) -> None:
     assert contestants.sample_of_log(log, 100, 200, first_ns - 7).start_ns == 7
 
 
-def test_contestants_that_cannot_start_say_why(track: Track, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_contestants_that_cannot_start_say_why(track: TrackScript, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "which", lambda _: None)
     with pytest.raises(AbsentError, match="rt-tests"):
         contestants.cyclictest(track, 1000.0, 0.1)
@@ -413,13 +413,13 @@ def test_contestants_that_cannot_start_say_why(track: Track, monkeypatch: pytest
         contestants.pneud(track, 1.0, 0.1)
 
 
-def test_a_compiler_that_fails_is_named(track: Track, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_compiler_that_fails_is_named(track: TrackScript, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "which", lambda _: "/bin/false")
     with pytest.raises(AbsentError, match="cannot be compiled"):
         contestants.c_program(track, 1000.0, 0.1)
 
 
-def test_another_database_is_not_for_the_c_program(track: Track, tmp_path: Path) -> None:
+def test_another_database_is_not_for_the_c_program(track: TrackScript, tmp_path: Path) -> None:
     dbc = tmp_path / "own.dbc"
     dbc.write_text(track.axis.dbc.read_text() + "\n")
     axis: Loaded = track.axis._replace(dbc=dbc)
@@ -429,7 +429,7 @@ def test_another_database_is_not_for_the_c_program(track: Track, tmp_path: Path)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["empty", "notifier", "c_program", "pneud"])
-def test_every_contestant_yields_a_sample(name: str, track: Track) -> None:
+def test_every_contestant_yields_a_sample(name: str, track: TrackScript) -> None:
     found = getattr(contestants, name)(track, 200.0, 0.5)
     assert found.ticks == 100
     assert len(found.durations_ns["lateness"]) == 100
@@ -456,7 +456,7 @@ def turns_of(*counts: int) -> Contestant:
     """Somebody whose turns are made up: so many wake-ups each, then none any more."""
     left = iter(counts)
 
-    def turn(_: Track, rate_hz: float, seconds: float) -> Sample:
+    def turn(_: TrackScript, rate_hz: float, seconds: float) -> Sample:
         try:
             return sample([10] * next(left))
         except StopIteration:
@@ -514,7 +514,7 @@ def test_what_cannot_be_measured_is_refused_at_once(changes: dict[str, object], 
 def test_disturbances_are_compared_with_quiet_turns(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def run(_: Track, rate_hz: float, seconds: float, disturb: Disturb | None = None) -> Sample:
+    def run(_: TrackScript, rate_hz: float, seconds: float, disturb: Disturb | None = None) -> Sample:
         return Sample(
             {"own": [200_000 if disturb is cpus_busy else 100_000] * 10}, 10, int(disturb is not None)
         )
@@ -534,7 +534,7 @@ def test_disturbances_are_compared_with_quiet_turns(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", DISTURBANCES)
-def test_the_loop_misses_no_command_however_it_is_disturbed(name: str, track: Track) -> None:
+def test_the_loop_misses_no_command_however_it_is_disturbed(name: str, track: TrackScript) -> None:
     found = contestants.pneud(track, 200.0, 0.8, DISTURBANCES[name])
     assert (found.ticks, found.note) == (160, "")
     assert found.skipped <= 3, "but for what the machine itself does"

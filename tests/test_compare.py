@@ -30,7 +30,7 @@ from pneud.study.cases import (
     tracking,
 )
 from pneud.study.closed_loop import supply_flow_kg_s
-from pneud.study.comparison import LAWS, Comparison, Row, as_json, behind, compare, in_words, missed
+from pneud.study.comparison import LAWS, LawRow, LawTable, as_json, behind, compare, in_words, missed
 from pneud.study.tuned import (
     ADRC3,
     ADRC4,
@@ -47,8 +47,8 @@ LOADED = load("virtual.toml")
 BENCH = bench_of(LOADED, compiled=False)
 
 
-def row(law: str, rms: float, most: float, group: str = "sine", settled: float = 0.0) -> Row:
-    return Row(group, "a case", law, 2.0, Figures(rms, most, 0.01, 0.5, settled))
+def row(law: str, rms: float, most: float, group: str = "sine", settled: float = 0.0) -> LawRow:
+    return LawRow(group, "a case", law, 2.0, Figures(rms, most, 0.01, 0.5, settled))
 
 
 def test_every_group_of_cases_is_there_and_consistent() -> None:
@@ -139,7 +139,7 @@ def test_a_law_that_leads_somewhere_is_named() -> None:
     rows = [row(EXTENDED, 2e-5, 9e-5), row(PID_FF, 1e-5, 9.5e-5)]
     found = behind(rows)
     assert [(b.figure, b.law) for b in found] == [("RMS", PID_FF)]
-    c = Comparison("x.toml", True, tuple(rows), tuple(found), {})
+    c = LawTable("x.toml", True, tuple(rows), tuple(found), {})
     assert "PID + FF ahead of extended composite: a case RMS 0.01, 0.02" in in_words(c)
 
 
@@ -152,7 +152,7 @@ def test_a_tie_is_no_lead_and_a_lost_loop_no_rival() -> None:
 
 def test_words_and_json_say_the_same() -> None:
     rows = (row(EXTENDED, 1e-5, 1e-4), row(PID_FF, 2e-5, math.inf, settled=math.inf))
-    c = Comparison("x.toml", True, rows, (), missed(list(rows)))
+    c = LawTable("x.toml", True, rows, (), missed(list(rows)))
     text, data = in_words(c), as_json(c)
     assert "0.01 / 0.1" in text
     assert "0.02 / lost" in text
@@ -201,12 +201,12 @@ def test_a_rest_of_no_length_is_refused() -> None:
 
 
 @pytest.fixture(scope="module")
-def found() -> Comparison:
+def found() -> LawTable:
     return compare(LOADED, 10.0, compiled=True)
 
 
 @pytest.mark.slow
-def test_the_extended_composite_keeps_its_own_figures(found: Comparison) -> None:
+def test_the_extended_composite_keeps_its_own_figures(found: LawTable) -> None:
     mine = {r.case: r.figures for r in found.rows if r.law == EXTENDED}
     assert mine["sine 0.5 Hz"].rms_m < 0.02e-3
     assert mine["sine 0.5 Hz"].max_m < 0.08e-3
@@ -216,14 +216,14 @@ def test_the_extended_composite_keeps_its_own_figures(found: Comparison) -> None
 
 
 @pytest.mark.slow
-def test_no_baseline_leads_and_meets_what_is_required(found: Comparison) -> None:
+def test_no_baseline_leads_and_meets_what_is_required(found: LawTable) -> None:
     assert found.missed[EXTENDED] == ()
     leaders = {b.law for b in found.behind}
     assert all(found.missed[law] for law in leaders)
 
 
 @pytest.mark.slow
-def test_the_extended_composite_leads_where_it_is_said_to(found: Comparison) -> None:
+def test_the_extended_composite_leads_where_it_is_said_to(found: LawTable) -> None:
     assert not {ISMC_PAPER, COMPOSITE_PAPER} & {b.law for b in found.behind}
     assert {b.case for b in found.behind if b.law == PID_FF} <= {"sine 1 Hz", "sine 2 Hz"}
     assert {b.case for b in found.behind if b.law == ADRC4} <= {"sine 2 Hz"}
@@ -232,7 +232,7 @@ def test_the_extended_composite_leads_where_it_is_said_to(found: Comparison) -> 
 
 
 @pytest.mark.slow
-def test_the_table_has_every_law_in_every_case(found: Comparison) -> None:
+def test_the_table_has_every_law_in_every_case(found: LawTable) -> None:
     everything = sines(BENCH) | moves(BENCH) | loads(BENCH) | rests(BENCH, 1.0) | recoveries(BENCH)
     everything |= spread(BENCH)
     everything |= {f"rate {hz:g} Hz": tracking(BENCH) for hz in compare_.RATES_HZ}

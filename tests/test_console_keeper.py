@@ -17,7 +17,7 @@ from commands import children, eventually
 from pneud import crew
 from pneud.console import handoff
 from pneud.console.client import Client
-from pneud.console.facts import Run
+from pneud.console.facts import RunFacts
 from pneud.console.keeper import fork_console
 from pneud.console.memory import Memory
 from pneud.log.live import notes
@@ -29,7 +29,7 @@ class Kept(NamedTuple):
     keeper: int
     ring: Ring
     loop: handoff.LoopEnd
-    words: notes.Listener
+    words: notes.NotesListener
     path: str
 
     @property
@@ -54,9 +54,9 @@ def kept(tmp_path: Path) -> Iterator[Kept]:
     words, heard = notes.pair()
     ring = Ring.create(slots=64)
     one = loaded()
-    run = Run(one.config, one.path, one.text, "bus", "", "log")
+    run = RunFacts(one.config, one.path, one.text, "bus", "", "log")
     keeper = fork_console(listener, asking, words, run, ring)
-    yield Kept(keeper, ring, handoff.LoopEnd(taking), notes.Listener(heard), path)
+    yield Kept(keeper, ring, handoff.LoopEnd(taking), notes.NotesListener(heard), path)
     ring.set_closed()
     if not crew.wait(keeper, 10.0):
         crew.kill(keeper)

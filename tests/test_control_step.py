@@ -17,7 +17,7 @@ from pneud.physics.valve import SpoolTransition, Valve
 from pneud.resources import configs
 from pneud.rig.dynamics import initial_state
 from pneud.signals import Estimate, Reference
-from pneud.study.closed_loop import Outcome, run_sine
+from pneud.study.closed_loop import LoopOutcome, run_sine
 from pneud.study.jit import jitted
 
 COMMAND_LSB_V = 5e-4
@@ -34,10 +34,10 @@ REFERENCE = AXIS.reference
 RUN = jitted(run_sine)
 
 
-def begin(controller: Controller, position_m: float, plant: PlantParameters = PLANT) -> Outcome:
+def begin(controller: Controller, position_m: float, plant: PlantParameters = PLANT) -> LoopOutcome:
     rig = initial_state(plant._replace(initial_x1=position_m + plant.cylinder.x_e1))
     state = start(position_m, rig.p1, rig.p2, plant.gas.supply_pa, controller)
-    return Outcome(state, rig, 0.0)
+    return LoopOutcome(state, rig, 0.0)
 
 
 def track(
@@ -47,7 +47,7 @@ def track(
     push: tuple[int, int, float] = (0, 0, 0.0),
     plant: PlantParameters = PLANT,
     run: Any = RUN,
-) -> tuple[Outcome, np.ndarray]:
+) -> tuple[LoopOutcome, np.ndarray]:
     trace, force = np.zeros((ticks, 8)), np.zeros(ticks)
     force[push[0] : push[1]] = push[2]
     noise = np.random.default_rng(3).normal(0.0, plant.pressure_noise_pa, (ticks, 3))

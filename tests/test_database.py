@@ -29,7 +29,7 @@ def parses(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
     found: list[bytes] = []
     parsed = database._parsed
 
-    def noted(dbc: bytes) -> list[database.Message]:
+    def noted(dbc: bytes) -> list[database.MessageSpec]:
         found.append(dbc)
         return parsed(dbc)
 

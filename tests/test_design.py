@@ -20,7 +20,7 @@ from pneud.control.tunables import bandwidth, delay_margin, linearised
 from pneud.loading import at_rate
 from pneud.study import gains
 from pneud.study.noise import mean_step_v, passed
-from pneud.study.push import Service, service
+from pneud.study.push import Pushed, service
 
 VIRTUAL = load_config("virtual.toml")
 LSB_V = 5e-4
@@ -35,7 +35,7 @@ def by_rule(omega: float, rate_hz: float = 1000.0, alpha: float = 0.923, **contr
     return settings(gains.designed(at_rate(VIRTUAL, rate_hz), omega, 1e-3, alpha), **control)
 
 
-def tried(c: Config, start_error_m: float = 0.0) -> Service:
+def tried(c: Config, start_error_m: float = 0.0) -> Pushed:
     return service(axis_of(c, LSB_V), plant_of(c), start_error_m)
 
 

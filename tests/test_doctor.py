@@ -18,8 +18,8 @@ from pneud.rt import setup
 from pneud.rt.setup import Report
 from pneud.service import machine
 from pneud.service.doctor import diagnose, wanted_by
-from pneud.service.machine import Facts, Interface
-from pneud.service.probe import Finding, Level, Wanted, examine
+from pneud.service.machine import Facts, InterfaceFacts
+from pneud.service.probe import Finding, Grade, Wanted, examine
 
 FACTS = Facts(
     kernel="Linux 6.1 x86_64",
@@ -40,7 +40,7 @@ FACTS = Facts(
     rt_runtime=0.95,
     group_rt_runtime_us=None,
     af_can="",
-    interface=Interface("can0", True, True, 128),
+    interface=InterfaceFacts("can0", True, True, 128),
     log_free_bytes=100_000_000_000,
     log_writable=True,
     python="CPython 3.11.7",
@@ -64,37 +64,37 @@ def by_name(findings: list[Finding]) -> dict[str, Finding]:
 
 def test_a_machine_made_for_it_has_nothing_to_be_cured() -> None:
     findings = examine(FACTS, GRANTED, WANTED)
-    assert {finding.level for finding in findings} == {Level.OK}
+    assert {finding.level for finding in findings} == {Grade.OK}
     assert not any(finding.cure for finding in findings)
     assert len(findings) == len(by_name(findings)) > 15
 
 
-FAULTS: list[tuple[str, Level, str, dict[str, Any]]] = [
-    ("preemption", Level.WARNING, "no preemption", {"preemption": "none"}),
-    ("preemption", Level.WARNING, "unknown", {"preemption": ""}),
-    ("real-time share", Level.WARNING, "10 %", {"rt_runtime": 0.1}),
-    ("group's real-time share", Level.WARNING, "0 µs", {"group_rt_runtime_us": 0}),
-    ("CPUs", Level.WARNING, "1 for", {"cpus": (0,)}),
-    ("isolation", Level.WARNING, "shared", {"isolated": (2,)}),
-    ("frequency", Level.WARNING, "powersave", {"governors": ("performance", "powersave")}),
-    ("temperature", Level.WARNING, "7 times", {"thermal_throttles": 7}),
-    ("hypervisor", Level.WARNING, "KVM", {"hypervisor": "KVM"}),
-    ("stolen time", Level.WARNING, "2 %", {"stolen": 0.02}),
-    ("CPU quota", Level.WARNING, "1.5 CPUs", {"quota_cpus": 1.5}),
-    ("CPU quota", Level.WARNING, "stopped 9 times", {"quota_throttles": 9}),
-    ("clock source", Level.WARNING, "hpet", {"clock_source": "hpet"}),
-    ("clock source", Level.WARNING, "900 ns", {"clock_ns": 900.0}),
-    ("timers", Level.LACK, "4e+06 ns", {"timer_resolution_s": 4e-3}),
-    ("SocketCAN", Level.LACK, "no such family", {"af_can": "no such family"}),
-    ("interface", Level.LACK, "none of that name", {"interface": None}),
-    ("interface", Level.LACK, "no CAN", {"interface": Interface("can0", False, True, 1000)}),
-    ("interface", Level.LACK, "down", {"interface": Interface("can0", True, False, 128)}),
-    ("transmit queue", Level.WARNING, "10 frames", {"interface": Interface("can0", True, True, 10)}),
-    ("log folder", Level.LACK, "cannot", {"log_writable": False}),
-    ("disk space", Level.WARNING, "0.1 GB", {"log_free_bytes": 100_000_000}),
-    ("Python", Level.WARNING, "debug build", {"debug_build": True}),
-    ("load", Level.WARNING, "9", {"load": 9.0}),
-    ("tools", Level.WARNING, "cyclictest, candump", {"tools": ("cc", "ip")}),
+FAULTS: list[tuple[str, Grade, str, dict[str, Any]]] = [
+    ("preemption", Grade.WARNING, "no preemption", {"preemption": "none"}),
+    ("preemption", Grade.WARNING, "unknown", {"preemption": ""}),
+    ("real-time share", Grade.WARNING, "10 %", {"rt_runtime": 0.1}),
+    ("group's real-time share", Grade.WARNING, "0 µs", {"group_rt_runtime_us": 0}),
+    ("CPUs", Grade.WARNING, "1 for", {"cpus": (0,)}),
+    ("isolation", Grade.WARNING, "shared", {"isolated": (2,)}),
+    ("frequency", Grade.WARNING, "powersave", {"governors": ("performance", "powersave")}),
+    ("temperature", Grade.WARNING, "7 times", {"thermal_throttles": 7}),
+    ("hypervisor", Grade.WARNING, "KVM", {"hypervisor": "KVM"}),
+    ("stolen time", Grade.WARNING, "2 %", {"stolen": 0.02}),
+    ("CPU quota", Grade.WARNING, "1.5 CPUs", {"quota_cpus": 1.5}),
+    ("CPU quota", Grade.WARNING, "stopped 9 times", {"quota_throttles": 9}),
+    ("clock source", Grade.WARNING, "hpet", {"clock_source": "hpet"}),
+    ("clock source", Grade.WARNING, "900 ns", {"clock_ns": 900.0}),
+    ("timers", Grade.LACK, "4e+06 ns", {"timer_resolution_s": 4e-3}),
+    ("SocketCAN", Grade.LACK, "no such family", {"af_can": "no such family"}),
+    ("interface", Grade.LACK, "none of that name", {"interface": None}),
+    ("interface", Grade.LACK, "no CAN", {"interface": InterfaceFacts("can0", False, True, 1000)}),
+    ("interface", Grade.LACK, "down", {"interface": InterfaceFacts("can0", True, False, 128)}),
+    ("transmit queue", Grade.WARNING, "10 frames", {"interface": InterfaceFacts("can0", True, True, 10)}),
+    ("log folder", Grade.LACK, "cannot", {"log_writable": False}),
+    ("disk space", Grade.WARNING, "0.1 GB", {"log_free_bytes": 100_000_000}),
+    ("Python", Grade.WARNING, "debug build", {"debug_build": True}),
+    ("load", Grade.WARNING, "9", {"load": 9.0}),
+    ("tools", Grade.WARNING, "cyclictest, candump", {"tools": ("cc", "ip")}),
 ]
 
 
@@ -102,10 +102,10 @@ FAULTS: list[tuple[str, Level, str, dict[str, Any]]] = [
     ("name", "level", "says", "changes"), FAULTS, ids=[f"{f[0]}: {f[2]}" for f in FAULTS]
 )
 def test_each_fault_of_a_machine_is_one_finding_with_reason_and_cure(
-    name: str, level: Level, says: str, changes: dict[str, Any]
+    name: str, level: Grade, says: str, changes: dict[str, Any]
 ) -> None:
     findings = examine(FACTS._replace(**changes), GRANTED, WANTED)
-    bad = [finding for finding in findings if finding.level != Level.OK]
+    bad = [finding for finding in findings if finding.level != Grade.OK]
     assert [finding.name for finding in bad] == [name]
     assert bad[0].level == level
     assert says in bad[0].found
@@ -117,23 +117,23 @@ def test_each_fault_of_a_machine_is_one_finding_with_reason_and_cure(
 @pytest.mark.parametrize(
     ("report", "name", "level"),
     [
-        ("fifo", "scheduling", Level.LACK),
-        ("memory", "locked memory", Level.LACK),
-        ("affinity", "affinity", Level.LACK),
-        ("cpu_latency", "idle states", Level.WARNING),
-        ("timer_slack", "timer slack", Level.WARNING),
+        ("fifo", "scheduling", Grade.LACK),
+        ("memory", "locked memory", Grade.LACK),
+        ("affinity", "affinity", Grade.LACK),
+        ("cpu_latency", "idle states", Grade.WARNING),
+        ("timer_slack", "timer slack", Grade.WARNING),
     ],
 )
-def test_what_the_system_refuses_is_a_finding_with_its_own_cure(report: str, name: str, level: Level) -> None:
-    (bad,) = [f for f in examine(FACTS, refused(report), WANTED) if f.level != Level.OK]
+def test_what_the_system_refuses_is_a_finding_with_its_own_cure(report: str, name: str, level: Grade) -> None:
+    (bad,) = [f for f in examine(FACTS, refused(report), WANTED) if f.level != Grade.OK]
     assert bad == Finding(name, level, "refused", bad.reason, "a cure")
 
 
 def test_without_required_a_refusal_is_a_warning() -> None:
     wanted = WANTED._replace(required=False)
     for report in ("fifo", "memory"):
-        (bad,) = [f for f in examine(FACTS, refused(report), wanted) if f.level != Level.OK]
-        assert bad.level == Level.WARNING
+        (bad,) = [f for f in examine(FACTS, refused(report), wanted) if f.level != Grade.OK]
+        assert bad.level == Grade.WARNING
 
 
 def test_what_was_not_asked_for_is_no_finding() -> None:
@@ -144,23 +144,23 @@ def test_what_was_not_asked_for_is_no_finding() -> None:
 def test_required_real_time_without_a_priority_is_a_lack() -> None:
     unasked = [Report("fifo", False, "not asked for", asked=False)]
     found = by_name(examine(FACTS, unasked, WANTED._replace(priority=0)))
-    assert found["scheduling"].level == Level.LACK
+    assert found["scheduling"].level == Grade.LACK
 
 
 def test_a_machine_that_cannot_be_asked_is_not_fine() -> None:
-    assert by_name(examine(FACTS, [], WANTED))["scheduling"].level == Level.LACK
+    assert by_name(examine(FACTS, [], WANTED))["scheduling"].level == Grade.LACK
 
 
 def test_a_virtual_bus_needs_no_interface() -> None:
     facts = FACTS._replace(af_can="no such family", interface=None)
     found = by_name(examine(facts, GRANTED, WANTED._replace(interface=None)))
-    assert found["SocketCAN"].level == Level.WARNING
+    assert found["SocketCAN"].level == Grade.WARNING
     assert "interface" not in found
 
 
 def test_an_unpinned_loop_is_told_which_cpus_are_isolated() -> None:
     found = by_name(examine(FACTS, GRANTED, WANTED._replace(cpu=None)))
-    assert found["isolation"].level == Level.WARNING
+    assert found["isolation"].level == Grade.WARNING
     assert "(3)" in found["isolation"].cure
 
 
@@ -241,7 +241,7 @@ def test_facts_are_read_from_the_files_of_the_machine(root: Path) -> None:
     assert facts.load == 1.5
     assert facts.rt_runtime == 1.0
     assert facts.group_rt_runtime_us == 0
-    assert facts.interface == Interface("can0", True, False, 10)
+    assert facts.interface == InterfaceFacts("can0", True, False, 10)
     assert facts.log_writable
     assert facts.tools == ("ip",)
     assert facts.clock_ns > 0

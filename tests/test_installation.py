@@ -14,11 +14,11 @@ from pneud import resources
 from pneud.config.models import ConfigError
 from pneud.config.reading import load_config
 from pneud.service import installation
-from pneud.service.installation import Axis, InstallError, activate, axis_of, examine, files, put, units_of
-from pneud.service.probe import Finding, Level
+from pneud.service.installation import InstallError, Unit, activate, axis_of, examine, files, put, units_of
+from pneud.service.probe import Finding, Grade
 
 COMMAND = Path("/opt/pneud/bin/pneud")
-RIG, VCAN = Axis("rig", "can0"), Axis("vcan", "vcan0")
+RIG, VCAN = Unit("rig", "can0"), Unit("vcan", "vcan0")
 UNITS = Path("usr/local/lib/systemd/system")
 SHOWN = {
     "NeedDaemonReload": "no",
@@ -55,7 +55,7 @@ def test_the_unit_keeps_what_was_found_out_the_hard_way(key: str) -> None:
     ("interface", "unit_name"), [("vcan0", "vcan0"), ("can1", "can1"), ("can-left", r"can\x2dleft")]
 )
 def test_another_interface_gets_its_own_unit(interface: str, unit_name: str) -> None:
-    found = files(COMMAND, Axis("axis", interface))
+    found = files(COMMAND, Unit("axis", interface))
     text, shipped = found[UNITS / "pneud@axis.service"], found[UNITS / "pneud@.service"]
     assert not re.search(r"\bcan0\b", text)
     assert f"BindsTo=sys-subsystem-net-devices-{unit_name}.device\n" in text
@@ -75,7 +75,7 @@ def test_every_unit_starts_the_command_of_this_installation() -> None:
 
 def test_networkd_files_are_those_of_the_kind_of_interface() -> None:
     folder = Path("usr/local/lib/systemd/network")
-    rig = files(COMMAND, Axis("rig", "can3"), networkd=True)
+    rig = files(COMMAND, Unit("rig", "can3"), networkd=True)
     assert "Name=can3\n" in rig[folder / "60-can3.network"]
     assert "BitRate=1M" in rig[folder / "60-can3.network"]
     assert folder / "60-can3.netdev" not in rig
@@ -190,7 +190,7 @@ def answers(**changes: str) -> Callable[[Sequence[str]], str]:
     return lambda _: "".join(f"{name}={value}\n" for name, value in (SHOWN | changes).items())
 
 
-def found(root: Path, run: Callable[[Sequence[str]], str], axis: Axis | None = VCAN) -> dict[str, Finding]:
+def found(root: Path, run: Callable[[Sequence[str]], str], axis: Unit | None = VCAN) -> dict[str, Finding]:
     return {finding.name: finding for finding in examine(axis, 80, root, run, COMMAND)}
 
 
@@ -201,7 +201,7 @@ def test_a_machine_without_the_service_has_no_rows(tmp_path: Path) -> None:
 def test_a_sound_installation_has_nothing_to_be_cured(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "base_prefix", "/usr")
     rows = found(root, answers())
-    assert {finding.level for finding in rows.values()} == {Level.OK}
+    assert {finding.level for finding in rows.values()} == {Grade.OK}
     assert list(rows) == [
         "service units",
         "service user",
@@ -219,34 +219,34 @@ def test_a_sound_installation_has_nothing_to_be_cured(root: Path, monkeypatch: p
         (
             {"UnitFileState": "disabled"},
             "service",
-            Level.WARNING,
+            Grade.WARNING,
             "disabled",
             "systemctl enable --now pneud-vcan@vcan0",
         ),
-        ({"NeedDaemonReload": "yes"}, "service", Level.WARNING, "changed since", "daemon-reload"),
+        ({"NeedDaemonReload": "yes"}, "service", Grade.WARNING, "changed since", "daemon-reload"),
         (
             {"ActiveState": "failed", "StatusText": ""},
             "service",
-            Level.WARNING,
+            Grade.WARNING,
             "failed",
             "reset-failed pneud@vcan",
         ),
-        ({"LimitRTPRIO": "50"}, "service limits", Level.LACK, "LimitRTPRIO=50", "systemctl cat"),
-        ({"LimitRTPRIO": ""}, "service limits", Level.LACK, "LimitRTPRIO=", "systemctl cat"),
-        ({"LimitMEMLOCK": "8388608"}, "service limits", Level.LACK, "8388608", "systemctl cat"),
+        ({"LimitRTPRIO": "50"}, "service limits", Grade.LACK, "LimitRTPRIO=50", "systemctl cat"),
+        ({"LimitRTPRIO": ""}, "service limits", Grade.LACK, "LimitRTPRIO=", "systemctl cat"),
+        ({"LimitMEMLOCK": "8388608"}, "service limits", Grade.LACK, "8388608", "systemctl cat"),
     ],
 )
 def test_each_fault_of_a_service_is_one_finding(
     changes: dict[str, str],
     name: str,
-    level: Level,
+    level: Grade,
     says: str,
     cure: str,
     root: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(sys, "base_prefix", "/usr")
-    bad = [finding for finding in found(root, answers(**changes)).values() if finding.level != Level.OK]
+    bad = [finding for finding in found(root, answers(**changes)).values() if finding.level != Grade.OK]
     assert [(finding.name, finding.level) for finding in bad] == [(name, level)]
     assert says in bad[0].found
     assert cure in bad[0].cure
@@ -263,7 +263,7 @@ def test_files_that_are_missing_stale_or_locked_are_found(
     rows = found(root, answers())
     assert "pneud@vcan.service" in rows["service units"].found
     assert "pneud-can@.service" in rows["service units"].found
-    assert rows["service configuration"].level == rows["service user"].level == Level.LACK
+    assert rows["service configuration"].level == rows["service user"].level == Grade.LACK
     (root / "etc/pneud/vcan.toml").unlink()
     assert "No such file" in found(root, answers())["service configuration"].found
 
@@ -273,7 +273,7 @@ def test_an_interpreter_that_the_service_cannot_see_is_found(
 ) -> None:
     monkeypatch.setattr(sys, "base_prefix", "/root/.pyenv/versions/3.11")
     row = found(root, answers())["service user"]
-    assert (row.level, "hidden" in row.found, "/opt/pneud" in row.cure) == (Level.LACK, True, True)
+    assert (row.level, "hidden" in row.found, "/opt/pneud" in row.cure) == (Grade.LACK, True, True)
 
 
 def test_a_systemd_that_does_not_answer_is_told(root: Path) -> None:

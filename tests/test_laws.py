@@ -22,7 +22,7 @@ from pneud.config.models import Config, ConfigError
 from pneud.config.reading import parse
 from pneud.control.laws import adrc, pid
 from pneud.control.laws.adrc import in_motion
-from pneud.control.laws.loop import Loop, at, delay_margin
+from pneud.control.laws.loop import OpenLoop, at, delay_margin
 from pneud.control.laws.slot import ADRC, IN_SLOT, PID, SLIDING, Slot
 from pneud.control.reference import rest
 from pneud.control.step import join, observe, situation, start
@@ -268,7 +268,7 @@ def test_gains_that_the_loop_cannot_have_are_unstable(wanted: tuple[float, ...])
     assert rig.axis.failure is None
 
 
-def settles(loop: Loop, delay_s: float) -> bool:
+def settles(loop: OpenLoop, delay_s: float) -> bool:
     """Whether the closed loop has come to rest after a while, the delay being a line of samples."""
     h = 2e-5
     order = len(loop.denominator) - 1

@@ -24,7 +24,7 @@ from pneud.log.files.reader import read_log
 from pneud.report.decimate import Envelope
 from pneud.report.decimate import Path as Curve
 from pneud.report.figures import FIGURES
-from pneud.report.gather import COLUMNS, Run, Window, gather
+from pneud.report.gather import COLUMNS, LoggedRun, Window, gather
 from pneud.report.health import Health
 from pneud.report.page import page
 from pneud.report.spans import Span, Spans
@@ -165,11 +165,11 @@ def calm_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def run(calm_log: Path) -> Run:
+def run(calm_log: Path) -> LoggedRun:
     return gather(read_log(calm_log))
 
 
-def test_a_run(run: Run) -> None:
+def test_a_run(run: LoggedRun) -> None:
     assert run.ticks == run.log.missing + sum(1 for _ in run.log)
     labels = [State(span.value - 1).label for span in run.states]
     assert labels == ["starting", "waiting", "disarmed", "tracking", "stopping", "disarmed"]
@@ -193,7 +193,7 @@ def data_of(text: str) -> Any:
     return json.loads(found)
 
 
-def test_the_page_needs_nothing_beside_it(run: Run) -> None:
+def test_the_page_needs_nothing_beside_it(run: LoggedRun) -> None:
     text = page([run])
     assert not re.search(r"<(link|img|iframe)\b|<script[^>]*\bsrc=|@import|url\(", text)
     assert "Leon Sorokin" in text
@@ -209,7 +209,7 @@ def test_emergencies_are_named(mangled_log: Any) -> None:
     assert "emergency 0x2310 of node 1" in page([gather(read_log(mangled_log[0]))])
 
 
-def test_text_from_a_log_cannot_become_markup(run: Run) -> None:
+def test_text_from_a_log_cannot_become_markup(run: LoggedRun) -> None:
     evil = "</script><script>alert(1)</script>"
     log = run.log
     before = dict(log.metadata)
@@ -222,7 +222,7 @@ def test_text_from_a_log_cannot_become_markup(run: Run) -> None:
     assert data_of(text)["runs"][0]["name"] == evil
 
 
-def test_several_logs_begin_where_they_were_engaged(run: Run) -> None:
+def test_several_logs_begin_where_they_were_engaged(run: LoggedRun) -> None:
     text = page([run, run])
     data = data_of(text)
     assert [r["name"] for r in data["runs"]] == ["calm (1)", "calm (2)"]
@@ -277,5 +277,5 @@ def test_a_truncated_log_is_shown_as_far_as_it_goes(mangled_log: Any, tmp_path: 
     assert "cut short at byte" in (tmp_path / "r.html").read_text()
 
 
-def test_bare_configuration_is_the_logs_own(run: Run) -> None:
+def test_bare_configuration_is_the_logs_own(run: LoggedRun) -> None:
     assert run.config == load_config("virtual.toml")

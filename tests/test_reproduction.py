@@ -55,7 +55,7 @@ from pneud.study.reproduction import (
     COMPOSITE,
     ISMC,
     ISMC_GAINS,
-    Row,
+    PaperRow,
     Setting,
     Trace,
     ablation_settings,
@@ -239,9 +239,9 @@ def test_a_bound_is_not_met_by_nan() -> None:
     assert not Bound("x", "mm", 1.0, math.nan, True).met
 
 
-def row(s: Setting, **changes: Any) -> Row:
+def row(s: Setting, **changes: Any) -> PaperRow:
     """A run in which all is well."""
-    return Row(s, 5.0, 6.0, 1e-7, 2e-7, 1.0, 0.1, 0.2, 0.01, 0.0, 8e5)._replace(**changes)
+    return PaperRow(s, 5.0, 6.0, 1e-7, 2e-7, 1.0, 0.1, 0.2, 0.01, 0.0, 8e5)._replace(**changes)
 
 
 def convergence(exponent: float = 1 / 7) -> Convergence:
@@ -255,7 +255,7 @@ def convergence(exponent: float = 1 / 7) -> Convergence:
     )
 
 
-def verdicts(main: list[Row], ablation: list[Row], c: Convergence) -> dict[str, tuple[str, str]]:
+def verdicts(main: list[PaperRow], ablation: list[PaperRow], c: Convergence) -> dict[str, tuple[str, str]]:
     return {
         f"{x.claim} / {x.where}": (x.verdict, x.when)
         for x in claims(main, ablation, c)
@@ -264,7 +264,7 @@ def verdicts(main: list[Row], ablation: list[Row], c: Convergence) -> dict[str, 
 
 
 def test_verdicts_are_computed_from_the_figures() -> None:
-    def failing(s: Setting) -> Row:
+    def failing(s: Setting) -> PaperRow:
         bad = s.form == "explicit" and s.h_s == 0.01
         worse = {"coarse_s": 7.0, "rms_m": 3e-7} if s.law == ISMC else {}
         return row(s, rms_m=0.25, coarse_s=None, fine_s=None) if bad else row(s, **worse)

@@ -409,7 +409,7 @@ def simulated(name: str, config: str | None = None) -> dict[str, Any]:
     played = load_scenario(name)
     loaded = load(config or played.config, None, played.change)
     run = Simulation(loaded, played.duration_s, 0, backend_of(loaded), scenario=played)
-    seen = verdict.Seen()
+    seen = verdict.Observed()
     for record in run.records():
         if not run.shut:
             seen = seen.then(record.tick)
@@ -430,7 +430,7 @@ EFFECTS = {
     "onset": True, "speed_m_s": 0.1, "evidence_ms": 0.0, "centred_ms": 1.0, "ticks": 2, "onset_ticks": 2,
     "travel_mm": 5.0, "peak_bar": 4.0, "impact_m_s": 0.0, "engaged": True,
 }  # fmt: skip
-CENTRED = verdict.Seen(1, 1, int(State.FAULT), True)
+CENTRED = verdict.Observed(1, 1, int(State.FAULT), True)
 
 
 @pytest.mark.parametrize(
@@ -454,11 +454,11 @@ CENTRED = verdict.Seen(1, 1, int(State.FAULT), True)
         ({"reaction": "stop"}, CENTRED, {}, "no controlled stop"),
         ({"reaction": "no_arm"}, CENTRED._replace(latched=0), {}, "it armed"),
         ({"reaction": "warn"}, CENTRED._replace(latched=0), {}, "not engaged"),
-        ({"reaction": "warn"}, verdict.Seen(1, 0, int(State.TRACKING), True), {}, None),
+        ({"reaction": "warn"}, verdict.Observed(1, 0, int(State.TRACKING), True), {}, None),
     ],
 )
 def test_the_verdict_says_what_was_not_as_expected(
-    expect: dict[str, Any], seen: verdict.Seen, effects: dict[str, Any], problem: str | None
+    expect: dict[str, Any], seen: verdict.Observed, effects: dict[str, Any], problem: str | None
 ) -> None:
     played = scenario({"kind": "seized"}, **({"reaction": "centre", "faults": ["encoder_missing"]} | expect))
     result = verdict.judge(played, load("virtual.toml").config, seen, EFFECTS | effects)

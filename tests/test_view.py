@@ -35,10 +35,10 @@ from pneud.signals import (
     Tick,
     Timing,
 )
-from pneud.view.history import BUCKET_NS, SPAN_S, History, Series, span_s, sparkline
+from pneud.view.history import BUCKET_NS, SPAN_S, History, Trace, span_s, sparkline
 from pneud.view.info import ScreenInfo
 from pneud.view.processes import LEAVE_SCREEN
-from pneud.view.screen import Snapshot, render, status_line
+from pneud.view.screen import ScreenState, render, status_line
 from pneud.view.terminal import run, run_child
 
 MS = 1_000_000
@@ -91,7 +91,7 @@ def drawn(
     """The page's lines as plain text."""
     console = Console(file=io.StringIO(), width=size[0], color_system=None, legacy_windows=False)
     with console.capture() as capture:
-        console.print(render(Snapshot(history.last, info), history, size, ascii_only), end="")
+        console.print(render(ScreenState(history.last, info), history, size, ascii_only), end="")
     return capture.get().splitlines()
 
 
@@ -171,7 +171,7 @@ def test_the_page_fills_any_terminal_exactly_whatever_the_values(
     assert len(lines) == size[1]
     assert all(cell_len(line) == size[0] for line in lines)  # nothing of an older page shows through
     assert not ascii_only or all(line.isascii() for line in lines)
-    assert "\n" not in status_line(Snapshot(history.last, INFO), history)
+    assert "\n" not in status_line(ScreenState(history.last, INFO), history)
 
 
 def test_a_larger_terminal_gives_larger_curves() -> None:
@@ -196,7 +196,7 @@ def test_an_ascii_console_gets_ascii_without_being_told() -> None:
     raw = io.BytesIO()
     console = Console(file=io.TextIOWrapper(raw, encoding="ascii"), width=80, force_terminal=True)
     history = history_of(*(at(i) for i in range(1000)))
-    console.print(render(Snapshot(history.last, INFO), history, (80, 24)))
+    console.print(render(ScreenState(history.last, INFO), history, (80, 24)))
     console.file.flush()
     assert b"us" in raw.getvalue()
     assert raw.getvalue().isascii()
@@ -207,7 +207,7 @@ def test_an_ascii_console_gets_ascii_without_being_told() -> None:
     st.integers(2, 700),
 )
 def test_extremes_survive_every_width(steps: list[tuple[int, float]], width: int) -> None:
-    series, t_ns, values = Series(), T0, []
+    series, t_ns, values = Trace(), T0, []
     for step, value in steps:
         t_ns += step
         series.add(t_ns, value)
@@ -222,7 +222,7 @@ def test_extremes_survive_every_width(steps: list[tuple[int, float]], width: int
 
 @given(st.integers(2, 300), st.integers(0, 499))
 def test_a_spike_of_one_tick_is_seen_at_full_height(width: int, bucket: int) -> None:
-    series = Series()
+    series = Trace()
     for i in range(500):
         series.add(T0 + i * BUCKET_NS, 9.0 if i == bucket else 0.0)
     columns = series.columns(T0 + 499 * BUCKET_NS, width)
@@ -230,7 +230,7 @@ def test_a_spike_of_one_tick_is_seen_at_full_height(width: int, bucket: int) -> 
 
 
 def test_a_curve_moves_without_changing_its_shape() -> None:
-    series, width = Series(), 52
+    series, width = Trace(), 52
     for i in range(0, 20_000, 10):
         series.add(T0 + i * MS, math.sin(i * 0.003))
     end = T0 + 19_990 * MS
@@ -247,7 +247,7 @@ def test_a_curve_moves_without_changing_its_shape() -> None:
 def test_a_curve_looked_at_while_it_grows_is_the_same_as_one_looked_at_once(
     steps: list[tuple[int, float, bool]], widths: tuple[int, int]
 ) -> None:
-    watched, unwatched, t_ns = Series(), Series(), T0
+    watched, unwatched, t_ns = Trace(), Trace(), T0
     for step, value, look in steps:
         t_ns += step
         watched.add(t_ns, value)
@@ -258,7 +258,7 @@ def test_a_curve_looked_at_while_it_grows_is_the_same_as_one_looked_at_once(
 
 
 def test_values_that_are_not_finite_leave_a_gap_and_old_ones_are_forgotten() -> None:
-    series = Series()
+    series = Trace()
     for i in range(100_000):
         series.add(T0 + i * BUCKET_NS, math.nan if i % 2 else 1.0)
     columns = series.columns(T0 + 99_999 * BUCKET_NS, 501)
@@ -463,7 +463,7 @@ def test_without_a_terminal_lines_are_written() -> None:
     out = io.StringIO()
     pictures = iter([False, False, True])
     run(lambda: [RECORD], INFO, lambda: next(pictures), console=Console(file=out, width=40))
-    assert out.getvalue().splitlines()[0] == status_line(Snapshot(RECORD, INFO), history_of(RECORD))
+    assert out.getvalue().splitlines()[0] == status_line(ScreenState(RECORD, INFO), history_of(RECORD))
 
 
 def test_what_a_parent_writes_after_a_kill_restores_screen_and_cursor() -> None:

@@ -53,7 +53,7 @@ class Verbs(TyperGroup):
             formatter.write_dl([(name, verb.help or "") for name, verb in found if verb])
 
 
-class Loaded(TyperCommand):
+class LoadedVerb(TyperCommand):
     """A verb whose options are known."""
 
     def invoke(self, ctx: Any) -> NoReturn:
@@ -79,13 +79,13 @@ class Named(TyperCommand):
             app = typer.Typer(add_completion=False, rich_markup_mode=None)
             settings = getattr(module, "SETTINGS", None)
             function = getattr(module, self.path.stem)
-            app.command(self.name, cls=Loaded, help=self.help, context_settings=settings)(function)
+            app.command(self.name, cls=LoadedVerb, help=self.help, context_settings=settings)(function)
             return app
         app = typer.Typer(
             cls=Verbs, help=self.help, no_args_is_help=True, add_completion=False, rich_markup_mode=None
         )
         for name, function in module.VERBS.items():
-            app.command(name, cls=Loaded, help=function.__doc__.partition("\n")[0])(function)
+            app.command(name, cls=LoadedVerb, help=function.__doc__.partition("\n")[0])(function)
         return app
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pneud import crew, resources
-from pneud.bench.disturbances import Disturb, Run
+from pneud.bench.disturbances import Disturb, DisturbedRun
 from pneud.bench.law_cost import header
 from pneud.bench.sample import QUANTITIES, ProcessState, Sample, from_object, process_state
 from pneud.loading import Loaded
@@ -37,7 +37,7 @@ class AbsentError(Exception):
     """A contestant cannot take part; the text is one line for a person."""
 
 
-class Track(NamedTuple):
+class TrackScript(NamedTuple):
     """Where the turns take place."""
 
     axis: Loaded
@@ -48,11 +48,11 @@ class Track(NamedTuple):
     scratch: Path
 
 
-Turn = Callable[[Track, float, float], Sample]
+Turn = Callable[[TrackScript, float, float], Sample]
 """(track, rate [Hz], time [s]) → what it came to; raises AbsentError."""
 
 
-def cyclictest(track: Track, rate_hz: float, seconds: float) -> Sample:
+def cyclictest(track: TrackScript, rate_hz: float, seconds: float) -> Sample:
     """The kernel's own measure at the same priority and interval, in whole microseconds."""
     program = shutil.which("cyclictest")
     if program is None:
@@ -87,21 +87,21 @@ def cyclictest_sample(text: str, interval_us: int) -> Sample:
     return Sample({"lateness": lateness_ns, "wakeup": lateness_ns}, thread["cycles"], skipped)
 
 
-def empty(track: Track, rate_hz: float, seconds: float) -> Sample:
+def empty(track: TrackScript, rate_hz: float, seconds: float) -> Sample:
     """An empty Python loop with absolute deadlines."""
     words = (str(rate_hz), str(seconds), *_scheduling(track))
     done = _run([sys.executable, "-m", "pneud.bench.empty", *words], seconds)
     return from_object(json.loads(done))
 
 
-def notifier(track: Track, rate_hz: float, seconds: float) -> Sample:
+def notifier(track: TrackScript, rate_hz: float, seconds: float) -> Sample:
     """A Notifier of python-can and time.sleep, with the same law."""
     with _plant(track) as bus:
         words = (str(track.config_file), bus, str(rate_hz), str(seconds), *_scheduling(track))
         return from_object(json.loads(_run([sys.executable, "-m", "pneud.bench.notifier", *words], seconds)))
 
 
-def c_program(track: Track, rate_hz: float, seconds: float) -> Sample:
+def c_program(track: TrackScript, rate_hz: float, seconds: float) -> Sample:
     """The same frames and the same law in C."""
     if track.axis.dbc.read_bytes() != (resources.configs() / "pneud.dbc").read_bytes():
         raise AbsentError(f"the C program speaks pneud.dbc only, not {track.axis.dbc.name}")
@@ -135,7 +135,7 @@ def build(program: Path, axis: Loaded) -> None:
         raise AbsentError(f"{source} cannot be compiled: {(done.stderr.splitlines() or ['no reason'])[0]}")
 
 
-def pneud(track: Track, rate_hz: float, seconds: float, disturb: Disturb | None = None) -> Sample:
+def pneud(track: TrackScript, rate_hz: float, seconds: float, disturb: Disturb | None = None) -> Sample:
     """Our loop, as `pneud --virtual` runs it; durations come from its log.
 
     Args:
@@ -157,7 +157,7 @@ def pneud(track: Track, rate_hz: float, seconds: float, disturb: Disturb | None 
         with crew.program(*_PNEUD, *words, out=_PIPE, err=_PIPE) as process:
             members = _members(process)
             time.sleep(SETTLE_S)
-            with nullcontext() if disturb is None else disturb(Run(members, socket, track.scratch)):
+            with nullcontext() if disturb is None else disturb(DisturbedRun(members, socket, track.scratch)):
                 used = _usage(members, seconds)
             out, err = process.communicate(timeout=PATIENCE_S)
     except (OSError, subprocess.TimeoutExpired) as e:
@@ -258,16 +258,16 @@ def _usage(
         return None
 
 
-def _scheduling(track: Track) -> tuple[str, str]:
+def _scheduling(track: TrackScript) -> tuple[str, str]:
     return str(track.priority), str(-1 if track.cpu is None else track.cpu)
 
 
-def _bus_of(track: Track) -> str:
+def _bus_of(track: TrackScript) -> str:
     return track.bus or f"unixcan:bench-{os.getpid()}-{secrets.token_hex(3)}"
 
 
 @contextmanager
-def _plant(track: Track) -> Iterator[str]:
+def _plant(track: TrackScript) -> Iterator[str]:
     """The software plant on a bus, for those who bring none; yields the bus."""
     bus = _bus_of(track)
     with crew.program(*_PNEUD, "plant", "--config", track.config_file, "--bus", bus, err=_PIPE) as process:

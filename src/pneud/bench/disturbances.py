@@ -42,7 +42,7 @@ while True:
 _HOG = "while True: pass"
 
 
-class Run(NamedTuple):
+class DisturbedRun(NamedTuple):
     """A run of pneud to be disturbed."""
 
     members: Mapping[str, int]  # process ids by name
@@ -50,11 +50,11 @@ class Run(NamedTuple):
     scratch: Path
 
 
-Disturb = Callable[[Run], AbstractContextManager[None]]
+Disturb = Callable[[DisturbedRun], AbstractContextManager[None]]
 
 
 @contextmanager
-def recorder_stopped(run: Run) -> Iterator[None]:
+def recorder_stopped(run: DisturbedRun) -> Iterator[None]:
     """The recorder does not run."""
     os.kill(run.members["recorder"], signal.SIGSTOP)
     try:
@@ -64,7 +64,7 @@ def recorder_stopped(run: Run) -> Iterator[None]:
 
 
 @contextmanager
-def disk_written(run: Run) -> Iterator[None]:
+def disk_written(run: DisturbedRun) -> Iterator[None]:
     """Somebody writes 100 MB/s to the disk that the log is on."""
     file = run.scratch / "written"
     try:
@@ -75,7 +75,7 @@ def disk_written(run: Run) -> Iterator[None]:
 
 
 @contextmanager
-def console_polled(run: Run) -> Iterator[None]:
+def console_polled(run: DisturbedRun) -> Iterator[None]:
     """Ten clients of the console ask for the status twenty times a second each."""
     with _processes([_POLLER, str(run.socket)]) as (poller,):
         assert poller.stdout is not None
@@ -84,7 +84,7 @@ def console_polled(run: Run) -> Iterator[None]:
 
 
 @contextmanager
-def cpus_busy(run: Run) -> Iterator[None]:  # noqa: ARG001 - the others need it
+def cpus_busy(run: DisturbedRun) -> Iterator[None]:  # noqa: ARG001 - the others need it
     """On every CPU a process of normal priority never rests."""
     with _processes(*([_HOG] for _ in range(os.cpu_count() or 1))):
         yield

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pneud.bench.contestants import AbsentError, Track, Turn
+from pneud.bench.contestants import AbsentError, TrackScript, Turn
 from pneud.bench.sample import Sample
 from pneud.config.models import Config
 from pneud.loading import at_rate, load, toml_text
@@ -25,7 +25,7 @@ def held(sample: Sample) -> bool:
     )
 
 
-def highest(turn: Turn, track: Track, seconds: float) -> float | None:
+def highest(turn: Turn, track: TrackScript, seconds: float) -> float | None:
     """The highest of RATES_HZ that a contestant holds, by bisection; None if it holds none of them.
 
     Raises:
@@ -55,7 +55,7 @@ def highest(turn: Turn, track: Track, seconds: float) -> float | None:
     return best
 
 
-def without_bus_time(track: Track) -> Track:
+def without_bus_time(track: TrackScript) -> TrackScript:
     """The same axis on a bus of infinite bit rate."""
     data = track.axis.config.model_dump(by_alias=True, exclude_defaults=True)
     data.setdefault("bus", {})["bitrate_bit_s"] = float("inf")
@@ -66,7 +66,7 @@ def without_bus_time(track: Track) -> Track:
     return track._replace(axis=load(file), config_file=file)
 
 
-def at(track: Track, rate_hz: float) -> Track:
+def at(track: TrackScript, rate_hz: float) -> TrackScript:
     """The same axis at another rate."""
     config: Config = at_rate(track.axis.config, rate_hz)
     file: Path = track.scratch / f"at-{rate_hz:g}.toml"

@@ -109,7 +109,7 @@ def process_state(pid: int, proc: Path = Path("/proc")) -> ProcessState:
 
 
 @dataclass
-class Series:
+class Samples:
     """All turns of one contestant."""
 
     name: str
@@ -204,7 +204,7 @@ class Series:
         }
 
 
-def ratio_of_turns(ours: Series, theirs: Series, name: str) -> dict[str, Any] | None:
+def ratio_of_turns(ours: Samples, theirs: Samples, name: str) -> dict[str, Any] | None:
     """How the p50 and p99 of turns compare that followed each other: median, quartiles, extremes.
 
     Returns:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pneud.bench.sample import Series, ratio_of_turns
+from pneud.bench.sample import Samples, ratio_of_turns
 from pneud.loop.summary import finite
 
 COMPARED = ("wakeup", "lateness", "latency", "own")
@@ -18,7 +18,7 @@ _LEGEND = (
 
 
 def as_object(
-    series: Mapping[str, Series],
+    series: Mapping[str, Samples],
     missing: Mapping[str, str],
     machine: Mapping[str, Any],
     setting: Mapping[str, Any],

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from pneud.bus import database
-from pneud.bus.database import Message, Signal
-from pneud.bus.layout import Field, bit_range, compile_functions
+from pneud.bus.database import MessageSpec, Signal
+from pneud.bus.layout import SignalField, bit_range, compile_functions
 from pneud.config.models import BusConfig, FrameConfig
 from pneud.rt.inputs import read_whole
 
@@ -80,8 +80,8 @@ class Codec:
     counter: Callable[[bytes], int]
     valid: Callable[[bytes], bool]
     check: Callable[[bytes], int]
-    counter_field: Field | None
-    age_field: Field | None
+    counter_field: SignalField | None
+    age_field: SignalField | None
     crc: bool
 
 
@@ -130,7 +130,7 @@ def load_codecs(bus: BusConfig, dbc_path: Path, *, keep: bool = False) -> Codecs
     )
 
 
-def _load(path: Path, keep: bool) -> list[Message]:
+def _load(path: Path, keep: bool) -> list[MessageSpec]:
     try:
         return database.messages(read_whole(path), keep=keep)
     except OSError as e:
@@ -142,10 +142,10 @@ def _load(path: Path, keep: bool) -> list[Message]:
 class _Loader:
     """Takes messages from one database, each for one role only."""
 
-    def __init__(self, path: Path, messages: list[Message]) -> None:
+    def __init__(self, path: Path, messages: list[MessageSpec]) -> None:
         self.path = path
         self.messages = messages
-        self.fields: dict[str, dict[str, Field]] = {}
+        self.fields: dict[str, dict[str, SignalField]] = {}
         self._taken: dict[int, str] = {}
 
     def codec(self, role: str, frame: FrameConfig) -> Codec:
@@ -190,7 +190,7 @@ class _Loader:
             crc=frame.crc is not None,
         )
 
-    def _message(self, role: str, frame: FrameConfig) -> Message:
+    def _message(self, role: str, frame: FrameConfig) -> MessageSpec:
         name = frame.message
         named = [message for message in self.messages if message.name == name]
         if not named:
@@ -214,7 +214,7 @@ class _Loader:
             raise self._error(name, None, f"0x{message.can_id:03X} is {other} and {role}; each needs its own")
         return message
 
-    def _signal(self, message: Message, name: str) -> Signal:
+    def _signal(self, message: MessageSpec, name: str) -> Signal:
         for signal in message.signals:
             if signal.name == name:
                 if signal.floating:
@@ -225,7 +225,7 @@ class _Loader:
         there = ", ".join(signal.name for signal in message.signals) or "none"
         raise self._error(message.name, name, f"not in the message; it has: {there}")
 
-    def _field(self, message: Message, key: str, signal: Signal) -> Field:
+    def _field(self, message: MessageSpec, key: str, signal: Signal) -> SignalField:
         _, _, dimension = key.rpartition("_")
         units = _UNITS.get(dimension)
         plain = signal.scale == 1 and signal.offset == 0
@@ -242,7 +242,7 @@ class _Loader:
             raise self._error(message.name, signal.name, "has the factor 0; give it its resolution")
         return self._placed(message, signal, unit, integer=units is None)
 
-    def _placed(self, message: Message, signal: Signal, unit: Fraction, *, integer: bool) -> Field:
+    def _placed(self, message: MessageSpec, signal: Signal, unit: Fraction, *, integer: bool) -> SignalField:
         # the database's decimals are taken exactly, so that −2147.483648 / 1e-6 is the last raw value and
         # not beyond it
         scale, offset = _exact(signal.scale), _exact(signal.offset)
@@ -256,7 +256,7 @@ class _Loader:
             low, high = max(low, ceil(first)), min(high, floor(last))
         if low > high:
             raise self._error(message.name, signal.name, "its minimum and maximum leave no value; mend them")
-        return Field(
+        return SignalField(
             label=f"{message.name}.{signal.name}",
             start=signal.start,
             length=signal.length,
@@ -269,7 +269,7 @@ class _Loader:
             high=high,
         )
 
-    def _counter(self, message: Message, name: str) -> Field:
+    def _counter(self, message: MessageSpec, name: str) -> SignalField:
         signal = self._signal(message, name)
         if signal.signed or signal.scale != 1 or signal.offset != 0 or signal.length < 2:
             raise self._error(
@@ -277,7 +277,7 @@ class _Loader:
             )
         return self._placed(message, signal, Fraction(1), integer=True)
 
-    def _check_crc(self, message: Message, name: str) -> None:
+    def _check_crc(self, message: MessageSpec, name: str) -> None:
         signal = self._signal(message, name)
         last = message.length - 1
         start = 8 * last + (7 if signal.big_endian else 0)

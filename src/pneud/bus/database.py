@@ -39,7 +39,7 @@ class Signal(NamedTuple):
     unit: str | None
 
 
-class Message(NamedTuple):
+class MessageSpec(NamedTuple):
     """One message."""
 
     name: str
@@ -50,7 +50,7 @@ class Message(NamedTuple):
     signals: tuple[Signal, ...]
 
 
-def messages(dbc: bytes, *, keep: bool = False) -> list[Message]:
+def messages(dbc: bytes, *, keep: bool = False) -> list[MessageSpec]:
     """The messages of a DBC.
 
     Args:
@@ -73,7 +73,7 @@ def messages(dbc: bytes, *, keep: bool = False) -> list[Message]:
     return found
 
 
-def _parsed(dbc: bytes) -> list[Message]:
+def _parsed(dbc: bytes) -> list[MessageSpec]:
     import cantools  # noqa: PLC0415 - slow to import, and needed by nothing but this
     from cantools.database.can import Database  # noqa: PLC0415
 
@@ -83,7 +83,7 @@ def _parsed(dbc: bytes) -> list[Message]:
     database = cantools.database.load(text, database_format="dbc")
     assert isinstance(database, Database)
     return [
-        Message(
+        MessageSpec(
             m.name,
             m.frame_id,
             m.length,
@@ -129,8 +129,8 @@ def _key(dbc: bytes) -> str:
     return digest.hexdigest()[:24]
 
 
-def _unpacked(packed: bytes) -> list[Message]:
+def _unpacked(packed: bytes) -> list[MessageSpec]:
     return [
-        Message._make((*fields, tuple(Signal._make(signal) for signal in signals)))
+        MessageSpec._make((*fields, tuple(Signal._make(signal) for signal in signals)))
         for *fields, signals in json.loads(packed)
     ]

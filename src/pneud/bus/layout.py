@@ -18,7 +18,7 @@ _CODES = {8: "b", 16: "h", 32: "i", 64: "q"}
 _CRC_BYTES = tuple(bytes((state ^ crc8.FINAL_XOR,)) for state in range(256))
 
 
-class Field(NamedTuple):
+class SignalField(NamedTuple):
     """Where one number lies in a frame, and what it means.
 
     `low` and `high` bound the raw value. `scale` and `offset` lead to SI units; they are unused where
@@ -54,9 +54,9 @@ class Functions(NamedTuple):
 def compile_functions(
     can_id: int,
     length: int,
-    fields: Sequence[Field | None],
+    fields: Sequence[SignalField | None],
     defaults: Sequence[float | None],
-    counter: Field | None,
+    counter: SignalField | None,
     crc: bool,
 ) -> Functions:
     """The functions of one message.
@@ -106,20 +106,20 @@ def bit_range(length: int, signed: bool) -> tuple[int, int]:
     return (-(1 << (length - 1)), (1 << (length - 1)) - 1) if signed else (0, (1 << length) - 1)
 
 
-def _byte_span(f: Field) -> tuple[int, int] | None:
+def _byte_span(f: SignalField) -> tuple[int, int] | None:
     """First byte and number of bytes, where the field fills whole bytes."""
     if f.length not in _CODES or f.start % 8 != (7 if f.big_endian else 0):
         return None
     return f.start // 8, f.length // 8
 
 
-def _counter_byte(counter: Field | None) -> int | None:
+def _counter_byte(counter: SignalField | None) -> int | None:
     """Which byte the counter is, where it is a whole one."""
     span = None if counter is None or counter.length != 8 else _byte_span(counter)
     return None if span is None else span[0]
 
 
-def _struct(placed: list[tuple[str, Field]], body: int) -> tuple[struct.Struct, list[str]] | None:
+def _struct(placed: list[tuple[str, SignalField]], body: int) -> tuple[struct.Struct, list[str]] | None:
     """A struct for the first `body` bytes and the names in its order, if every field fills whole bytes."""
     orders = {f.big_endian for _, f in placed if f.length > 8}
     if len(orders) > 1:
@@ -137,7 +137,7 @@ def _struct(placed: list[tuple[str, Field]], body: int) -> tuple[struct.Struct, 
     return struct.Struct(text + "x" * (body - at)), [name for _, _, name, _ in sorted(spans)]
 
 
-def shift(f: Field, length: int) -> int:
+def shift(f: SignalField, length: int) -> int:
     """How far the least significant bit lies above that of the frame taken as one integer."""
     if not f.big_endian:
         return f.start
@@ -145,7 +145,7 @@ def shift(f: Field, length: int) -> int:
     return 8 * length - from_the_top - f.length
 
 
-def _extract(f: Field, length: int) -> str:
+def _extract(f: SignalField, length: int) -> str:
     word = "m" if f.big_endian else "n"
     text = f"({word} >> {shift(f, length)} & {(1 << f.length) - 1})"
     if f.signed:
@@ -154,7 +154,7 @@ def _extract(f: Field, length: int) -> str:
     return text
 
 
-def _words(fields: Sequence[Field]) -> list[str]:
+def _words(fields: Sequence[SignalField]) -> list[str]:
     lines = []
     if any(not f.big_endian for f in fields):
         lines.append("    n = from_bytes(data, 'little')")
@@ -163,7 +163,7 @@ def _words(fields: Sequence[Field]) -> list[str]:
     return lines
 
 
-def _physical(f: Field, raw: str) -> str:
+def _physical(f: SignalField, raw: str) -> str:
     if f.integer:
         return raw
     text = f"{raw} * {f.scale!r}"
@@ -171,9 +171,9 @@ def _physical(f: Field, raw: str) -> str:
 
 
 def _decode_source(
-    fields: Sequence[Field | None],
+    fields: Sequence[SignalField | None],
     aligned: tuple[struct.Struct, list[str]] | None,
-    present: list[tuple[str, Field]],
+    present: list[tuple[str, SignalField]],
     length: int,
 ) -> list[str]:
     lines = ["def decode(data):"]
@@ -189,11 +189,11 @@ def _decode_source(
 
 
 def _encode_source(
-    fields: Sequence[Field | None],
+    fields: Sequence[SignalField | None],
     defaults: Sequence[float | None],
-    counter: Field | None,
+    counter: SignalField | None,
     aligned: tuple[struct.Struct, list[str]] | None,
-    placed: list[tuple[str, Field]],
+    placed: list[tuple[str, SignalField]],
     body: int,
     chain: str | None,
     scope: dict[str, Any],
@@ -236,7 +236,7 @@ def _encode_source(
     return [*lines, f"    return data + CRC[{chain}]"]
 
 
-def _counter_source(counter: Field | None, length: int) -> list[str]:
+def _counter_source(counter: SignalField | None, length: int) -> list[str]:
     if counter is None:
         return ["def counter_of(data):", "    return 0"]
     byte = _counter_byte(counter)
@@ -276,7 +276,7 @@ def _rounding_to(low: int, high: int) -> tuple[float, float]:
 
 
 def _refusal(
-    fields: Sequence[Field | None], counter: Field | None
+    fields: Sequence[SignalField | None], counter: SignalField | None
 ) -> Callable[[tuple[float, ...], int], NoReturn]:
     def refuse(values: tuple[float, ...], count: int) -> NoReturn:
         for f, value in zip((*fields, counter), (*values, count), strict=True):

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from pneud.control.laws import adrc, pid
-from pneud.control.laws.loop import Loop
+from pneud.control.laws.loop import OpenLoop
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -267,7 +267,7 @@ class AdrcConfig(Section):
         return self
 
 
-def _check_hurwitz(loop: Loop) -> None:
+def _check_hurwitz(loop: OpenLoop) -> None:
     if not loop.hurwitz:
         raise ValueError(f"gains are not Hurwitz: needs {loop.criterion}")
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from pneud.console import protocol
-from pneud.console.facts import Run
-from pneud.console.handoff import Outcome
+from pneud.console.facts import RunFacts
+from pneud.console.handoff import RequestOutcome
 from pneud.console.memory import Memory
 from pneud.console.protocol import Error, ProtocolError
-from pneud.console.server import Plan
-from pneud.console.status import Watch, faults
+from pneud.console.server import Orders
+from pneud.console.status import StatusWatch, faults
 from pneud.console.tuning import Tuning
 from pneud.log.live.ring import Ring
 from pneud.safety.faults import CENTRES, FAULT_CURES, FAULT_NAMES, STOPS
@@ -31,7 +31,7 @@ _URGENT = {protocol.Disarm: RequestKind.DISARM, protocol.Stop: RequestKind.STOP}
 class AxisDesk:
     """The desk of one axis."""
 
-    def __init__(self, run: Run, ring: Ring, watch: Watch, memory: Memory | None = None) -> None:
+    def __init__(self, run: RunFacts, ring: Ring, watch: StatusWatch, memory: Memory | None = None) -> None:
         """Ready to be asked.
 
         Args:
@@ -102,7 +102,7 @@ class AxisDesk:
         """The fields of the reply to `tune_get`."""
         return {"gains": self._tuning.running, "config": str(self._run.path)}
 
-    def plan(self, message: protocol.Request) -> Plan:
+    def plan(self, message: protocol.Request) -> Orders:
         """What to ask of the loop.
 
         Raises:
@@ -110,34 +110,34 @@ class AxisDesk:
         """
         kind = type(message)
         if kind in _SIMPLE:
-            return Plan(message.verb, (Request(_SIMPLE[kind]),))
+            return Orders(message.verb, (Request(_SIMPLE[kind]),))
         if kind in _URGENT:
-            return Plan(message.verb, (Request(_URGENT[kind]),), urgent=True)
+            return Orders(message.verb, (Request(_URGENT[kind]),), urgent=True)
         match message:
             case protocol.Goto():
                 return self._goto(message)
             case protocol.Jog(velocity_mm_s=v, lease_s=lease_s):
                 self._check_speed(v)
                 ticks = max(1, round(lease_s * self._run.config.loop.rate_hz))
-                return Plan(f"jog {v:g} mm/s", (Request(RequestKind.JOG, (v * _MM, float(ticks))),))
+                return Orders(f"jog {v:g} mm/s", (Request(RequestKind.JOG, (v * _MM, float(ticks))),))
             case protocol.Track(what=what):
-                return Plan(f"track {what}", (Request(RequestKind.TRACK, (float(what == "profile"),)),))
+                return Orders(f"track {what}", (Request(RequestKind.TRACK, (float(what == "profile"),)),))
             case protocol.Upload(first=first, last=last, pieces=pieces):
                 empty = Request(RequestKind.PIECE)
                 requests = [empty] if first else []
                 requests += [Request(RequestKind.PIECE, tuple(piece)) for piece in pieces]
                 words = f"upload of {len(pieces)} pieces"
-                return Plan(words, tuple(requests), undo=empty, unfinished=not last)
+                return Orders(words, tuple(requests), undo=empty, unfinished=not last)
             case protocol.TuneSet(gains=values):
                 return self._tuning.set(values)
             case protocol.TuneReload():
                 return self._tuning.reload()
             case protocol.Mark(text=text):
                 shown = "".join(c if c.isprintable() else "?" for c in text)
-                return Plan(f"mark {shown}", (Request(RequestKind.MARK),), free=True)
+                return Orders(f"mark {shown}", (Request(RequestKind.MARK),), free=True)
         raise AssertionError(message)
 
-    def _goto(self, m: protocol.Goto) -> Plan:
+    def _goto(self, m: protocol.Goto) -> Orders:
         allowed = self._limits()
         low_mm, high_mm = allowed["min_mm"], allowed["max_mm"]
         nearest_mm = min(max(m.x_mm, low_mm), high_mm)
@@ -155,7 +155,7 @@ class AxisDesk:
         for name, bound in zip(("speed", "acceleration", "jerk"), bounds, strict=True):
             words += f" {name} {bound:g}" if bound is not None else ""
         values = (m.x_mm * _MM, *((bound or 0.0) * _MM for bound in bounds))
-        return Plan(words, (Request(RequestKind.GOTO, values),))
+        return Orders(words, (Request(RequestKind.GOTO, values),))
 
     def _check_speed(self, speed_mm_s: float) -> None:
         highest_mm_s = self._limits()["speed_mm_s"]
@@ -166,7 +166,7 @@ class AxisDesk:
                 nearest_mm_s=highest_mm_s,
             )
 
-    def refused(self, answer: int, words: str, outcome: Outcome) -> ProtocolError:
+    def refused(self, answer: int, words: str, outcome: RequestOutcome) -> ProtocolError:
         """What to tell a client about the axis's refusal."""
         try:
             kind = Answer(answer)

@@ -26,7 +26,7 @@ class PlaceError(Exception):
         self.exit_code = exit_code
 
 
-class Place(NamedTuple):
+class Endpoint(NamedTuple):
     """A socket that listens, and the lock that makes it this daemon's for as long as it lives."""
 
     listener: socket.socket
@@ -34,7 +34,7 @@ class Place(NamedTuple):
     lock: int
 
 
-def bind(name: str, given: str | None, *, virtual: bool) -> Place:
+def bind(name: str, given: str | None, *, virtual: bool) -> Endpoint:
     """Make the daemon's socket; one that a dead daemon left is replaced.
 
     Args:
@@ -68,7 +68,7 @@ def bind(name: str, given: str | None, *, virtual: bool) -> Place:
         listener.close()
         os.close(lock)
         raise PlaceError(_words(e, str(path))) from None
-    return Place(listener, path, lock)
+    return Endpoint(listener, path, lock)
 
 
 def _lock(path: Path) -> int | None:

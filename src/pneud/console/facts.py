@@ -8,7 +8,7 @@ from typing import NamedTuple
 from pneud.config.models import Config
 
 
-class Run(NamedTuple):
+class RunFacts(NamedTuple):
     """What stays the same while a daemon runs."""
 
     config: Config

@@ -23,7 +23,7 @@ _NEVER_LATE = (RequestKind.STOP, RequestKind.DISARM)
 _PADDING = (0.0,) * REQUEST_VALUES
 
 
-class Outcome(NamedTuple):
+class RequestOutcome(NamedTuple):
     """What became of a request, and how the axis stands after it."""
 
     number: int
@@ -100,7 +100,7 @@ def send(end: socket.socket, number: int, request: Request) -> bool:
     return True
 
 
-def receive(end: socket.socket) -> Outcome | None:
+def receive(end: socket.socket) -> RequestOutcome | None:
     """The next answer at the console's end; None if there is none.
 
     Raises:
@@ -114,4 +114,4 @@ def receive(end: socket.socket) -> Outcome | None:
         raise EOFError from None
     if len(data) != _ANSWER.size:
         raise EOFError
-    return Outcome._make(_ANSWER.unpack(data))
+    return RequestOutcome._make(_ANSWER.unpack(data))

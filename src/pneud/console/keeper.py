@@ -13,7 +13,7 @@ import time
 from contextlib import suppress
 
 from pneud import crew
-from pneud.console.facts import Run
+from pneud.console.facts import RunFacts
 from pneud.console.memory import Memory
 from pneud.console.worker import Post, load, serve
 from pneud.log.live.notes import Teller
@@ -28,7 +28,7 @@ _WARNING, _ERROR = 3, 4  # levels of the log's events; their module is heavy to 
 
 
 def fork_console(
-    listener: socket.socket, loop: socket.socket, words: socket.socket, run: Run, ring: Ring
+    listener: socket.socket, loop: socket.socket, words: socket.socket, run: RunFacts, ring: Ring
 ) -> int:
     """Fork the console's keeper, which forks the console; the sockets are theirs from here on.
 

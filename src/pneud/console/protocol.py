@@ -52,7 +52,7 @@ Millimetres = Annotated[float, Field(ge=-1e6, le=1e6)]
 Rate = Annotated[float, Field(ge=1e-3, le=1e9)]
 
 
-class Message(BaseModel):
+class RequestBase(BaseModel):
     """What all requests have."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
@@ -61,61 +61,61 @@ class Message(BaseModel):
     id: Number
 
 
-class Status(Message):
+class Status(RequestBase):
     """How the axis is."""
 
     verb: Literal["status"]
 
 
-class Attach(Message):
+class Attach(RequestBase):
     """The memory in which the loop leaves its records, for reading."""
 
     verb: Literal["attach"]
 
 
-class Observe(Message):
+class Observe(RequestBase):
     """Never command from this connection."""
 
     verb: Literal["observe"]
 
 
-class Arm(Message):
+class Arm(RequestBase):
     """Engage and hold."""
 
     verb: Literal["arm"]
 
 
-class Disarm(Message):
+class Disarm(RequestBase):
     """Stop, then centre."""
 
     verb: Literal["disarm"]
 
 
-class Stop(Message):
+class Stop(RequestBase):
     """Stop."""
 
     verb: Literal["stop"]
 
 
-class Clear(Message):
+class Clear(RequestBase):
     """Clear what is latched."""
 
     verb: Literal["clear"]
 
 
-class Hold(Message):
+class Hold(RequestBase):
     """Come to rest and hold."""
 
     verb: Literal["hold"]
 
 
-class Home(Message):
+class Home(RequestBase):
     """Find the reference."""
 
     verb: Literal["home"]
 
 
-class Goto(Message):
+class Goto(RequestBase):
     """Go to a position; bounds that are not given are the configured ones."""
 
     verb: Literal["goto"]
@@ -125,7 +125,7 @@ class Goto(Message):
     jerk_mm_s3: Rate | None = None
 
 
-class Jog(Message):
+class Jog(RequestBase):
     """Move at a speed for as long as the lease is renewed."""
 
     verb: Literal["jog"]
@@ -133,14 +133,14 @@ class Jog(Message):
     lease_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.3
 
 
-class Track(Message):
+class Track(RequestBase):
     """Follow the configured reference, or the uploaded profile."""
 
     verb: Literal["track"]
     what: Literal["reference", "profile"]
 
 
-class Upload(Message):
+class Upload(RequestBase):
     """Pieces of a profile: duration [s], then eight coefficients of powers of time, metres.
 
     Whole or nothing: where a piece is refused, or the client goes before its last one, no profile is left.
@@ -155,26 +155,26 @@ class Upload(Message):
     ]
 
 
-class TuneGet(Message):
+class TuneGet(RequestBase):
     """The running gains and reference."""
 
     verb: Literal["tune_get"]
 
 
-class TuneSet(Message):
+class TuneSet(RequestBase):
     """Change gains and reference, all at once or none."""
 
     verb: Literal["tune_set"]
     gains: Annotated[dict[str, float | str], Field(min_length=1, max_length=12)]
 
 
-class TuneReload(Message):
+class TuneReload(RequestBase):
     """Take gains and reference of the configuration on the disk."""
 
     verb: Literal["tune_reload"]
 
 
-class Mark(Message):
+class Mark(RequestBase):
     """A remark for the log."""
 
     verb: Literal["mark"]

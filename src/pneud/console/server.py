@@ -33,7 +33,7 @@ _ACCEPTS = 16  # new clients in a turn
 _QUIET_S = 1.0  # between two words for the log about the same client's mistakes
 
 
-class Bounds(NamedTuple):
+class ClientBounds(NamedTuple):
     """What clients may use up."""
 
     clients: int = 32
@@ -46,10 +46,10 @@ class Bounds(NamedTuple):
     lease_s: float = LEASE_S
 
 
-BOUNDS = Bounds()
+BOUNDS = ClientBounds()
 
 
-class Plan(NamedTuple):
+class Orders(NamedTuple):
     """What a request comes to."""
 
     words: str  # for the log
@@ -76,14 +76,14 @@ class Desk(Protocol):
     def gains(self) -> dict[str, Any]:
         """The fields of the reply to `tune_get`."""
 
-    def plan(self, message: protocol.Request) -> Plan:
+    def plan(self, message: protocol.Request) -> Orders:
         """What to ask of the loop.
 
         Raises:
             ProtocolError: what is asked for cannot be done.
         """
 
-    def refused(self, answer: int, words: str, outcome: handoff.Outcome) -> ProtocolError:
+    def refused(self, answer: int, words: str, outcome: handoff.RequestOutcome) -> ProtocolError:
         """What to tell a client about the axis's refusal."""
 
 
@@ -126,7 +126,7 @@ class _Job:
         self,
         client: _Client | None,
         number: int | None,
-        plan: Plan,
+        plan: Orders,
         label: str,
         refused: Callable[[ProtocolError], None] | None = None,
     ) -> None:
@@ -148,7 +148,7 @@ class Server:
         loop: socket.socket,
         desk: Desk,
         say: Callable[[int, str], None],
-        bounds: Bounds = BOUNDS,
+        bounds: ClientBounds = BOUNDS,
         clock: Callable[[], float] = time.monotonic,
         first: int = 0,
     ) -> None:
@@ -177,7 +177,7 @@ class Server:
         self._flight: tuple[int, _Job, float] | None = None  # number, whose, given up at
         self._number = first
         self._jogging: _Client | None = None
-        self._unfinished: tuple[_Client | None, Plan] | None = None
+        self._unfinished: tuple[_Client | None, Orders] | None = None
         self._jog_words = ""
         self._selector = selectors.DefaultSelector()
         listener.setblocking(False)
@@ -476,16 +476,16 @@ class Server:
             else:
                 self._end(job, ProtocolError(Error.DISPLACED, "a stop came first"))
 
-    def _undo(self, plan: Plan, label: str) -> None:
+    def _undo(self, plan: Orders, label: str) -> None:
         """What is not done whole is not done in part."""
         self._unfinished = None
         if plan.undo is not None:
-            self._jobs.append(_Job(None, None, Plan(f"undo {plan.words}", (plan.undo,)), label))
+            self._jobs.append(_Job(None, None, Orders(f"undo {plan.words}", (plan.undo,)), label))
 
     def _stop_jog(self, label: str) -> None:
         self._jogging = None
         self._jog_words = ""
-        hold = Plan("hold", (Request(RequestKind.HOLD),))
+        hold = Orders("hold", (Request(RequestKind.HOLD),))
         self._jobs.append(_Job(None, None, hold, label))
 
     # the loop
@@ -533,7 +533,7 @@ class Server:
         with contextlib.suppress(ValueError):
             self._jobs.remove(job)
 
-    def _done(self, job: _Job, outcome: handoff.Outcome) -> None:
+    def _done(self, job: _Job, outcome: handoff.RequestOutcome) -> None:
         more = job.plan.done() if job.plan.done is not None else {}
         kind = job.plan.requests[0].kind
         if job.plan.undo is not None:

@@ -13,7 +13,7 @@ from pneud.safety.faults import LOG_LOST, TABLE
 from pneud.signals import State
 
 
-class Watch:
+class StatusWatch:
     """Follows the records of one run."""
 
     def __init__(self, ring: Ring) -> None:

@@ -10,7 +10,7 @@ from pneud.config.models import Config, ConfigError
 from pneud.config.reading import load_config
 from pneud.console.memory import Memory
 from pneud.console.protocol import Error, ProtocolError
-from pneud.console.server import Plan
+from pneud.console.server import Orders
 from pneud.control.tunables import LAWS, SLIDING_LAWS, names_of
 from pneud.signals import Request, RequestKind
 
@@ -97,7 +97,7 @@ class Tuning:
         except (OSError, UnicodeDecodeError):
             return True
 
-    def set(self, values: Values) -> Plan:
+    def set(self, values: Values) -> Orders:
         """Change some of the values.
 
         Raises:
@@ -119,7 +119,7 @@ class Tuning:
             raise ProtocolError(Error.INVALID, f"{strange[0]} is no value of {law}; set law=… along with it")
         return self._plan("tune", wanted, {})
 
-    def reload(self) -> Plan:
+    def reload(self) -> Orders:
         """Take the values of the file; limits never, and everything else at the next start.
 
         Raises:
@@ -155,7 +155,7 @@ class Tuning:
 
         return plan._replace(words=words, done=done)
 
-    def _plan(self, words: str, wanted: Values, more: dict[str, Any]) -> Plan:
+    def _plan(self, words: str, wanted: Values, more: dict[str, Any]) -> Orders:
         law, *gains = (wanted[name] for name in names_of(str(wanted["law"])))
         values = (float(LAWS.index(str(law))), *map(float, gains))
         if any(wanted[n] != self._values[n] for n in REFERENCE):
@@ -168,7 +168,7 @@ class Tuning:
             return {"gains": self.running, "changed": changes, **more}
 
         requests = (Request(RequestKind.GAINS, values),) if changes else ()
-        return Plan(f"{words}: {changes or 'nothing to change'}", requests, done=done)
+        return Orders(f"{words}: {changes or 'nothing to change'}", requests, done=done)
 
     def _sine(self, wanted: Values) -> tuple[float, ...]:
         """The reference as the axis knows it."""

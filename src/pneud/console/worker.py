@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pneud import crew
 from pneud.console import handoff
-from pneud.console.facts import Run
+from pneud.console.facts import RunFacts
 from pneud.console.memory import Memory
 from pneud.log.live.notes import Teller
 from pneud.log.live.ring import Ring
@@ -29,7 +29,7 @@ class Post(NamedTuple):
     listener: socket.socket  # bound and listening
     loop: socket.socket  # the console's end of the hand-off
     words: socket.socket  # the teller's end to the recorder
-    run: Run  # what runs
+    run: RunFacts  # what runs
     ring: Ring  # where its records are
     memory: Memory  # what the one before has left
 
@@ -64,13 +64,13 @@ def serve(post: Post, keeper: int, place: int) -> None:
     from pneud.console import protocol  # noqa: PLC0415
     from pneud.console.commands import AxisDesk  # noqa: PLC0415
     from pneud.console.server import Server  # noqa: PLC0415
-    from pneud.console.status import Watch  # noqa: PLC0415
+    from pneud.console.status import StatusWatch  # noqa: PLC0415
 
     def refused(error: ProtocolError) -> None:
         print(f"pneud: {error}", file=sys.stderr, flush=True)
 
     teller, ring = Teller(post.words, "console"), post.ring
-    watch = Watch(ring)
+    watch = StatusWatch(ring)
     desk = AxisDesk(post.run, ring, watch, post.memory)
     server = Server(post.listener, post.loop, desk, teller.say, first=place * _NUMBERS)
     if place:

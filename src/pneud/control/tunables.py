@@ -7,7 +7,7 @@ protects the axis is not for tuning.
 from __future__ import annotations
 
 from pneud.control.homogeneous import Feedback, feedback
-from pneud.control.laws.loop import Loop
+from pneud.control.laws.loop import OpenLoop
 from pneud.control.laws.loop import delay_margin as margin_of
 from pneud.control.laws.slot import IN_SLOT, SLIDING, Entry, Slot
 from pneud.control.step import Controller
@@ -115,7 +115,7 @@ def delay_of(p: Controller) -> float:
     return max(p.lead_s, p.delay_s) + 0.5 * p.h
 
 
-def delay_margin_of(loop: Loop) -> float:
+def delay_margin_of(loop: OpenLoop) -> float:
     """Dead time [s] at which a loop loses its phase margin; zero where it is unstable without any."""
     return margin_of(loop.numerator, loop.denominator) if loop.hurwitz else 0.0
 

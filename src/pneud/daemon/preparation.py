@@ -55,7 +55,7 @@ class Ready(NamedTuple):
     how: Backend
     axis: Axis
     link: Link
-    socket: endpoint.Place
+    socket: endpoint.Endpoint
     log_file: Path
     descriptor: int  # of the log file
     viewers: tuple[str, int] | None  # address and port to serve them at

@@ -96,5 +96,5 @@ def _judged(session: Session, lane: Lane) -> dict[str, Any] | None:
     if scenario is None or effects is None:
         return None
     tally = lane.tally
-    seen = verdict.Seen(tally.ever_present, tally.ever_latched, tally.state, effects["engaged"])
+    seen = verdict.Observed(tally.ever_present, tally.ever_latched, tally.state, effects["engaged"])
     return verdict.judge(scenario, session.ready.config, seen, effects)

@@ -12,7 +12,7 @@ from pneud import crew
 from pneud.bus.inbox import Inbox
 from pneud.config import conversions
 from pneud.console import handoff
-from pneud.console.facts import Run
+from pneud.console.facts import RunFacts
 from pneud.console.keeper import fork_console
 from pneud.daemon.preparation import Ready
 from pneud.log.format.header import LogHeader, Rotation
@@ -136,7 +136,7 @@ class Session:
 
     def _start_console(self, ends: ExitStack, asking: socket.socket, words: socket.socket) -> int:
         (config, path, text, *_), link = self.ready.loaded, self.ready.link
-        facts = Run(config, path.absolute(), text, link.name, link.note, str(self.ready.log_file))
+        facts = RunFacts(config, path.absolute(), text, link.name, link.note, str(self.ready.log_file))
         console = fork_console(self.ready.socket.listener, asking, words, facts, self.ring)
 
         def end() -> None:

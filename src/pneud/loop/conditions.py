@@ -18,7 +18,7 @@ LINK_DOWN, SEND_FAILED, RECEIVE_OVERFLOW, OTHER_CONTROLLER = (
 )
 
 
-class Way(Protocol):
+class BusWay(Protocol):
     """The controller's way to the bus."""
 
     @property
@@ -39,7 +39,7 @@ class Conditions:
 
     __slots__ = ("_foreign", "_foreign_until_ns", "_inbox", "_rx_dropped", "_tx_failed", "_way")
 
-    def __init__(self, inbox: Inbox, way: Way) -> None:
+    def __init__(self, inbox: Inbox, way: BusWay) -> None:
         """Nothing has happened yet.
 
         Args:

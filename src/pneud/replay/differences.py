@@ -15,7 +15,7 @@ POINTS = 4096  # of a picture
 NAN = float("nan")
 
 
-class Spread(NamedTuple):
+class CommandSpread(NamedTuple):
     """How one variable differs."""
 
     ticks: int  # in which it does
@@ -105,10 +105,10 @@ class Differences:
         if len(self.points) == POINTS:
             self.points, self._stride = self.points[::2], 2 * self._stride
 
-    def spreads(self) -> dict[str, Spread]:
+    def spreads(self) -> dict[str, CommandSpread]:
         """The variables that differ, those that do so first at the top."""
         found = {
-            name: Spread(
+            name: CommandSpread(
                 t.count,
                 t.first,
                 t.most,
@@ -120,7 +120,7 @@ class Differences:
         return dict(sorted(found.items(), key=lambda item: item[1].first_tick))
 
 
-class Comparison(NamedTuple):
+class LogComparison(NamedTuple):
     """Two logs side by side."""
 
     differences: Differences
@@ -128,7 +128,7 @@ class Comparison(NamedTuple):
     engaged_ticks: int  # of those compared
 
 
-def compare(one: LogReader, other: LogReader) -> Comparison:
+def compare(one: LogReader, other: LogReader) -> LogComparison:
     """Two logs tick by tick, from the first tick in which each is engaged, if it ever is.
 
     Ticks are paired by their numbers; where one log lacks records, the other's are passed over.
@@ -146,7 +146,7 @@ def compare(one: LogReader, other: LogReader) -> Comparison:
         if second.number == first.number + shift:
             found.add(first, second)
             engaged += is_engaged(first.state) or is_engaged(second.state)
-    return Comparison(found, shift, engaged)
+    return LogComparison(found, shift, engaged)
 
 
 def _engaged_from(log: LogReader) -> int:

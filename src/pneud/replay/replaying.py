@@ -37,7 +37,7 @@ class Difference(NamedTuple):
         return f"tick {self.tick}: {self.variable} logged {self.logged}, replayed {self.replayed}"
 
 
-class Outcome(NamedTuple):
+class ReplayOutcome(NamedTuple):
     """What a replay comes to."""
 
     ticks: int
@@ -79,7 +79,7 @@ def replay(
     config: Config | None = None,
     from_s: float = 0.0,
     look: Callable[[LoggedTick, Tick], None] | None = None,
-) -> Outcome:
+) -> ReplayOutcome:
     """Feed a log through the axis again.
 
     It begins at the last snapshot before `from_s`, and goes on at the next one where records are missing.
@@ -155,7 +155,7 @@ def replay(
             look(logged, tick)
         engaged += is_engaged(tick.state)
         ticks += 1
-    return Outcome(
+    return ReplayOutcome(
         ticks,
         commands,
         mismatches,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pneud.scenario.format import Interface, Overload, Scenario, Stop
+from pneud.scenario.format import InterfaceFault, Overload, Scenario, StopProcess
 
 HEALTHY, FULL, DOWN = 0, 1, 2  # the controller's way to the bus
 
@@ -35,17 +35,17 @@ class SimulatedMachine:
         """A fault of the machine begins in this tick."""
         fault = self._faults[number]
         until_ns = self._t_ns + round(fault.for_s * 1e9) if fault.for_s is not None else 1 << 62
-        if isinstance(fault, Interface):
+        if isinstance(fault, InterfaceFault):
             self._link = FULL if fault.kind == "queue_full" else DOWN
             self._link_until_ns = until_ns
-        elif isinstance(fault, Stop) and fault.who == "daemon":
+        elif isinstance(fault, StopProcess) and fault.who == "daemon":
             self._stall_ticks = round(fault.for_s * 1e9 / self._period_ns)
         elif isinstance(fault, Overload):
             self._overload_ticks, self._overload_until_ns = (
                 round(fault.stand_s * 1e9 / self._period_ns),
                 until_ns,
             )
-        elif isinstance(fault, Stop) and fault.who == "plant":
+        elif isinstance(fault, StopProcess) and fault.who == "plant":
             self._plant_until_ns = until_ns
 
     def skip(self, t_ns: int) -> int:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pneud.report.gather import Run
+from pneud.report.gather import LoggedRun
 from pneud.signals import State
 
 # Okabe and Ito's colours, which everybody can tell apart
@@ -27,7 +27,7 @@ STATE_COLOURS = {
 }
 
 
-class Series(NamedTuple):
+class Curve(NamedTuple):
     """One line."""
 
     column: str  # of `gather.COLUMNS`
@@ -41,7 +41,7 @@ class Figure(NamedTuple):
     name: str
     title: str
     unit: str
-    series: tuple[Series, ...]
+    series: tuple[Curve, ...]
     note: str = ""
 
 
@@ -53,32 +53,32 @@ FIGURES = (
         "Position",
         "mm",
         (
-            Series("position_mm", "encoder", BLUE),
-            Series("reference_mm", "reference", BLACK),
-            Series("truth_mm", "true position", GREEN),
+            Curve("position_mm", "encoder", BLUE),
+            Curve("reference_mm", "reference", BLACK),
+            Curve("truth_mm", "true position", GREEN),
         ),
     ),
     Figure(
         "error",
         "Tracking error",
         "mm",
-        (Series("error_mm", "reference − position", BLUE),),
+        (Curve("error_mm", "reference − position", BLUE),),
         "against the true position where a software plant tells it, else against the encoder",
     ),
     Figure(
         "velocity",
         "Velocity",
         "mm/s",
-        (Series("velocity_mm_s", "estimate", BLUE), Series("reference_mm_s", "reference", BLACK)),
+        (Curve("velocity_mm_s", "estimate", BLUE), Curve("reference_mm_s", "reference", BLACK)),
     ),
     Figure(
         "pressures",
         "Pressures",
         "bar",
         (
-            Series("p1_bar", "chamber 1", BLUE),
-            Series("p2_bar", "chamber 2", RED),
-            Series("supply_bar", "supply", BLACK),
+            Curve("p1_bar", "chamber 1", BLUE),
+            Curve("p2_bar", "chamber 2", RED),
+            Curve("supply_bar", "supply", BLACK),
         ),
         "absolute",
     ),
@@ -87,33 +87,33 @@ FIGURES = (
         "Valve command",
         "V",
         (
-            Series("voltage_v", "sent", BLUE),
-            Series("law_v", "asked for by the law", ORANGE),
-            Series("applied_v", "applied", GREEN),
+            Curve("voltage_v", "sent", BLUE),
+            Curve("law_v", "asked for by the law", ORANGE),
+            Curve("applied_v", "applied", GREEN),
         ),
     ),
-    Figure("force", "Unmatched force F̂", "N", (Series("force_n", "F̂", BLUE),)),
+    Figure("force", "Unmatched force F̂", "N", (Curve("force_n", "F̂", BLUE),)),
     Figure(
         "force-innovation",
         "Innovation behind F̂",
         "µm",
-        (Series("innovation_um", "encoder − prediction", BLUE),),
+        (Curve("innovation_um", "encoder − prediction", BLUE),),
     ),
-    Figure("disturbance", "Matched disturbance d̂", "N/s", (Series("d_hat_n_s", "d̂", BLUE),)),
+    Figure("disturbance", "Matched disturbance d̂", "N/s", (Curve("d_hat_n_s", "d̂", BLUE),)),
     Figure(
         "disturbance-innovation",
         "Innovation behind d̂",
         "N",
-        (Series("x3_innovation_n", "x3 − x̂3", BLUE),),
+        (Curve("x3_innovation_n", "x3 − x̂3", BLUE),),
     ),
     Figure(
         "timing",
         "Timing",
         "µs",
         (
-            Series("lateness_us", "wake-up lateness", BLUE),
-            Series("latency_us", "sensor to command", ORANGE),
-            Series("sync_jitter_us", "jitter of SYNC", GREEN),
+            Curve("lateness_us", "wake-up lateness", BLUE),
+            Curve("latency_us", "sensor to command", ORANGE),
+            Curve("sync_jitter_us", "jitter of SYNC", GREEN),
         ),
     ),
     Figure(
@@ -121,23 +121,23 @@ FIGURES = (
         "Age of the newest valid values at SYNC",
         "ms",
         (
-            Series("encoder_age_ms", "encoder", BLUE),
-            Series("pressure_age_ms", "pressure", RED),
-            Series("valve_age_ms", "valve status", GREEN),
+            Curve("encoder_age_ms", "encoder", BLUE),
+            Curve("pressure_age_ms", "pressure", RED),
+            Curve("valve_age_ms", "valve status", GREEN),
         ),
         "0 where a frame answered this tick's SYNC",
     ),
 )
 
 
-def offsets_s(runs: Sequence[Run]) -> list[float]:
+def offsets_s(runs: Sequence[LoggedRun]) -> list[float]:
     """What to take from each run's times: several runs begin where they were first engaged."""
     if len(runs) < 2 or any(math.isnan(run.first_engaged_s) for run in runs):
         return [0.0] * len(runs)
     return [run.first_engaged_s for run in runs]
 
 
-def line(run: Run, column: str) -> NDArray[np.float64] | None:
+def line(run: LoggedRun, column: str) -> NDArray[np.float64] | None:
     """Values of a line at `run.series.t_s`; None where there is nothing to draw."""
     values = run.series.values[:, run.columns[column]]
     return values if np.isfinite(values).any() else None

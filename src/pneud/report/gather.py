@@ -34,7 +34,7 @@ _MM, _UM, _BAR = 1e3, 1e6, 1e-5
 _ENGAGED = np.array([is_engaged(state) for state in range(max(State) + 1)])
 
 
-class Mark(NamedTuple):
+class RunMark(NamedTuple):
     """Something an operator asked for."""
 
     t_s: float
@@ -48,7 +48,7 @@ class Window(NamedTuple):
     end_s: float = math.inf
 
 
-class Run(NamedTuple):
+class LoggedRun(NamedTuple):
     """A log as a report shows it."""
 
     name: str  # of the file
@@ -68,7 +68,7 @@ class Run(NamedTuple):
     latched: dict[int, list[Span]]
     saturated: list[Span]
     gaps: list[Span]  # ticks skipped, or records missing
-    marks: list[Mark]
+    marks: list[RunMark]
     more_marks: int
     events: list[LoggedEvent]
     more_events: int
@@ -143,7 +143,7 @@ COLUMNS = (
 EVERYTHING = Window()
 
 
-def gather(log: LogReader, window: Window = EVERYTHING, buckets: int = 8192) -> Run:
+def gather(log: LogReader, window: Window = EVERYTHING, buckets: int = 8192) -> LoggedRun:
     """Read a log.
 
     Args:
@@ -174,7 +174,7 @@ class _Gatherer:
         self.latched: dict[int, Spans] = {}
         self.timing = {name: Spread() for name in Timing._fields}
         self.judge = _Judge()
-        self.marks: list[Mark] = []
+        self.marks: list[RunMark] = []
         self.events: list[LoggedEvent] = []
         self.more_marks = self.more_events = 0
         self.ticks = self.skipped = 0
@@ -185,7 +185,7 @@ class _Gatherer:
         self.number = 0
         self.has_truth = False
 
-    def run(self, window: Window) -> Run:
+    def run(self, window: Window) -> LoggedRun:
         for block, t_s in self._windowed(window):
             self._take(block, t_s)
         if not self.ticks:
@@ -193,7 +193,7 @@ class _Gatherer:
         self._name_marks()
         end_s = self.last_s + 1e-9 * self.period_ns
         log = self.log
-        return Run(
+        return LoggedRun(
             name=log.path.name,
             log=log,
             config=self.config,
@@ -305,7 +305,7 @@ class _Gatherer:
             label = RequestKind(request.kind).name.lower()
         except ValueError:
             label = f"request {request.kind}"
-        self.marks.append(Mark(t_s, " ".join([label, *(f"{value:g}" for value in request.values)])))
+        self.marks.append(RunMark(t_s, " ".join([label, *(f"{value:g}" for value in request.values)])))
 
     def _columns(self, block: Block, jitter_ns: Any) -> dict[str, NDArray[np.float64]]:
         real = block.real

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pneud.bus import crc8
 from pneud.bus.codec import Codec, Codecs
-from pneud.bus.layout import Field, shift
+from pneud.bus.layout import SignalField, shift
 from pneud.bus.wire import CAN_ERR_FLAG
 from pneud.log.files.columns import AFTER, BEFORE, SENT, Block, Floats, FrameColumns, Ints
 from pneud.report.spread import Spread
@@ -25,7 +25,7 @@ _HEARTBEAT = range(0x701, 0x780)
 Words = NDArray[np.uint64]
 
 
-def raw(field: Field, data: Words, length: int) -> Ints:
+def raw(field: SignalField, data: Words, length: int) -> Ints:
     """Raw values of a field of many frames.
 
     Args:
@@ -114,7 +114,7 @@ class SourceHealth:
         self.age.add(np.where(sent > 0, np.maximum(sent - stamp, 0), -1))
 
     def _counted(
-        self, frames: FrameColumns, kept: Ints, corrupt_before: Ints, field: Field
+        self, frames: FrameColumns, kept: Ints, corrupt_before: Ints, field: SignalField
     ) -> tuple[Ints, Ints]:
         """Those whose counter went on; counts the others, and what is missing between them."""
         counter = raw(field, frames.data[kept], self.codec.length)
@@ -129,7 +129,7 @@ class SourceHealth:
         return kept, corrupt_before
 
 
-class Row(NamedTuple):
+class HealthRow(NamedTuple):
     """An identifier on the bus."""
 
     can_id: int
@@ -225,10 +225,10 @@ class Health:
         self._last_sync = (int(number[-1]), int(times[-1]))
         return found
 
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[HealthRow]:
         """Identifiers in order, the error frames left out."""
         return [
-            Row(can_id, self._name(can_id), "sent" if sent else "received", count)
+            HealthRow(can_id, self._name(can_id), "sent" if sent else "received", count)
             for (can_id, sent), count in sorted(self._count.items())
             if not can_id & CAN_ERR_FLAG
         ]

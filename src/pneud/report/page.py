@@ -17,7 +17,7 @@ from pneud import __version__
 from pneud.bench.chart import svg
 from pneud.log.format.schema import Level
 from pneud.report.figures import COLOURS, FIGURES, STATE_COLOURS, line, offsets_s
-from pneud.report.gather import AFTER_S, Run
+from pneud.report.gather import AFTER_S, LoggedRun
 from pneud.report.spans import Span
 from pneud.report.spread import Spread
 from pneud.signals import State, Timing
@@ -36,7 +36,7 @@ _TIMING_WORDS = {
 _SPANS_SHOWN = 4000
 
 
-def page(runs: Sequence[Run], reference: Reference | None = None) -> str:
+def page(runs: Sequence[LoggedRun], reference: Reference | None = None) -> str:
     """The page.
 
     Args:
@@ -87,7 +87,7 @@ def _asset(name: str) -> str:
     return (files("pneud.report") / "assets" / name).read_text(encoding="utf-8").strip()
 
 
-def _names(runs: Sequence[Run]) -> list[str]:
+def _names(runs: Sequence[LoggedRun]) -> list[str]:
     plain = [run.name.removesuffix(".mcap") for run in runs]
     return [
         f"{name} ({plain[: i + 1].count(name)})" if plain.count(name) > 1 else name
@@ -98,7 +98,7 @@ def _names(runs: Sequence[Run]) -> list[str]:
 # What the script draws
 
 
-def _data(runs: Sequence[Run], names: Sequence[str]) -> dict[str, Any]:
+def _data(runs: Sequence[LoggedRun], names: Sequence[str]) -> dict[str, Any]:
     shifts = offsets_s(runs)
     return {
         "figures": [{**f._asdict(), "series": [s._asdict() for s in f.series]} for f in FIGURES],
@@ -110,7 +110,7 @@ def _data(runs: Sequence[Run], names: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def _run(run: Run, name: str, shift_s: float, colour: str) -> dict[str, Any]:
+def _run(run: LoggedRun, name: str, shift_s: float, colour: str) -> dict[str, Any]:
     columns = {}
     for figure in FIGURES:
         for series in figure.series:
@@ -169,18 +169,18 @@ def _state_colour(value: int) -> str:
 # Words and tables
 
 
-def _utc(run: Run) -> str:
+def _utc(run: LoggedRun) -> str:
     if run.simulated:
         return "simulated time"
     return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(run.start_unix_s))
 
 
-def _length(run: Run) -> str:
+def _length(run: LoggedRun) -> str:
     first_s = float(run.series.t_s[0])
     return f"{run.last_s:.1f} s" if first_s == 0.0 else f"{first_s:.3f} to {run.last_s:.3f} s"
 
 
-def _subtitle(runs: Sequence[Run], names: Sequence[str]) -> str:
+def _subtitle(runs: Sequence[LoggedRun], names: Sequence[str]) -> str:
     lines = []
     for run, name, colour in zip(runs, names, COLOURS * len(runs), strict=False):
         key = f'<i class="key" style="background:{colour}"></i>' if len(runs) > 1 else ""
@@ -195,7 +195,7 @@ def _subtitle(runs: Sequence[Run], names: Sequence[str]) -> str:
     return "".join(lines)
 
 
-def _warnings(runs: Sequence[Run], names: Sequence[str]) -> str:
+def _warnings(runs: Sequence[LoggedRun], names: Sequence[str]) -> str:
     found = []
     for run, name in zip(runs, names, strict=True):
         if run.log.truncated:
@@ -205,8 +205,8 @@ def _warnings(runs: Sequence[Run], names: Sequence[str]) -> str:
     return "".join(f'<p class="warning">{html.escape(text)}</p>' for text in found)
 
 
-def _summary(runs: Sequence[Run], names: Sequence[str]) -> str:
-    def figure(run: Run, name: str, form: str) -> str:
+def _summary(runs: Sequence[LoggedRun], names: Sequence[str]) -> str:
+    def figure(run: LoggedRun, name: str, form: str) -> str:
         return format(run.figures[name], form) if name in run.figures else "–"
 
     rows: list[tuple[str, list[str]]] = [
@@ -226,11 +226,11 @@ def _summary(runs: Sequence[Run], names: Sequence[str]) -> str:
     return _table(("", *names), ((words, *cells) for words, cells in rows))
 
 
-def _three(run: Run, name: str) -> str:
+def _three(run: LoggedRun, name: str) -> str:
     return "–" if run.simulated else run.timing[name].in_words(" / ")
 
 
-def _timing(runs: Sequence[Run], names: Sequence[str], reference: Reference | None) -> str:
+def _timing(runs: Sequence[LoggedRun], names: Sequence[str], reference: Reference | None) -> str:
     timed = [(name, run) for name, run in zip(names, runs, strict=True) if not run.simulated]
     late: dict[str, list[Any]] = {name: run.timing["lateness_ns"].buckets() for name, run in timed}
     colours = dict(zip(names, COLOURS * len(runs), strict=False))
@@ -277,7 +277,7 @@ def _percentiles(spread: Spread) -> tuple[str, ...]:
     return (f"{spread.count:,}", *(f"{spread.percentile_ns(q) / 1e3:.1f}" for q in (50, 99, 99.9, 100)))
 
 
-def _bus(run: Run, name: str) -> str:
+def _bus(run: LoggedRun, name: str) -> str:
     health = run.health
     seconds = max(run.last_s, 1e-9)
     sources = {s.codec.can_id: s for s in health.sources}
@@ -308,7 +308,7 @@ def _bus(run: Run, name: str) -> str:
     return f"{heading}{_table(head, rows, words=3)}<p>{', '.join(notes)}.</p>"
 
 
-def _events(run: Run, name: str) -> str:
+def _events(run: LoggedRun, name: str) -> str:
     rows = []
     for event in run.events:
         try:
@@ -322,7 +322,7 @@ def _events(run: Run, name: str) -> str:
     return f"{heading}{_table(('s', 'level', 'from', ''), rows, words=0, last=3, kinds=1)}{more}"
 
 
-def _machine(runs: Sequence[Run], names: Sequence[str]) -> str:
+def _machine(runs: Sequence[LoggedRun], names: Sequence[str]) -> str:
     keys: dict[str, None] = {}
     for run in runs:
         keys |= dict.fromkeys(k for k in run.log.metadata if k != "faults")
@@ -334,7 +334,7 @@ def _machine(runs: Sequence[Run], names: Sequence[str]) -> str:
     return _table(("", *names), rows, last=len(runs))
 
 
-def _configuration(run: Run, name: str) -> str:
+def _configuration(run: LoggedRun, name: str) -> str:
     title = f"{html.escape(run.log.config_name)} of {html.escape(name)}"
     return f"<details><summary>{title}</summary><pre>{html.escape(run.log.config_text)}</pre></details>"
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pneud.report.figures import COLOURS, FIGURES, STATE_COLOURS, line, offsets_s
-from pneud.report.gather import Run
+from pneud.report.gather import LoggedRun
 from pneud.rt.outputs import replacing
 from pneud.signals import State
 
@@ -36,7 +36,7 @@ def require() -> None:
         raise PicturesError("pictures need matplotlib; install it with: pip install 'pneud[plots]'") from None
 
 
-def write(runs: Sequence[Run], stem: Path) -> list[Path]:
+def write(runs: Sequence[LoggedRun], stem: Path) -> list[Path]:
     """Draw every figure into a file of its own.
 
     Args:

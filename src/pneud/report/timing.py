@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from pneud.report.gather import Run
+from pneud.report.gather import LoggedRun
 
 
-def in_words(run: Run) -> list[str]:
+def in_words(run: LoggedRun) -> list[str]:
     """What the log says about when things happened; nothing in simulated time."""
     if run.simulated or not run.timing["lateness_ns"].count:
         return []

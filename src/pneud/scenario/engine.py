@@ -264,7 +264,7 @@ class Engine:
                 damage = damage._replace(seized=True)
             elif isinstance(fault, kinds.Mass):
                 p = p._replace(cylinder=p.cylinder._replace(M=p.cylinder.M * fault.factor))
-            elif isinstance(fault, kinds.Friction):
+            elif isinstance(fault, kinds.FrictionFault):
                 p = p._replace(friction=scaled(p.friction, fault.factor))
             elif isinstance(fault, kinds.Force):
                 force_n -= fault.force_n * math.cos(2.0 * math.pi * fault.frequency_hz * elapsed_s)

@@ -37,13 +37,13 @@ Signal = Annotated[str, AfterValidator(_known)]
 TRAVEL_MM, IMPACT_M_S = 20.0, 0.05  # what an axis may use up after a fault, unless a reason is given
 
 
-class Part(BaseModel):
+class PlantPart(BaseModel):
     """A table of the file: unknown keys, NaN and infinity are errors, and nothing changes afterwards."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class When(Part):
+class When(PlantPart):
     """Conditions on the true load that must hold together."""
 
     position_above_m: float | None = None
@@ -52,7 +52,7 @@ class When(Part):
     velocity_below_m_s: float | None = None
 
 
-class Fault(Part):
+class InjectedFault(PlantPart):
     """What all faults have: when they begin, and for how long they last (without `for_s` to the end)."""
 
     since: Literal["armed", "start"] = "armed"  # first valve command with Enable 1, or first SYNC
@@ -61,7 +61,7 @@ class Fault(Part):
     for_s: Positive | None = None
 
 
-class FrameFault(Fault):
+class FrameFault(InjectedFault):
     """Some of the frames of one kind or several."""
 
     frames: Annotated[tuple[Role, ...], Field(min_length=1)]
@@ -109,7 +109,7 @@ class Delay(FrameFault):
     delay_periods: NonNegative = 0.0
 
 
-class Babble(Fault):
+class Babble(InjectedFault):
     """Somebody sends frames of its own, evenly in time, with a priority by its identifier."""
 
     kind: Literal["babble"]
@@ -125,14 +125,14 @@ class Babble(Fault):
         return self
 
 
-class BusOff(Fault):
+class BusOff(InjectedFault):
     """A CAN controller leaves the bus: nothing goes in or out, then it is back."""
 
     kind: Literal["bus_off"]
     of: Literal["controller", "encoder", "pressure", "valve"]
 
 
-class ErrorFrames(Fault):
+class ErrorFrames(InjectedFault):
     """The CAN controller reports errors."""
 
     kind: Literal["error_frames"]
@@ -141,7 +141,7 @@ class ErrorFrames(Fault):
     per_period: Annotated[int, Field(ge=1, le=20)] = 1
 
 
-class Heartbeat(Fault):
+class Heartbeat(InjectedFault):
     """No fault: a node sends heartbeats, which it does not do otherwise; that they end is one."""
 
     kind: Literal["heartbeat"]
@@ -149,14 +149,14 @@ class Heartbeat(Fault):
     every_ms: Positive
 
 
-class Silence(Fault):
+class Silence(InjectedFault):
     """Nodes send nothing, and go on hearing."""
 
     kind: Literal["silence"]
     nodes: Annotated[tuple[Node, ...], Field(min_length=1)]
 
 
-class Reboot(Fault):
+class Reboot(InjectedFault):
     """A node starts anew; `for_s` is how long that takes."""
 
     kind: Literal["reboot"]
@@ -164,7 +164,7 @@ class Reboot(Fault):
     for_s: Positive = 0.02
 
 
-class Emcy(Fault):
+class Emcy(InjectedFault):
     """A node sends a CANopen emergency."""
 
     kind: Literal["emcy"]
@@ -172,13 +172,13 @@ class Emcy(Fault):
     code: Annotated[int, Field(ge=0, le=0xFFFF)]
 
 
-class ValveFailure(Fault):
+class ValveFailure(InjectedFault):
     """The valve's amplifier fails: its node centres for good and reports a fault."""
 
     kind: Literal["valve_failure"]
 
 
-class Value(Fault):
+class Value(InjectedFault):
     """A node reports another value than it has: stuck at the last one, offset, drifting, scaled, or set."""
 
     kind: Literal["stuck", "offset", "drift", "scale", "set"]
@@ -186,7 +186,7 @@ class Value(Fault):
     value: float = 0.0  # in the signal's unit; drift: per second; scale: factor
 
 
-class Supply(Fault):
+class Supply(InjectedFault):
     """The supply pressure changes [Pa, absolute]."""
 
     kind: Literal["supply"]
@@ -194,7 +194,7 @@ class Supply(Fault):
     ramp_s: NonNegative = 0.0
 
 
-class Leak(Fault):
+class Leak(InjectedFault):
     """A hole from a chamber to the atmosphere, `size` times as wide as the open valve."""
 
     kind: Literal["leak"]
@@ -202,34 +202,34 @@ class Leak(Fault):
     size: Annotated[float, Field(gt=0, le=20)]
 
 
-class ValveStuck(Fault):
+class ValveStuck(InjectedFault):
     """The valve's spool stands still, whatever its amplifier puts out."""
 
     kind: Literal["valve_stuck"]
     opening_percent: Annotated[float, Field(ge=-100, le=100)]
 
 
-class Seized(Fault):
+class Seized(InjectedFault):
     """The piston does not move."""
 
     kind: Literal["seized"]
 
 
-class Mass(Fault):
+class Mass(InjectedFault):
     """The moving mass changes by a factor: the load falls off, or something falls on it."""
 
     kind: Literal["mass"]
     factor: Annotated[float, Field(gt=0, le=100)]
 
 
-class Friction(Fault):
+class FrictionFault(InjectedFault):
     """All friction grows by a factor."""
 
     kind: Literal["friction"]
     factor: Annotated[float, Field(gt=0, le=1000)]
 
 
-class Force(Fault):
+class Force(InjectedFault):
     """A force pushes the load [N, in the direction of positive motion], steady or as a sine."""
 
     kind: Literal["force"]
@@ -237,7 +237,7 @@ class Force(Fault):
     frequency_hz: NonNegative = 0.0
 
 
-class Stop(Fault):
+class StopProcess(InjectedFault):
     """A process stands still (SIGSTOP) and goes on."""
 
     kind: Literal["stop"]
@@ -245,7 +245,7 @@ class Stop(Fault):
     for_s: Positive
 
 
-class Overload(Fault):
+class Overload(InjectedFault):
     """The daemon stands still for most of the time, again and again."""
 
     kind: Literal["overload"]
@@ -253,21 +253,21 @@ class Overload(Fault):
     run_s: Positive
 
 
-class Kill(Fault):
+class Kill(InjectedFault):
     """A process is killed (SIGKILL)."""
 
     kind: Literal["kill"]
     who: Literal["recorder", "plant"]
 
 
-class Hog(Fault):
+class Hog(InjectedFault):
     """Processes that do nothing but take the CPU."""
 
     kind: Literal["hog"]
     processes: Annotated[int, Field(ge=1, le=64)] = 4
 
 
-class ClockStep(Fault):
+class ClockStep(InjectedFault):
     """The machine's wall clock is set, and set back when the fault is over."""
 
     kind: Literal["clock_step"]
@@ -275,20 +275,20 @@ class ClockStep(Fault):
     for_s: Positive = 1.0
 
 
-class LogFull(Fault):
+class LogFull(InjectedFault):
     """The log may not grow any further (RLIMIT_FSIZE of the recorder), as on a full disk."""
 
     kind: Literal["log_full"]
 
 
-class Descriptors(Fault):
+class Descriptors(InjectedFault):
     """A process can open no further files (RLIMIT_NOFILE)."""
 
     kind: Literal["descriptors"]
     who: Who
 
 
-class Interface(Fault):
+class InterfaceFault(InjectedFault):
     """The CAN interface goes down, is deleted, or takes no more frames; all is well again when it is over."""
 
     kind: Literal["link_down", "link_deleted", "queue_full"]
@@ -296,12 +296,12 @@ class Interface(Fault):
 
 BUS = Drop | Duplicate | Reorder | Corrupt | Freeze | Delay | Babble | BusOff | ErrorFrames
 NODES = Silence | Reboot | Emcy | Heartbeat | ValveFailure | Value
-PLANT = Supply | Leak | ValveStuck | Seized | Mass | Friction | Force
-MACHINE = Stop | Overload | Kill | Hog | ClockStep | LogFull | Descriptors | Interface
+PLANT = Supply | Leak | ValveStuck | Seized | Mass | FrictionFault | Force
+MACHINE = StopProcess | Overload | Kill | Hog | ClockStep | LogFull | Descriptors | InterfaceFault
 AnyFault = Annotated[BUS | NODES | PLANT | MACHINE, Field(discriminator="kind")]
 
 
-class Evidence(Part):
+class Evidence(PlantPart):
     """From when on the fault can be seen on the bus: a value beyond a bound in a frame."""
 
     signal: Signal
@@ -309,7 +309,7 @@ class Evidence(Part):
     below: float | None = None
 
 
-class Expect(Part):
+class Expect(PlantPart):
     """What the axis does about it."""
 
     reaction: Literal["centre", "stop", "no_arm", "warn", "none"]
@@ -334,7 +334,7 @@ class Expect(Part):
         return self
 
 
-class Scenario(Part):
+class Scenario(PlantPart):
     """One scenario."""
 
     schema_: Annotated[Literal[1], Field(alias="schema")]
@@ -364,7 +364,7 @@ class Scenario(Part):
     @property
     def needs_interface(self) -> bool:
         """Whether it takes an interface of the kernel, and the right to change it."""
-        return self.interface or any(isinstance(f, Interface) for f in self.fault)
+        return self.interface or any(isinstance(f, InterfaceFault) for f in self.fault)
 
 
 def parse_scenario(text: str) -> Scenario:

@@ -22,12 +22,12 @@ from pneud.scenario.format import (
     ClockStep,
     Descriptors,
     Hog,
-    Interface,
+    InterfaceFault,
     Kill,
     LogFull,
     Overload,
     Scenario,
-    Stop,
+    StopProcess,
 )
 
 _NO_DELAY_S = 60.0
@@ -96,7 +96,7 @@ def act(fault: Any, victims: Victims) -> Undo | None:
     Raises:
         OSError: the machine does not let us.
     """
-    if isinstance(fault, Stop):
+    if isinstance(fault, StopProcess):
         pid = victims.pid(fault.who)
         os.kill(pid, signal.SIGSTOP)
         return lambda: os.kill(pid, signal.SIGCONT)
@@ -113,7 +113,7 @@ def act(fault: Any, victims: Victims) -> Undo | None:
         return _limit(victims.recorder, resource.RLIMIT_FSIZE)
     elif isinstance(fault, Descriptors):
         return _limit(victims.pid(fault.who), resource.RLIMIT_NOFILE)
-    elif isinstance(fault, Interface):
+    elif isinstance(fault, InterfaceFault):
         return _interface(fault.kind, victims.interface)
     return None
 

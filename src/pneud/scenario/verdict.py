@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pneud.scenario.format import Expect, Scenario
 
 
-class Seen(NamedTuple):
+class Observed(NamedTuple):
     """What the axis has shown until its run was told to end."""
 
     present: int = 0  # bits of the fault table, ever
@@ -22,9 +22,9 @@ class Seen(NamedTuple):
     state: int = int(State.STARTING)  # the last one
     engaged: bool = False  # ever
 
-    def then(self, tick: Tick) -> Seen:
+    def then(self, tick: Tick) -> Observed:
         """After one more tick."""
-        return Seen(
+        return Observed(
             self.present | tick.present,
             self.latched | tick.latched,
             tick.state,
@@ -56,7 +56,7 @@ def allowed_ticks(expect: Expect, config: Config) -> int | None:
     return expect.within_ticks
 
 
-def judge(scenario: Scenario, config: Config, seen: Seen, effects: dict[str, Any]) -> dict[str, Any]:
+def judge(scenario: Scenario, config: Config, seen: Observed, effects: dict[str, Any]) -> dict[str, Any]:
     """What came of a scenario, for JSON: `met`, and in `problems` why not.
 
     Args:
@@ -97,7 +97,7 @@ def judge(scenario: Scenario, config: Config, seen: Seen, effects: dict[str, Any
     }
 
 
-def _centred(expect: Expect, seen: Seen, effects: dict[str, Any], limit: int | None) -> list[str]:
+def _centred(expect: Expect, seen: Observed, effects: dict[str, Any], limit: int | None) -> list[str]:
     problems = []
     if seen.state != State.FAULT:
         problems.append(f"ended {State(seen.state).label}, not in fault")

@@ -16,10 +16,10 @@ from pneud.log.files.naming import log_folder
 from pneud.rt.setup import Report, own_cpu
 from pneud.service import installation, machine
 from pneud.service.machine import Facts
-from pneud.service.probe import Finding, Level, Wanted, examine, worst_first
+from pneud.service.probe import Finding, Grade, Wanted, examine, worst_first
 
-_STYLE = {Level.LACK: "bold red", Level.WARNING: "yellow", Level.OK: "green"}
-_SIGN = {Level.LACK: "lack", Level.WARNING: "warn", Level.OK: "ok"}
+_STYLE = {Grade.LACK: "bold red", Grade.WARNING: "yellow", Grade.OK: "green"}
+_SIGN = {Grade.LACK: "lack", Grade.WARNING: "warn", Grade.OK: "ok"}
 
 
 def diagnose(
@@ -57,7 +57,7 @@ def diagnose(
     except ConfigError:  # a service of it cannot be there
         axis = None
     findings = worst_first([*findings, *service(axis, wanted.priority)])
-    ok = all(finding.level != Level.LACK for finding in findings)
+    ok = all(finding.level != Grade.LACK for finding in findings)
     if json:
         print(json_.dumps(as_object(str(loaded.path), facts, findings)))
     else:
@@ -79,7 +79,7 @@ def as_object(config: str, facts: Facts, findings: Sequence[Finding]) -> dict[st
     facts_["interface"] = facts.interface._asdict() if facts.interface is not None else None
     return {
         "schema": 1,
-        "ok": all(finding.level != Level.LACK for finding in findings),
+        "ok": all(finding.level != Grade.LACK for finding in findings),
         "config": config,
         "machine": facts_,
         "findings": [finding._asdict() | {"level": finding.level.label} for finding in findings],
@@ -91,15 +91,15 @@ def _print(machine_name: str, axis: str, findings: Sequence[Finding], console: C
     for finding in findings:
         line = Text(f"{_SIGN[finding.level]:5}", style=_STYLE[finding.level])
         console.print(line + Text(f"{finding.name}: {finding.found}", style=""), soft_wrap=True)
-        if finding.level != Level.OK:
+        if finding.level != Grade.OK:
             for word, text in (("why", finding.reason), ("cure", finding.cure)):
                 detail = Text(f"{word:5}", style="dim") + Text(text, style="")
                 if console.is_terminal:
                     console.print(Padding(detail, (0, 0, 0, 5)))
                 else:
                     console.print(Text("     ") + detail, soft_wrap=True)
-    lacks = sum(finding.level == Level.LACK for finding in findings)
-    warnings = sum(finding.level == Level.WARNING for finding in findings)
+    lacks = sum(finding.level == Grade.LACK for finding in findings)
+    warnings = sum(finding.level == Grade.WARNING for finding in findings)
     verdict = (
         f"lacks {lacks} of what axis {axis} requires" if lacks else f"all that axis {axis} requires is there"
     )

@@ -18,7 +18,7 @@ from typing import NamedTuple
 from pneud import resources
 from pneud.config.models import Config, ConfigError
 from pneud.rt.outputs import write_whole
-from pneud.service.probe import Finding, Level
+from pneud.service.probe import Finding, Grade
 
 USER = "pneud"
 CONFIGS = Path("etc/pneud")
@@ -40,14 +40,14 @@ class InstallError(Exception):
     exit_code = 3
 
 
-class Axis(NamedTuple):
+class Unit(NamedTuple):
     """What the service has to know of a configuration."""
 
     name: str  # of the unit's instance and of the file in /etc/pneud
     interface: str
 
 
-def axis_of(path: Path, config: Config) -> Axis:
+def axis_of(path: Path, config: Config) -> Unit:
     """The axis that a configuration file makes.
 
     Raises:
@@ -61,7 +61,7 @@ def axis_of(path: Path, config: Config) -> Axis:
         )
     if not re.fullmatch(r"[A-Za-z0-9_.-]+", path.stem):
         raise ConfigError(f"{path}: no name for a unit; letters, digits and _ . - may stand in it")
-    return Axis(path.stem, interface)
+    return Unit(path.stem, interface)
 
 
 def command() -> Path:
@@ -78,7 +78,7 @@ def unseen(*paths: Path) -> str:
     return ""
 
 
-def files(executable: Path, axis: Axis | None, *, networkd: bool = False) -> dict[Path, str]:
+def files(executable: Path, axis: Unit | None, *, networkd: bool = False) -> dict[Path, str]:
     """The files of a service, by their paths below the root folder.
 
     Args:
@@ -103,12 +103,12 @@ def files(executable: Path, axis: Axis | None, *, networkd: bool = False) -> dic
     return found
 
 
-def instance(axis: Axis) -> str:
+def instance(axis: Unit) -> str:
     """The name of an axis's unit."""
     return AXIS_UNIT.replace("@", f"@{axis.name}")
 
 
-def units_of(axis: Axis, *, networkd: bool = False) -> list[str]:
+def units_of(axis: Unit, *, networkd: bool = False) -> list[str]:
     """What to enable, in the order of need."""
     interface = escaped(axis.interface)
     virtual = is_virtual(axis.interface)
@@ -137,7 +137,7 @@ def _with_command(path: Path, executable: Path) -> str:
     return path.read_text().replace(_SHIPPED_COMMAND, str(executable))
 
 
-def keep_config(root: Path, axis: Axis, text: str, dbc: Path) -> tuple[Path, bool]:
+def keep_config(root: Path, axis: Unit, text: str, dbc: Path) -> tuple[Path, bool]:
     """Put a configuration where the service looks for it, with a DBC that is not pneud's own; change none.
 
     Returns:
@@ -209,7 +209,7 @@ def activate(root: Path = Path("/"), run: Callable[[Sequence[str]], str] = call)
 
 
 def examine(
-    axis: Axis | None,
+    axis: Unit | None,
     priority: int,
     root: Path = Path("/"),
     run: Callable[[Sequence[str]], str] = call,
@@ -247,8 +247,8 @@ def examine(
         yield from _loaded(axis, priority, run)
 
 
-def _judged(ok: bool, name: str, found: str, reason: str, cure: str, bad: Level = Level.WARNING) -> Finding:
-    return Finding(name, Level.OK, found, reason, "") if ok else Finding(name, bad, found, reason, cure)
+def _judged(ok: bool, name: str, found: str, reason: str, cure: str, bad: Grade = Grade.WARNING) -> Finding:
+    return Finding(name, Grade.OK, found, reason, "") if ok else Finding(name, bad, found, reason, cure)
 
 
 def _number(path: Path) -> int | None:
@@ -261,10 +261,10 @@ def _user(root: Path, executable: Path) -> Finding:
     name, reason = "service user", "the service runs as a user of its own"
     user, group = _number(root / "etc/passwd"), _number(root / "etc/group")
     if user is None or group is None:
-        return Finding(name, Level.LACK, f"there is no user or no group {USER}", reason, "systemd-sysusers")
+        return Finding(name, Grade.LACK, f"there is no user or no group {USER}", reason, "systemd-sysusers")
     found, _, cure = unseen(executable, Path(sys.base_prefix)).partition("; ")
     there = f"{USER} ({user}:{group})"
-    return _judged(not cure, name, f"{there}; {found}" if cure else there, reason, cure, Level.LACK)
+    return _judged(not cure, name, f"{there}; {found}" if cure else there, reason, cure, Grade.LACK)
 
 
 def _readable(root: Path, path: Path) -> Finding:
@@ -273,20 +273,20 @@ def _readable(root: Path, path: Path) -> Finding:
         mode = (root / path).stat()
     except OSError as e:
         cure = "pneud install-service --config F puts it there"
-        return Finding(name, Level.LACK, f"/{path}: {e.strerror}", reason, cure)
+        return Finding(name, Grade.LACK, f"/{path}: {e.strerror}", reason, cure)
     ours = mode.st_gid == _number(root / "etc/group")
     ok = bool(mode.st_mode & (stat.S_IROTH | (stat.S_IRGRP if ours else 0)))
     found = f"/{path}" if ok else f"/{path}: user {USER} may not read it"
-    return _judged(ok, name, found, reason, f"chmod a+r /{path}", Level.LACK)
+    return _judged(ok, name, found, reason, f"chmod a+r /{path}", Grade.LACK)
 
 
-def _loaded(axis: Axis, priority: int, run: Callable[[Sequence[str]], str]) -> Iterator[Finding]:
+def _loaded(axis: Unit, priority: int, run: Callable[[Sequence[str]], str]) -> Iterator[Finding]:
     unit = instance(axis)
     wanted = ("NeedDaemonReload", "UnitFileState", "ActiveState", "StatusText", "LimitRTPRIO", "LimitMEMLOCK")
     try:
         text = run(["systemctl", "show", unit, *(f"--property={name}" for name in wanted)])
     except InstallError as e:
-        yield Finding("service", Level.WARNING, str(e), "systemd runs it", "see systemctl status " + unit)
+        yield Finding("service", Grade.WARNING, str(e), "systemd runs it", "see systemctl status " + unit)
         return
     values = dict(line.partition("=")[::2] for line in text.splitlines())
     state = values.get("ActiveState", "")
@@ -312,5 +312,5 @@ def _loaded(axis: Axis, priority: int, run: Callable[[Sequence[str]], str]) -> I
         f"LimitRTPRIO={rtprio}, LimitMEMLOCK={memlock}",
         "they allow the loop its scheduling and its memory",
         f"a drop-in changes them: systemctl cat {unit}; wanted are LimitRTPRIO=98 and LimitMEMLOCK=infinity",
-        Level.LACK,
+        Grade.LACK,
     )

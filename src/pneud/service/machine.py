@@ -27,7 +27,7 @@ HRTIMER_RESOLUTION_S = 1e-6  # without high-resolution timers the clock tells 1 
 TOOLS = ("cyclictest", "cc", "ip", "candump")
 
 
-class Interface(NamedTuple):
+class InterfaceFacts(NamedTuple):
     """A network interface."""
 
     name: str
@@ -57,7 +57,7 @@ class Facts(NamedTuple):
     rt_runtime: float | None  # part of the time that real-time tasks may take
     group_rt_runtime_us: int | None  # of this control group; None where the kernel does not ration it
     af_can: str  # empty where sockets of AF_CAN can be had, else why not
-    interface: Interface | None  # the one asked for, if it is there
+    interface: InterfaceFacts | None  # the one asked for, if it is there
     log_free_bytes: int | None
     log_writable: bool
     python: str
@@ -274,11 +274,11 @@ def _group_rt_runtime(root: Path) -> int | None:
     return known[0] if known else None
 
 
-def _interface(root: Path, name: str | None) -> Interface | None:
+def _interface(root: Path, name: str | None) -> InterfaceFacts | None:
     folder = root / "sys/class/net" / (name or "")
     kind = _text(folder / "type")
     if not name or not kind:
         return None
     flags = int(_text(folder / "flags") or "0", 16)
     length = _text(folder / "tx_queue_len")
-    return Interface(name, kind == "280", bool(flags & 1), int(length) if length.isdigit() else 0)
+    return InterfaceFacts(name, kind == "280", bool(flags & 1), int(length) if length.isdigit() else 0)

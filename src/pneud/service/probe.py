@@ -18,7 +18,7 @@ STEAL = 0.001
 RT_SHARE = 0.5
 
 
-class Level(IntEnum):
+class Grade(IntEnum):
     """How bad it is; the worst first."""
 
     LACK = 0  # the configuration requires it and it is not there
@@ -35,7 +35,7 @@ class Finding(NamedTuple):
     """One answer; `cure` is empty where there is nothing to do."""
 
     name: str
-    level: Level
+    level: Grade
     found: str
     reason: str  # why it matters
     cure: str
@@ -70,8 +70,8 @@ def worst_first(findings: Sequence[Finding]) -> list[Finding]:
     return sorted(findings, key=lambda finding: finding.level)
 
 
-def _finding(ok: bool, name: str, found: str, reason: str, cure: str, bad: Level = Level.WARNING) -> Finding:
-    return Finding(name, Level.OK, found, reason, "") if ok else Finding(name, bad, found, reason, cure)
+def _finding(ok: bool, name: str, found: str, reason: str, cure: str, bad: Grade = Grade.WARNING) -> Finding:
+    return Finding(name, Grade.OK, found, reason, "") if ok else Finding(name, bad, found, reason, cure)
 
 
 _GRANTS = {
@@ -89,16 +89,16 @@ def _granted(reports: Sequence[Report], wanted: Wanted) -> Iterator[Finding]:
             continue
         name, reason = _GRANTS[report.name]
         demanded = wanted.required and report.name in ("fifo", "memory")
-        bad = Level.LACK if demanded or report.name == "affinity" else Level.WARNING
+        bad = Grade.LACK if demanded or report.name == "affinity" else Grade.WARNING
         found, _, cure = report.reason.partition("; ") if not report.ok else (report.reason, "", "")
         yield _finding(report.ok, name, found, reason, cure or "see docs/timing.md", bad)
     if wanted.priority > 0 and "fifo" not in [report.name for report in reports]:
-        bad = Level.LACK if wanted.required else Level.WARNING
+        bad = Grade.LACK if wanted.required else Grade.WARNING
         yield Finding("scheduling", bad, "could not be tried", _GRANTS["fifo"][1], "try again")
     if wanted.required and wanted.priority == 0:
         yield Finding(
             "scheduling",
-            Level.LACK,
+            Grade.LACK,
             "realtime.priority is 0",
             _GRANTS["fifo"][1],
             "set realtime.priority to 1 … 98, or realtime.required to false",
@@ -221,7 +221,7 @@ def _time_taken(f: Facts) -> Iterator[Finding]:
         f"resolution {f.timer_resolution_s * 1e9:g} ns",
         "without high-resolution timers every wake-up is rounded to the kernel's tick",
         "boot without highres=off; build the kernel with CONFIG_HIGH_RES_TIMERS",
-        Level.LACK,
+        Grade.LACK,
     )
 
 
@@ -233,7 +233,7 @@ def _bus(f: Facts, wanted: Wanted) -> Iterator[Finding]:
         f"no sockets of AF_CAN: {f.af_can}" if f.af_can else "AF_CAN",
         "the rig's bus" if name else "without it a virtual run uses unixcan, which has no bus of its own",
         "modprobe can_raw; in a container on the host; this kernel may have been built without CONFIG_CAN",
-        Level.LACK if name else Level.WARNING,
+        Grade.LACK if name else Grade.WARNING,
     )
     if not name:
         return
@@ -241,7 +241,7 @@ def _bus(f: Facts, wanted: Wanted) -> Iterator[Finding]:
     if found is None or not found.is_can:
         what = "there is none of that name" if found is None else "is no CAN interface"
         cure = f"ip link show type can; name the right one: bus.channel = socketcan:IF, not {name}"
-        yield Finding("interface", Level.LACK, f"{name}: {what}", "the rig's bus", cure)
+        yield Finding("interface", Grade.LACK, f"{name}: {what}", "the rig's bus", cure)
         return
     yield _finding(
         found.up,
@@ -249,7 +249,7 @@ def _bus(f: Facts, wanted: Wanted) -> Iterator[Finding]:
         f"{name} is {'up' if found.up else 'down'}",
         "the rig's bus",
         f"ip link set {name} up type can bitrate 1000000 restart-ms 100 berr-reporting on",
-        Level.LACK,
+        Grade.LACK,
     )
     yield _finding(
         found.queue_length >= QUEUE_LENGTH,
@@ -267,7 +267,7 @@ def _surroundings(f: Facts, wanted: Wanted) -> Iterator[Finding]:
         "can be written to" if f.log_writable else "cannot be written to",
         "every run writes a log",
         "choose another with --log or STATE_DIRECTORY",
-        Level.LACK,
+        Grade.LACK,
     )
     if f.log_free_bytes is not None:
         lasts_s = f.log_free_bytes / (LOG_BYTES_PER_TICK * wanted.rate_hz)

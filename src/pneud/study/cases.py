@@ -27,7 +27,7 @@ NORMAL_KG_PER_L = 1.2045e-3  # air at 20 °C and 1.01325 bar
 LEAST_STROKE_M, MOST_STROKE_M = 0.02, 0.98
 
 
-class Rig(NamedTuple):
+class CaseRig(NamedTuple):
     """A plant and what lies between it and the controller."""
 
     plant: PlantParameters
@@ -39,7 +39,7 @@ class Case(NamedTuple):
     """One run."""
 
     references: Array  # (n, 4)
-    rig: Rig
+    rig: CaseRig
     force_n: Array  # (n,)
     start_m: float
     judged: tuple[float, float]  # seconds whose errors count
@@ -60,7 +60,7 @@ class Bench(NamedTuple):
 
     loaded: Loaded
     controller: Controller
-    rig: Rig
+    rig: CaseRig
     centre_m: float
     compiled: Callable[..., None]
 
@@ -71,7 +71,7 @@ def bench_of(loaded: Loaded, compiled: bool) -> Bench:
 
     axis = axis_of(loaded.config, loaded.codecs.command_lsb_v)
     controller = axis.controller
-    rig = Rig(plant_of(loaded.config), controller.delay_s, step_of(loaded.config.plant.valve.dac_bits))
+    rig = CaseRig(plant_of(loaded.config), controller.delay_s, step_of(loaded.config.plant.valve.dac_bits))
     return Bench(loaded, controller, rig, axis.reference.centre_m, jitted(run) if compiled else run)
 
 
@@ -99,7 +99,7 @@ def case(
     bench: Bench,
     references: Array,
     judged: tuple[float, float],
-    rig: Rig | None = None,
+    rig: CaseRig | None = None,
     push: tuple[float, float, float] = (0.0, 0.0, 0.0),
     start_error_m: float = 0.0,
 ) -> Case:

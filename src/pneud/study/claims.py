@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 from pneud.study.convergence import Convergence, Settling
-from pneud.study.reproduction import COMPOSITE, ISMC, Row, Setting
+from pneud.study.reproduction import COMPOSITE, ISMC, PaperRow, Setting
 
 HOLDS, ONLY_WHEN, DOES_NOT = "holds", "holds only when", "does not hold"
 
@@ -120,16 +120,16 @@ def circumstances(s: Setting) -> tuple[str, ...]:
     )
 
 
-def of_rows(rows: Iterable[Row], holds: Callable[[Row], bool]) -> list[Instance]:
+def of_rows(rows: Iterable[PaperRow], holds: Callable[[PaperRow], bool]) -> list[Instance]:
     """One instance a row."""
     return [Instance(circumstances(r.setting), holds(r)) for r in rows]
 
 
 def of_pairs(
-    rows: Sequence[Row],
+    rows: Sequence[PaperRow],
     first: Callable[[Setting], bool],
     other: Callable[[Setting], Setting],
-    holds: Callable[[Row, Row], bool],
+    holds: Callable[[PaperRow, PaperRow], bool],
 ) -> list[Instance]:
     """One instance for each row of a kind that has its counterpart among the rows."""
     by_setting = {r.setting: r for r in rows}
@@ -140,14 +140,14 @@ def of_pairs(
     ]
 
 
-def sooner(a: Row, b: Row) -> bool:
+def sooner(a: PaperRow, b: PaperRow) -> bool:
     """Whether a converged to 0.1 mm, and clearly before b."""
     if a.coarse_s is None:
         return False
     return b.coarse_s is None or a.coarse_s < BETTER * b.coarse_s
 
 
-def closer(a: Row, b: Row) -> bool:
+def closer(a: PaperRow, b: PaperRow) -> bool:
     """Whether a tracks at all, and its steady error is clearly below b's."""
     return a.rms_m <= WORKS_M and a.rms_m < BETTER * b.rms_m
 
@@ -161,7 +161,7 @@ def settles_in_finite_time(s: Settling) -> bool:
     )
 
 
-def claims(main: Sequence[Row], ablation: Sequence[Row], c: Convergence) -> list[Claim]:
+def claims(main: Sequence[PaperRow], ablation: Sequence[PaperRow], c: Convergence) -> list[Claim]:
     """The paper's claims, in its order."""
     composite = [r for r in main if r.setting.law == COMPOSITE]
     return [
@@ -171,7 +171,7 @@ def claims(main: Sequence[Row], ablation: Sequence[Row], c: Convergence) -> list
     ]
 
 
-def _of_convergence(composite: Sequence[Row], c: Convergence) -> list[Claim]:
+def _of_convergence(composite: Sequence[PaperRow], c: Convergence) -> list[Claim]:
     chain, loop = c.settling[0], c.settling[-1]
     ten_ms = [r for r in composite if r.setting.h_s == 0.01]
     printed = [r.rms_m for r in ten_ms if r.setting.form == "explicit"]
@@ -216,7 +216,7 @@ def _of_convergence(composite: Sequence[Row], c: Convergence) -> list[Claim]:
     ]
 
 
-def _of_comparison(main: Sequence[Row], ablation: Sequence[Row]) -> list[Claim]:
+def _of_comparison(main: Sequence[PaperRow], ablation: Sequence[PaperRow]) -> list[Claim]:
     def is_composite(s: Setting) -> bool:
         return s.law == COMPOSITE and s.compensated
 
@@ -280,7 +280,7 @@ def _of_robustness(c: Convergence) -> list[Claim]:
     ]
 
 
-def bounds(main: Sequence[Row], c: Convergence) -> list[Bound]:
+def bounds(main: Sequence[PaperRow], c: Convergence) -> list[Bound]:
     """The figures that this reproduction must reach."""
     found = []
     for reverse, h, limit_m in (

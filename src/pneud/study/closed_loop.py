@@ -19,7 +19,7 @@ from pneud.rig.sensors import quantised
 from pneud.signals import Reference
 
 
-class Outcome(NamedTuple):
+class LoopOutcome(NamedTuple):
     """State at the end of a span, to go on from."""
 
     controller: ControllerState
@@ -28,7 +28,7 @@ class Outcome(NamedTuple):
 
 
 def run_sine(
-    begin: Outcome,
+    begin: LoopOutcome,
     controller: Controller,
     plant: PlantParameters,
     reference: Sine,
@@ -37,7 +37,7 @@ def run_sine(
     noise_pa: Any,
     force_n: Any,
     trace: Any,
-) -> Outcome:
+) -> LoopOutcome:
     """Track a sine for as many ticks as `trace` has rows.
 
     Args:
@@ -81,7 +81,7 @@ def run_sine(
         rig = advance(rig, u, force_n[k], t + delay, t + h, plant)
         last_v = u
         applied_v = u
-    return Outcome(state, rig, last_v)
+    return LoopOutcome(state, rig, last_v)
 
 
 def supply_flow_kg_s(rig: PlantState, p: PlantParameters) -> float:

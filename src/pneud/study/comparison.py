@@ -38,7 +38,7 @@ SHOWN = 3
 NO_LIMIT = ("sine 1 Hz", "sine 2 Hz")  # nothing is required of these
 
 
-class Row(NamedTuple):
+class LawRow(NamedTuple):
     """One law in one case."""
 
     group: str
@@ -59,12 +59,12 @@ class Lead(NamedTuple):
     extended_m: float
 
 
-class Comparison(NamedTuple):
+class LawTable(NamedTuple):
     """Everything that was found."""
 
     config: str
     compiled: bool
-    rows: tuple[Row, ...]
+    rows: tuple[LawRow, ...]
     behind: tuple[Lead, ...]
     missed: dict[str, tuple[str, ...]]  # by law: requirements of the extended composite that it does not meet
 
@@ -81,7 +81,7 @@ def every_case(bench: Bench, rest_s: float) -> dict[str, dict[str, Case]]:
     }
 
 
-def compare(loaded: Loaded, rest_s: float, compiled: bool, laws: tuple[str, ...] = LAWS) -> Comparison:
+def compare(loaded: Loaded, rest_s: float, compiled: bool, laws: tuple[str, ...] = LAWS) -> LawTable:
     """Run all laws through all cases; through three of them where nothing is compiled.
 
     Args:
@@ -100,15 +100,15 @@ def compare(loaded: Loaded, rest_s: float, compiled: bool, laws: tuple[str, ...]
         other = bench_of(loaded._replace(config=at_rate(loaded.config, hz)), compiled)
         runs.append((SPREAD, f"rate {hz:g} Hz", other, cases.tracking(other)))
     rows = [
-        Row(group, name, law, c.judged[1] - c.judged[0], figures(b, setting(law, b.controller), c, SEED))
+        LawRow(group, name, law, c.judged[1] - c.judged[0], figures(b, setting(law, b.controller), c, SEED))
         for law in laws
         for group, name, b, c in runs
         if compiled or name in BRIEFLY
     ]
-    return Comparison(loaded.path.name, compiled, tuple(rows), tuple(behind(rows)), missed(rows))
+    return LawTable(loaded.path.name, compiled, tuple(rows), tuple(behind(rows)), missed(rows))
 
 
-def behind(rows: list[Row]) -> list[Lead]:
+def behind(rows: list[LawRow]) -> list[Lead]:
     """Where the extended composite does not lead all baselines, among sines, moves and loads."""
     found = []
     mine = {(r.case, r.law): r.figures for r in rows if r.law in OURS}
@@ -124,7 +124,7 @@ def behind(rows: list[Row]) -> list[Lead]:
     return found
 
 
-def missed(rows: list[Row]) -> dict[str, tuple[str, ...]]:
+def missed(rows: list[LawRow]) -> dict[str, tuple[str, ...]]:
     """What each law fails of the requirements that the extended composite's gains are chosen for."""
     found: dict[str, list[str]] = {r.law: [] for r in rows}
     for r in rows:
@@ -139,7 +139,7 @@ def missed(rows: list[Row]) -> dict[str, tuple[str, ...]]:
     return {law: tuple(texts) for law, texts in found.items()}
 
 
-def as_json(c: Comparison) -> dict[str, Any]:
+def as_json(c: LawTable) -> dict[str, Any]:
     """Everything as one object; a time that never comes is null."""
     return {
         "schema": 1,
@@ -151,13 +151,13 @@ def as_json(c: Comparison) -> dict[str, Any]:
     }
 
 
-def _row(r: Row) -> dict[str, Any]:
+def _row(r: LawRow) -> dict[str, Any]:
     values = r._asdict()
     del values["figures"]
     return values | r.figures._asdict()
 
 
-def in_words(c: Comparison) -> str:
+def in_words(c: LawTable) -> str:
     """The tables, for a person."""
     out = [
         _table(c, "RMS / max error [mm]", None, lambda r: f"{_mm(r.figures.rms_m)} / {_mm(r.figures.max_m)}"),
@@ -182,7 +182,7 @@ def in_words(c: Comparison) -> str:
     return "\n".join(out)
 
 
-def _table(c: Comparison, title: str, groups: tuple[str, ...] | None, cell: Callable[[Row], str]) -> str:
+def _table(c: LawTable, title: str, groups: tuple[str, ...] | None, cell: Callable[[LawRow], str]) -> str:
     chosen = [r for r in c.rows if groups is None or r.group in groups]
     laws = list(dict.fromkeys(r.law for r in chosen))
     cells = {(r.case, r.law): cell(r) for r in chosen}

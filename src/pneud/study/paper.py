@@ -16,9 +16,9 @@ class Reproduction(NamedTuple):
     """Everything `pneud reproduce` found out."""
 
     start: str  # the initial state, in words
-    main: tuple[r.Row, ...]
-    ablation: tuple[r.Row, ...]
-    orifice: tuple[r.Row, ...]
+    main: tuple[r.PaperRow, ...]
+    ablation: tuple[r.PaperRow, ...]
+    orifice: tuple[r.PaperRow, ...]
     convergence: Convergence
     claims: tuple[Claim, ...]
     bounds: tuple[Bound, ...]
@@ -32,7 +32,7 @@ class Reproduction(NamedTuple):
 
 def reproduce() -> Reproduction:
     """Run everything: half a minute with numba, some minutes without."""
-    known: dict[r.Setting, r.Run] = {}
+    known: dict[r.Setting, r.PaperRun] = {}
     main = tuple(r.run_all(r.main_settings(), known))
     ablation = tuple(r.run_all(r.ablation_settings(), known))
     orifice = tuple(r.run_all(r.orifice_settings(), known))
@@ -87,7 +87,7 @@ def as_json(found: Reproduction) -> dict[str, Any]:
     return cleaned
 
 
-def _row(row: r.Row) -> dict[str, Any]:
+def _row(row: r.PaperRow) -> dict[str, Any]:
     values = row._asdict()
     del values["setting"]
     return row.setting._asdict() | values

@@ -12,7 +12,7 @@ from pneud.study.claims import DOES_NOT, HOLDS, Claim
 from pneud.study.convergence import Convergence
 from pneud.study.paper import Reproduction
 from pneud.study.paper_figures import Picture
-from pneud.study.reproduction import COMPOSITE, DURATION_S, NAMES, PLANT_STEP_S, STEADY_FROM_S, Row
+from pneud.study.reproduction import COMPOSITE, DURATION_S, NAMES, PLANT_STEP_S, STEADY_FROM_S, PaperRow
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1080px; margin: 2em auto; padding: 0 1em }
@@ -97,7 +97,7 @@ def words(found: Reproduction) -> str:
     return "\n".join(lines)
 
 
-def _runs(title: str, note: str, rows: Sequence[Row]) -> Table:
+def _runs(title: str, note: str, rows: Sequence[PaperRow]) -> Table:
     return Table(
         title,
         note,
@@ -111,7 +111,7 @@ def _runs(title: str, note: str, rows: Sequence[Row]) -> Table:
     )
 
 
-def _run(r: Row) -> tuple[str, ...]:
+def _run(r: PaperRow) -> tuple[str, ...]:
     s = r.setting
     flow = "yes" if s.reverse_flow else "no"
     if s.reverse_model != s.reverse_flow:

@@ -28,7 +28,7 @@ RUBBING = 0.4  # friction over the piston's force
 PLACES = 20  # from which the way to the reference is tried
 
 
-class Finding(NamedTuple):
+class Doubt(NamedTuple):
     """What cannot be, or seldom is."""
 
     key: str  # of the configuration
@@ -87,22 +87,22 @@ def demand(p: PlantParameters, axis: AxisParameters, dead_length_m: float) -> De
     return Demand(volts, share, most_n, w * a, w * w * a)
 
 
-def _motion(c: Config, axis: AxisParameters, p: PlantParameters) -> Iterator[Finding]:
+def _motion(c: Config, axis: AxisParameters, p: PlantParameters) -> Iterator[Doubt]:
     need = demand(p, axis, c.cylinder.dead_length_1_m)
     what = f"{need.speed_m_s:.2g} m/s and {need.acceleration_m_s2:.2g} m/s²"
     u_max = c.valve.u_max_v
     if need.command_v > MUCH * u_max:
         beyond = need.command_v > u_max
         words = f"{what} take {need.command_v:.2g} V of the valve's {u_max:g} V"
-        yield Finding("reference.frequency_hz", words, beyond)
+        yield Doubt("reference.frequency_hz", words, beyond)
     if need.pressure_share > MUCH:
         words = f"{what} take {need.force_n:.3g} N, {100.0 * need.pressure_share:.0f} % of the piston's force"
-        yield Finding("reference.frequency_hz", words, need.pressure_share > 1.0)
+        yield Doubt("reference.frequency_hz", words, need.pressure_share > 1.0)
     if not axis.join_at_once:
         yield from _joining(axis)
 
 
-def _joining(axis: AxisParameters) -> Iterator[Finding]:
+def _joining(axis: AxisParameters) -> Iterator[Doubt]:
     """From where no way within the travel leads onto the reference, so that arming is refused there."""
     limits, first = axis.limits, sine(0.0, axis.reference)
     low_m, high_m = limits.travel_min_m, limits.travel_max_m
@@ -115,30 +115,30 @@ def _joining(axis: AxisParameters) -> Iterator[Finding]:
         " places, where arming would be refused; take more limits.transfer.acceleration_m_s2, or a slower or"
         " smaller reference"
     )
-    yield Finding("limits.transfer", words, len(shut) == len(places))
+    yield Doubt("limits.transfer", words, len(shut) == len(places))
 
 
-def _rig(c: Config, p: PlantParameters, bandwidth_rad_s: float) -> Iterator[Finding]:
+def _rig(c: Config, p: PlantParameters, bandwidth_rad_s: float) -> Iterator[Doubt]:
     force_n, mass_kg = piston_force_n(p), c.cylinder.moving_mass_kg
     light = force_n / mass_kg
     if light > LIGHT_M_S2:
         words = f"{mass_kg:g} kg on a piston of {force_n:.3g} N: {light:.0f} m/s²"
-        yield Finding("cylinder.moving_mass_kg", words, light > LIGHTEST_M_S2)
+        yield Doubt("cylinder.moving_mass_kg", words, light > LIGHTEST_M_S2)
     wide = c.valve.dead_zone_v / c.valve.u_max_v
     if wide > WIDE:
         words = f"a dead zone of {c.valve.dead_zone_v:g} of {c.valve.u_max_v:g} V"
-        yield Finding("valve.dead_zone_v", words, wide > WIDEST)
+        yield Doubt("valve.dead_zone_v", words, wide > WIDEST)
     for key, friction in (("control.friction", c.control.friction), ("plant.friction", c.plant.friction)):
         rubbing_n = max(friction.static_n, friction.coulomb_n)
         if rubbing_n > RUBBING * force_n:
             words = f"{rubbing_n:.3g} N of friction against {force_n:.3g} N of the piston"
-            yield Finding(f"{key}.static_n", words, rubbing_n >= force_n)
+            yield Doubt(f"{key}.static_n", words, rubbing_n >= force_n)
     if bandwidth_rad_s < SLOW_RAD_S:
         words = f"{bandwidth_rad_s:.2g} rad/s: the load would take seconds to come back from a push"
-        yield Finding("control.k1", words, False)
+        yield Doubt("control.k1", words, False)
 
 
-def findings(c: Config, command_lsb_v: float, bandwidth_rad_s: float) -> list[Finding]:
+def findings(c: Config, command_lsb_v: float, bandwidth_rad_s: float) -> list[Doubt]:
     """All that is implausible, errors first.
 
     Args:

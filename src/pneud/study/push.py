@@ -10,13 +10,13 @@ from pneud.axis.state import AxisParameters
 from pneud.control.step import start
 from pneud.physics.plant import PlantParameters
 from pneud.rig.dynamics import initial_state
-from pneud.study.closed_loop import Outcome, run_sine
+from pneud.study.closed_loop import LoopOutcome, run_sine
 from pneud.study.jit import jitted
 
 SETTLE_S, JUDGE_S = 5.0, 2.0
 
 
-class Service(NamedTuple):
+class Pushed(NamedTuple):
     """A run's last seconds."""
 
     rms_m: float
@@ -24,14 +24,14 @@ class Service(NamedTuple):
     chatter_v: float  # mean |Δu|
     saturated: float  # part of the samples at the greatest command
 
-    def recovered(self, undisturbed: Service) -> bool:
+    def recovered(self, undisturbed: Pushed) -> bool:
         """Whether this is as good as an undisturbed run, within what one run differs from the next."""
         return self.rms_m < 1.5 * undisturbed.rms_m + 1e-5 and self.saturated <= undisturbed.saturated + 0.01
 
 
 def service(
     axis: AxisParameters, plant: PlantParameters, start_error_m: float, seed: int = 0, compiled: bool = True
-) -> Service:
+) -> Pushed:
     """Track the reference for seven seconds from a start error; judge the last two.
 
     Args:
@@ -49,14 +49,14 @@ def service(
     x = axis.reference.centre_m + start_error_m
     x = max(limits.travel_min_m, min(limits.travel_max_m, x))
     rig = initial_state(plant._replace(initial_x1=x + plant.cylinder.x_e1))
-    begin = Outcome(start(x, rig.p1, rig.p2, plant.gas.supply_pa, p), rig, 0.0)
+    begin = LoopOutcome(start(x, rig.p1, rig.p2, plant.gas.supply_pa, p), rig, 0.0)
     ticks, judged = round((SETTLE_S + JUDGE_S) / p.h), round(JUDGE_S / p.h)
     noise = np.random.default_rng(seed).normal(0.0, plant.pressure_noise_pa, (ticks, 3))
     trace = np.zeros((ticks, 8))
     step = 2.0 * p.valve.u_max_v / 2**plant.dac_bits if plant.dac_bits else 0.0
     run(begin, p, plant, axis.reference, 0.0, step, noise, np.zeros(ticks), trace)
     error, u = trace[-judged:, 0], trace[-judged:, 1]
-    return Service(
+    return Pushed(
         float(np.sqrt(np.mean(error**2))),
         float(np.max(np.abs(error))),
         float(np.mean(np.abs(np.diff(u)))),

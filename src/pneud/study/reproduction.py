@@ -58,7 +58,7 @@ class Setting(NamedTuple):
     reverse_model: bool  # of the orifice the law believes in
 
 
-class Row(NamedTuple):
+class PaperRow(NamedTuple):
     """What came out of it; steady: over the steady window; None: never."""
 
     setting: Setting
@@ -74,10 +74,10 @@ class Row(NamedTuple):
     p2_max_pa: float  # over the whole run
 
 
-class Run(NamedTuple):
+class PaperRun(NamedTuple):
     """A row and the trace it was made of."""
 
-    row: Row
+    row: PaperRow
     trace: Trace
 
 
@@ -117,20 +117,20 @@ def loop_of(s: Setting) -> IdealLoop:
     )
 
 
-def run(s: Setting, duration_s: float = DURATION_S) -> Run:
+def run(s: Setting, duration_s: float = DURATION_S) -> PaperRun:
     """One run from x1(0) of the configuration, at rest and in balance."""
     loop = loop_of(s)
     trace = np.zeros((round(duration_s / s.h_s), COLUMNS))
     fast(run_ideal)(initial_state(loop.plant), loop, 0.0, trace)
-    return Run(measured(s, trace, loop.plant.valve.u_max_v), trace)
+    return PaperRun(measured(s, trace, loop.plant.valve.u_max_v), trace)
 
 
-def measured(s: Setting, trace: Trace, u_max_v: float) -> Row:
+def measured(s: Setting, trace: Trace, u_max_v: float) -> PaperRow:
     """The figures of a run; its steady window is the last two thirds."""
     half_s = 0.5 * len(trace) * s.h_s
     window = trace[round(len(trace) * STEADY_FROM_S / DURATION_S) :]
     worst_of_observer = np.maximum(np.abs(trace[:, E3]) / OBSERVER_N, np.abs(trace[:, ED]) / OBSERVER_N_S)
-    return Row(
+    return PaperRow(
         setting=s,
         coarse_s=settled(trace[:, WORST], COARSE_M, s.h_s, half_s),
         fine_s=settled(trace[:, WORST], FINE_M, s.h_s, half_s),
@@ -193,7 +193,7 @@ def orifice_settings() -> list[Setting]:
     ]
 
 
-def run_all(settings: Iterable[Setting], known: dict[Setting, Run]) -> list[Row]:
+def run_all(settings: Iterable[Setting], known: dict[Setting, PaperRun]) -> list[PaperRow]:
     """The rows of settings; `known` keeps every run made so far."""
     rows = []
     for s in settings:

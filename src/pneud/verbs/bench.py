@@ -14,9 +14,9 @@ import typer
 
 from pneud.bench import contestants, rates
 from pneud.bench.chart import page
-from pneud.bench.contestants import AbsentError, Track, Turn
+from pneud.bench.contestants import AbsentError, TrackScript, Turn
 from pneud.bench.disturbances import DISTURBANCES, Disturb
-from pneud.bench.sample import Series, ratio_of_turns
+from pneud.bench.sample import Samples, ratio_of_turns
 from pneud.bench.tables import KERNEL, OURS, as_object, disturbances_in_words, in_words
 from pneud.bus.link import open_link
 from pneud.config.models import ConfigError
@@ -134,14 +134,14 @@ def bench(
     return 0 if OURS in series else 1
 
 
-def _disturb(track: Track, pairs: int, turn_s: float) -> dict[str, Any]:
+def _disturb(track: TrackScript, pairs: int, turn_s: float) -> dict[str, Any]:
     rate_hz = track.axis.config.loop.rate_hz
     found: dict[str, Any] = {}
     for name, disturbance in DISTURBANCES.items():
-        quiet, disturbed = Series("quiet", ""), Series("disturbed", "")
+        quiet, disturbed = Samples("quiet", ""), Samples("disturbed", "")
         for number in range(pairs):
             _progress(f"{name}, pair {number + 1} of {pairs}")
-            both: list[tuple[Series, Disturb | None]] = [(quiet, None), (disturbed, disturbance)]
+            both: list[tuple[Samples, Disturb | None]] = [(quiet, None), (disturbed, disturbance)]
             for series, what in both if number % 2 == 0 else reversed(both):
                 try:
                     series.add(contestants.pneud(track, rate_hz, turn_s, what), number)
@@ -158,7 +158,7 @@ def _disturb(track: Track, pairs: int, turn_s: float) -> dict[str, Any]:
     return found
 
 
-def _track(axis: Loaded, bus: str | None, scratch: Path) -> Track:
+def _track(axis: Loaded, bus: str | None, scratch: Path) -> TrackScript:
     wanted = axis.config.realtime
     cpu = own_cpu(wanted.cpu)
     granted = {report.name: report for report in machine.attempt(wanted.priority, cpu, wanted.lock_memory)}
@@ -169,7 +169,7 @@ def _track(axis: Loaded, bus: str | None, scratch: Path) -> Track:
     with open_link(channel, virtual=True) as link:
         name = link.name if link.name.startswith("socketcan:") else None
     fifo, pinned = granted.get("fifo"), granted.get("affinity")
-    return Track(
+    return TrackScript(
         axis,
         axis.path,
         name,
@@ -180,9 +180,9 @@ def _track(axis: Loaded, bus: str | None, scratch: Path) -> Track:
 
 
 def _take_turns(
-    field: Mapping[str, Contestant], track: Track, pairs: int, turn_s: float
-) -> tuple[dict[str, Series], dict[str, str]]:
-    series = {name: Series(name, one.what) for name, one in field.items()}
+    field: Mapping[str, Contestant], track: TrackScript, pairs: int, turn_s: float
+) -> tuple[dict[str, Samples], dict[str, str]]:
+    series = {name: Samples(name, one.what) for name, one in field.items()}
     missing: dict[str, str] = {}
     rate_hz = track.axis.config.loop.rate_hz
     for number in range(pairs):
@@ -200,7 +200,7 @@ def _take_turns(
 
 
 def _find_rates(
-    series: Mapping[str, Series], field: Mapping[str, Contestant], track: Track, rate_s: float
+    series: Mapping[str, Samples], field: Mapping[str, Contestant], track: TrackScript, rate_s: float
 ) -> None:
     quick = rates.without_bus_time(track)
     for name, one in series.items():

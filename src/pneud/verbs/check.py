@@ -17,7 +17,7 @@ from pneud.loading import Loaded, load
 from pneud.scenario import verdict
 from pneud.scenario.files import is_scenario, load_axis, load_scenario
 from pneud.study import gains, linear
-from pneud.study.plausibility import Finding, findings
+from pneud.study.plausibility import Doubt, findings
 from pneud.verbs import JsonOption
 
 
@@ -60,7 +60,7 @@ def check(
     return 0
 
 
-def _placed(loaded: Loaded, finding: Finding) -> str:
+def _placed(loaded: Loaded, finding: Doubt) -> str:
     line = line_of(loaded.text, finding.key.split("."))
     return f"{f'line {line}: ' if line else ''}{finding.key}: {finding.words}"
 

@@ -16,7 +16,7 @@ from pneud.loop.summary import finite
 from pneud.study import gains as rules
 from pneud.study import linear
 from pneud.study.jit import JitError
-from pneud.study.push import Service, service
+from pneud.study.push import Pushed, service
 from pneud.verbs import JsonOption, VerbError
 
 LAWS = (*dict.fromkeys(law.partition("-")[0] for law in EVERY_LAW),)
@@ -73,7 +73,7 @@ def design(
         p = linear.predict(c, entry)
         doubts, good = linear.warnings(c, entry), True
         lines = _linear_lines(c, p)
-    runs: list[tuple[float, Service]] = []
+    runs: list[tuple[float, Pushed]] = []
     if simulate and good:
         axis, plant = axis_of(c, loaded.codecs.command_lsb_v), plant_of(c)
         try:
@@ -98,7 +98,7 @@ def _within(option: str, value: float, low: float, high: float) -> None:
 
 
 def _as_json(
-    c: Config, p: NamedTuple, doubts: list[str], runs: list[tuple[float, Service]], good: bool
+    c: Config, p: NamedTuple, doubts: list[str], runs: list[tuple[float, Pushed]], good: bool
 ) -> str:
     return json_.dumps(
         finite(
@@ -143,7 +143,7 @@ def _lines(c: Config, p: rules.Prediction) -> list[str]:
     ]
 
 
-def _in_words(c: Config, predicted: list[str], doubts: list[str], runs: list[tuple[float, Service]]) -> str:
+def _in_words(c: Config, predicted: list[str], doubts: list[str], runs: list[tuple[float, Pushed]]) -> str:
     lines = [rules.toml(c), *predicted]
     lines += [
         f"# simulated from {1e3 * e:.0f} mm: RMS {1e3 * s.rms_m:.3g} mm, largest {1e3 * s.max_m:.3g} mm,"

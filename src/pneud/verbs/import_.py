@@ -28,7 +28,7 @@ _LEAD_NS = 1_000_000_000  # the log's own times begin one second before the firs
 _NEVER_NS = 1 << 62  # the year 2116
 
 
-class Source(NamedTuple):
+class RecordingSource(NamedTuple):
     """What is known of the axis, apart from the frames."""
 
     config_name: str
@@ -142,7 +142,7 @@ def _placed(start_ns: int, known: Sidecar | None, remarks: Remarks) -> Placed:
     return Placed(start_ns - began_ns, unix_ns - began_ns)
 
 
-def _source(recording: Path, dbc: Path | None, config_file: str | None) -> Source:
+def _source(recording: Path, dbc: Path | None, config_file: str | None) -> RecordingSource:
     known = sidecar.read(sidecar.beside(recording))
     try:
         dbc_bytes = None if dbc is None else read_whole(dbc)
@@ -154,9 +154,9 @@ def _source(recording: Path, dbc: Path | None, config_file: str | None) -> Sourc
             config, text, path = load_with_text(config_file)
             name, rate_hz = path.name, config.loop.rate_hz
         if dbc is None or dbc_bytes is None:
-            return Source(name, text, known.metadata["dbc"], known.dbc, rate_hz, known)
-        return Source(name, text, dbc.name, dbc_bytes, rate_hz, known)
+            return RecordingSource(name, text, known.metadata["dbc"], known.dbc, rate_hz, known)
+        return RecordingSource(name, text, dbc.name, dbc_bytes, rate_hz, known)
     if dbc is None or dbc_bytes is None:
         raise ConfigError(f"{recording}: name its database with --dbc")
     config, text, path = load_with_text(config_file or "rig.toml")
-    return Source(path.name, text, dbc.name, dbc_bytes, config.loop.rate_hz, None)
+    return RecordingSource(path.name, text, dbc.name, dbc_bytes, config.loop.rate_hz, None)

@@ -59,7 +59,7 @@ def install_service(
     return 0
 
 
-def _keep(root: Path, axis: installation.Axis, loaded: Loaded) -> None:
+def _keep(root: Path, axis: installation.Unit, loaded: Loaded) -> None:
     path, was_there = installation.keep_config(root, axis, loaded.text, loaded.dbc)
     if not was_there:
         print(path)

@@ -22,7 +22,7 @@ from pneud.loop.summary import finite
 from pneud.replay import courses
 from pneud.replay.differences import Differences, compare
 from pneud.replay.playing import play
-from pneud.replay.replaying import Outcome
+from pneud.replay.replaying import ReplayOutcome
 from pneud.replay.replaying import replay as run
 from pneud.report.gather import gather
 from pneud.report.pictures import require
@@ -133,7 +133,7 @@ def _again(log: LogReader, what_if: Config | None, begin_s: float, output: Path 
     return 0 if outcome.good else 1
 
 
-def _result(o: Outcome) -> dict[str, Any]:
+def _result(o: ReplayOutcome) -> dict[str, Any]:
     return {
         "schema": 1,
         "ticks": o.ticks,
@@ -148,7 +148,7 @@ def _result(o: Outcome) -> dict[str, Any]:
     }
 
 
-def _say(o: Outcome) -> None:
+def _say(o: ReplayOutcome) -> None:
     if o.truncated:
         print(f"not whole: {o.damage}; {o.ticks} ticks could be replayed")
     if o.first is not None:

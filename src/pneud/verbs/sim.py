@@ -86,7 +86,7 @@ def sim(
         path = log_path(str(output), loaded.config.name)
         writer = _writer(path, loaded, seed, how.name)
     tally = Tally(truth=True, timed=False)
-    seen = verdict.Seen()
+    seen = verdict.Observed()
     snapshot_ticks, written = max(1, round(SNAPSHOT_S * loaded.config.loop.rate_hz)), 0
     for record in run.records():
         tally.add(record, run.axis.state.plan, ending=run.shut)

@@ -32,7 +32,7 @@ def span_s(width: int) -> float:
     return _group(width) * width * BUCKET_NS * 1e-9
 
 
-class Series:
+class Trace:
     """The last seconds of one signal: of every 20 ms the smallest and largest value.
 
     Extremes survive any further decimation, so a spike of one tick stays visible at every width.
@@ -163,10 +163,10 @@ class History:
         self.silent_s = 0.0  # since the newest record came
         self.lateness = Histogram()
         self.latency = Histogram()
-        self.error = Series()
-        self.command = Series()
-        self.p1 = Series()
-        self.p2 = Series()
+        self.error = Trace()
+        self.command = Trace()
+        self.p1 = Trace()
+        self.p2 = Trace()
         self.events: deque[Event] = deque(maxlen=_EVENTS)
         self.first_ns = 0
 

@@ -14,7 +14,7 @@ from rich.style import Style
 
 from pneud.rt.histogram import Histogram
 from pneud.signals import Answer, Host, Record, RequestKind, State, ValveState
-from pneud.view.history import Column, Event, History, Series, shape, span_s, sparkline
+from pneud.view.history import Column, Event, History, Trace, shape, span_s, sparkline
 from pneud.view.info import ScreenInfo
 from pneud.view.text import (
     DIM,
@@ -61,7 +61,7 @@ _BADGES = {
 _VALVES = {ValveState.ENABLED: _GOOD, ValveState.TIMED_OUT: _BAD, ValveState.FAULT: _BAD}
 
 
-class Snapshot(NamedTuple):
+class ScreenState(NamedTuple):
     """What there is to show at one instant."""
 
     record: Record | None  # None before the first tick
@@ -69,7 +69,7 @@ class Snapshot(NamedTuple):
 
 
 def render(
-    snapshot: Snapshot, history: History, size: tuple[int, int], ascii_only: bool | None = None
+    snapshot: ScreenState, history: History, size: tuple[int, int], ascii_only: bool | None = None
 ) -> Page:
     """The page for a terminal of a size.
 
@@ -86,7 +86,7 @@ class Page:
     """A rich renderable of exactly the size asked for."""
 
     def __init__(
-        self, snapshot: Snapshot, history: History, size: tuple[int, int], ascii_only: bool | None
+        self, snapshot: ScreenState, history: History, size: tuple[int, int], ascii_only: bool | None
     ) -> None:
         self._snapshot = snapshot
         self._history = history
@@ -104,7 +104,7 @@ class Page:
             yield from row
 
 
-def _fill(rows: Rows, snapshot: Snapshot, history: History, height: int) -> None:
+def _fill(rows: Rows, snapshot: ScreenState, history: History, height: int) -> None:
     info = snapshot.info
     record = snapshot.record
     curves = _curve_heights(height if height < _MANY_EVENTS_ROWS else height - _MANY_EVENTS + 1)
@@ -141,7 +141,7 @@ def _curve_heights(height: int) -> list[int]:
     return heights
 
 
-def _head(rows: Rows, snapshot: Snapshot, history: History) -> None:
+def _head(rows: Rows, snapshot: ScreenState, history: History) -> None:
     info, record = snapshot.info, snapshot.record
     rows.row()
     badge = "" if record is None else f" {name_of(State, record.tick.state)} "
@@ -332,7 +332,7 @@ def _curve_width(rows: Rows) -> int:
     return max(rows.width - LABEL_WIDTH - _RANGE, 1)
 
 
-def _columns(rows: Rows, series: Series, t_ns: int) -> list[Column]:
+def _columns(rows: Rows, series: Trace, t_ns: int) -> list[Column]:
     return series.columns(t_ns, _curve_width(rows))
 
 
@@ -375,7 +375,7 @@ def _centred_bar(fraction: float, n: int) -> str:
     return "".join(bar)
 
 
-def status_line(snapshot: Snapshot, history: History) -> str:
+def status_line(snapshot: ScreenState, history: History) -> str:
     """The same in one line, for a terminal that cannot move its cursor."""
     record, info = snapshot.record, snapshot.info
     if record is None:

@@ -17,7 +17,7 @@ from rich.control import Control
 from pneud.signals import Record
 from pneud.view.history import History
 from pneud.view.info import ScreenInfo
-from pneud.view.screen import Snapshot, render, status_line
+from pneud.view.screen import ScreenState, render, status_line
 
 FRAME_S = 0.05
 PLAIN_LINE_S = 2.0
@@ -68,7 +68,7 @@ def run(
             if log_counts is not None:
                 history.log_written, history.log_dropped = log_counts()
             if now_s >= due_s - 0.5 * FRAME_S:
-                snapshot = Snapshot(history.last, info)
+                snapshot = ScreenState(history.last, info)
                 if plain:
                     console.print(
                         status_line(snapshot, history), soft_wrap=True, markup=False, highlight=False

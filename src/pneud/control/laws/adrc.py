@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from pneud.control.laws.loop import Loop, cube_root
+from pneud.control.laws.loop import OpenLoop, cube_root
 from pneud.control.laws.situation import Situation, errors, within
 from pneud.control.motion import MotionFilter, beyond
 from pneud.control.prediction import Motion, Rates, ahead
@@ -118,7 +118,7 @@ def is_sound(g: Adrc) -> bool:
     return min(g.k1, g.k2, g.k3, g.reach_m) > 0.0 and g.observer_rad_s >= 0.0
 
 
-def loop(g: Adrc) -> Loop:
+def loop(g: Adrc) -> OpenLoop:
     """(k3 s² + k2 s + k1)/s³, stable where k2 k3 > k1; or with the observer of fourth order in it."""
     k1, k2, k3 = g.k1, g.k2, g.k3
     numerator: tuple[float, ...] = (k3, k2, k1)
@@ -133,7 +133,7 @@ def loop(g: Adrc) -> Loop:
             k1 * b4,
         )
         denominator = (1.0, b1 + k3, b2 + k2 + k3 * b1, b3 + k1 + k2 * b1 + k3 * b2, 0.0, 0.0, 0.0, 0.0)
-    return Loop(
+    return OpenLoop(
         hurwitz=k2 * k3 > k1,
         criterion="k2·k3 > k1",
         bandwidth_rad_s=cube_root(k1),

@@ -9,7 +9,7 @@ HALVINGS = 60
 LOWEST_RAD_S = 1e-6
 
 
-class Loop(NamedTuple):
+class OpenLoop(NamedTuple):
     """The open loop as a fraction of polynomials in s, the highest power first."""
 
     hurwitz: bool  # stable without delay

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pneud.control.laws.loop import Loop, cube_root
+from pneud.control.laws.loop import OpenLoop, cube_root
 from pneud.control.laws.situation import Situation, within
 
 
@@ -63,9 +63,9 @@ def is_sound(g: Pid) -> bool:
     return min(g.kp, g.kd, g.kf, g.reach_m) > 0.0 and min(g.ki, g.quiet_m, g.force_max_n) >= 0.0
 
 
-def loop(g: Pid) -> Loop:
+def loop(g: Pid) -> OpenLoop:
     """Kf (s³ + kd s² + kp s + ki)/s⁴, stable where kf (kd kp − ki) > kp²."""
-    return Loop(
+    return OpenLoop(
         hurwitz=g.kf * (g.kd * g.kp - g.ki) > g.kp * g.kp,
         criterion="kf·(kd·kp - ki) > kp²",
         bandwidth_rad_s=cube_root(g.kf * g.kp),

@@ -14,7 +14,7 @@ from pneud.control.laws import pid as pid_
 from pneud.control.laws.adrc import Adrc, AdrcState, at_rest, extend, in_motion
 from pneud.control.laws.adrc import after as adrc_after
 from pneud.control.laws.adrc import demand as adrc_demand
-from pneud.control.laws.loop import Loop
+from pneud.control.laws.loop import OpenLoop
 from pneud.control.laws.pid import Pid, PidState
 from pneud.control.laws.pid import after as pid_after
 from pneud.control.laws.pid import begin as pid_begin
@@ -48,7 +48,7 @@ class Entry(NamedTuple):
     tunable: tuple[str, ...]  # its first gains: those that are not computed
     made: Callable[[tuple[float, ...], float], Any]  # gains from the tunable ones and the sample time [s]
     is_sound: Callable[[Any], bool]  # whether each of finite gains is one of its kind
-    loop: Callable[[Any], Loop]
+    loop: Callable[[Any], OpenLoop]
     rule: Callable[[float], dict[str, float]]  # gains for a bandwidth [rad/s]
 
 

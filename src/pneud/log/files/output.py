@@ -9,7 +9,7 @@ import threading
 FAILED = -1
 
 
-class Output:
+class LogOutput:
     """What a log is written into: kept until the disk has taken it.
 
     Attributes:

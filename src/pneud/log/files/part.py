@@ -13,7 +13,7 @@ import zlib
 from mcap.records import Metadata
 from mcap.writer import Writer
 
-from pneud.log.files.output import Output
+from pneud.log.files.output import LogOutput
 from pneud.log.format.fingerprint import numeric_fingerprint, versions
 from pneud.log.format.framing import DamageError
 from pneud.log.format.header import LogHeader
@@ -72,7 +72,7 @@ def head_of(h: LogHeader, more: dict[str, str]) -> dict[str, str]:
     }
 
 
-class Part:
+class LogPart:
     """A file that is being written.
 
     Attributes:
@@ -88,7 +88,7 @@ class Part:
             header: what the log says about its run.
             more: metadata on this file.
         """
-        self.output = Output(descriptor)
+        self.output = LogOutput(descriptor)
         self.chunk_bytes = 0
         with contextlib.suppress(OSError):  # tells retention that it is being written
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

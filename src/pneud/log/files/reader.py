@@ -21,7 +21,7 @@ from pneud.log.format.frames import FrameBlock
 from pneud.log.format.framing import (
     CutShortError,
     DamageError,
-    Message,
+    LoggedMessage,
     Piece,
     attachment,
     first_ns,
@@ -72,9 +72,9 @@ class _Definitions:
         elif item.schema_id in self._schemas:
             self.channels[item.id] = (item.topic, self._schemas[item.schema_id])
 
-    def learn_all(self, found: list[Schema | Channel | Message]) -> None:
+    def learn_all(self, found: list[Schema | Channel | LoggedMessage]) -> None:
         for item in found:
-            if not isinstance(item, Message):
+            if not isinstance(item, LoggedMessage):
                 self.learn(item)
 
     @property
@@ -159,7 +159,7 @@ class _File:
                 pass
         return 0
 
-    def messages(self, from_ns: int = 0) -> Iterator[tuple[str, str, Message]]:
+    def messages(self, from_ns: int = 0) -> Iterator[tuple[str, str, LoggedMessage]]:
         """Topic, schema and message; ends at the first place that cannot be read.
 
         Args:
@@ -180,7 +180,7 @@ class _File:
                         self._check_count(piece, count)
                     ended = ended or piece.opcode == Opcode.DATA_END
                     for item in () if ended else items(piece):
-                        if not isinstance(item, Message):
+                        if not isinstance(item, LoggedMessage):
                             known.learn(item)
                             continue
                         count += 1
@@ -209,7 +209,7 @@ class _File:
             for piece in pieces(file):
                 found = items(piece)
                 known.learn_all(found)
-                if any(isinstance(item, Message) for item in found):
+                if any(isinstance(item, LoggedMessage) for item in found):
                     break
             if not known.topics >= _OWN_TOPICS:
                 for piece in pieces(file, skip_chunks=True):
@@ -245,7 +245,7 @@ class _File:
 
 
 def _first_topic(piece: Piece, known: _Definitions) -> str:
-    first = next((item for item in items(piece) if isinstance(item, Message)), None)
+    first = next((item for item in items(piece) if isinstance(item, LoggedMessage)), None)
     return "" if first is None else known.channels.get(first.channel, ("", ""))[0]
 
 

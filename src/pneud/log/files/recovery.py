@@ -25,7 +25,7 @@ from pneud.log.files.writer import CHUNK_BYTES
 from pneud.log.format import framing
 from pneud.log.format.framing import (
     DamageError,
-    Message,
+    LoggedMessage,
     Piece,
     attachment,
     items,
@@ -199,7 +199,7 @@ class _Rescue:
                     self._promised = framing.message_count(piece)
                 elif piece.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):  # the index repeats them
                     for item in items(piece):
-                        if not isinstance(item, Message):
+                        if not isinstance(item, LoggedMessage):
                             self._channels.learn(item)
             except DamageError as e:
                 self._damage = self._damage or str(e)
@@ -230,9 +230,9 @@ class _Rescue:
         for number, t in enumerate(topics(detail), start=1):
             self._channels.assume(number, t)
 
-    def _save(self, found: list[Schema | Channel | Message]) -> None:
+    def _save(self, found: list[Schema | Channel | LoggedMessage]) -> None:
         for item in found:
-            if not isinstance(item, Message):
+            if not isinstance(item, LoggedMessage):
                 self._channels.learn(item)
                 continue
             channel = self._channels.number(item.channel)

@@ -16,7 +16,7 @@ import uuid
 from typing import Any
 
 from pneud.log.files.naming import LogError, create_log, next_part
-from pneud.log.files.part import Part
+from pneud.log.files.part import LogPart
 from pneud.log.files.retention import Tidying
 from pneud.log.format.events import EventSource
 from pneud.log.format.frames import FramesPacker
@@ -24,7 +24,7 @@ from pneud.log.format.header import LogHeader, Rotation
 from pneud.log.format.records import LoggedEvent, Packer, pack_event
 from pneud.log.format.schema import EVENTS, FRAMES, KEPT, SETUP, STATE, TICK, Level
 from pneud.log.format.snapshot import to_json
-from pneud.log.live.notes import Message
+from pneud.log.live.notes import Note
 from pneud.signals import Record
 
 CHUNK_BYTES = 64 * 1024
@@ -97,11 +97,11 @@ class LogWriter:
         """Bytes that the files have taken."""
         return self._closed_bytes + self._part.output.settled_bytes
 
-    def _begin(self, descriptor: int) -> Part:
+    def _begin(self, descriptor: int) -> LogPart:
         self._part_number += 1
         self._part_began_ns = time.monotonic_ns()
         more = {"run": self._run, "part": str(self._part_number), "records_before": str(self._number)}
-        part = Part(descriptor, self._header, more)
+        part = LogPart(descriptor, self._header, more)
         if self._notes is not None:
             part.metadata(SETUP, self._notes)
         if self._tidying is not None and self._path is not None:
@@ -153,7 +153,7 @@ class LogWriter:
         if self._part.chunk_bytes > CHUNK_BYTES:
             self.flush()
 
-    def say(self, message: Message) -> None:
+    def say(self, message: Note) -> None:
         """Add an event that another process tells of."""
         t_ns, level, name, words = message
         self._add_event(LoggedEvent(t_ns + self._header.realtime_offset_ns, Level(level), name, words))
@@ -239,7 +239,7 @@ class LogWriter:
             self._part.output.start_sync()
         if self._tidying is not None:
             for words in self._tidying.done():
-                self.say(Message(self._last_t_ns, int(Level.INFO), "log", words))
+                self.say(Note(self._last_t_ns, int(Level.INFO), "log", words))
 
     def flush(self) -> None:
         """Close the chunk and hand it to the operating system."""

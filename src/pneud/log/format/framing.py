@@ -51,7 +51,7 @@ class Piece(NamedTuple):
     body: bytes
 
 
-class Message(NamedTuple):
+class LoggedMessage(NamedTuple):
     """One message of a chunk."""
 
     channel: int
@@ -175,7 +175,7 @@ def message_count(piece: Piece) -> int:
         raise DamageError(f"damaged at byte {piece.offset}: the index: {e}") from None
 
 
-def items(piece: Piece) -> list[Schema | Channel | Message]:
+def items(piece: Piece) -> list[Schema | Channel | LoggedMessage]:
     """What a record brings: all that a chunk holds, its checksum compared, or itself outside of chunks.
 
     Raises:
@@ -186,7 +186,7 @@ def items(piece: Piece) -> list[Schema | Channel | Message]:
             return list(_items(_decompressed(Chunk.read(stream(piece.body)))))
         if piece.opcode == Opcode.MESSAGE:
             channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(piece.body)
-            return [Message(channel, sequence, log_ns, publish_ns, piece.body[_MESSAGE.size :])]
+            return [LoggedMessage(channel, sequence, log_ns, publish_ns, piece.body[_MESSAGE.size :])]
         if piece.opcode == Opcode.SCHEMA:
             return [Schema.read(stream(piece.body))]
         if piece.opcode == Opcode.CHANNEL:
@@ -227,7 +227,7 @@ def _decompressed(chunk: Chunk) -> bytes:
     return data
 
 
-def _items(data: bytes) -> Iterator[Schema | Channel | Message]:
+def _items(data: bytes) -> Iterator[Schema | Channel | LoggedMessage]:
     offset, end = 0, len(data)
     new = tuple.__new__  # half the time of Message(…)
     while offset < end:
@@ -237,7 +237,7 @@ def _items(data: bytes) -> Iterator[Schema | Channel | Message]:
             raise ValueError("a record reaches beyond its chunk")
         if opcode == _OPCODE_MESSAGE:
             head = _MESSAGE.unpack_from(data, offset + _HEAD.size)
-            yield new(Message, (*head, data[offset + _MESSAGE_HEAD : following]))
+            yield new(LoggedMessage, (*head, data[offset + _MESSAGE_HEAD : following]))
         elif opcode == Opcode.SCHEMA:
             yield Schema.read(stream(data[offset + _HEAD.size : following]))
         elif opcode == Opcode.CHANNEL:

@@ -11,7 +11,7 @@ _HEAD = struct.Struct("<qB")
 _MOST_BYTES = 1024
 
 
-class Message(NamedTuple):
+class Note(NamedTuple):
     """One event in words."""
 
     t_ns: int  # CLOCK_MONOTONIC
@@ -41,7 +41,7 @@ class Teller:
             self._lost += 1
 
 
-class Listener:
+class NotesListener:
     """The recorder's end."""
 
     def __init__(self, end: socket.socket) -> None:
@@ -50,9 +50,9 @@ class Listener:
         self.gone = False
         """Whether the teller has left."""
 
-    def poll(self) -> list[Message]:
+    def poll(self) -> list[Note]:
         """What has been said since the last call."""
-        heard: list[Message] = []
+        heard: list[Note] = []
         while not self.gone:
             try:
                 data = self._end.recv(_HEAD.size + _MOST_BYTES)
@@ -65,5 +65,5 @@ class Listener:
                 break
             t_ns, level = _HEAD.unpack_from(data)
             name, _, words = data[_HEAD.size :].decode(errors="replace").partition("\0")
-            heard.append(Message(t_ns, level, name, words))
+            heard.append(Note(t_ns, level, name, words))
         return heard

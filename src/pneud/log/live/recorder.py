@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from pneud import crew
 from pneud.log.format.header import LogHeader, Rotation
-from pneud.log.live.notes import Listener, Message
+from pneud.log.live.notes import Note, NotesListener
 from pneud.log.live.ring import RECORDER_FAILED, RecorderStatus, Ring, RingReader
 from pneud.signals import Record
 
@@ -95,7 +95,7 @@ def recorder_main(
         # protobuf and MCAP are loaded here, beside the loop's own start, while the ring keeps what comes
         from pneud.log.files.writer import LogWriter  # noqa: PLC0415
 
-        listener = Listener(words) if words is not None else None
+        listener = NotesListener(words) if words is not None else None
         return _Recorder(ring, LogWriter(descriptor, header, rotation), parent, files, listener).run()
     except Exception:
         traceback.print_exc(file=sys.stderr)
@@ -110,7 +110,7 @@ class _Recorder:
         writer: LogWriter,
         parent: int,
         files: tuple[Path, ...],
-        listener: Listener | None,
+        listener: NotesListener | None,
     ) -> None:
         self._ring = ring
         self._reader: RingReader = ring.reader()
@@ -173,7 +173,7 @@ class _Recorder:
             "the console is gone for good, and what an operator had engaged comes to rest; restart pneud to"
             " operate the axis again"
         )
-        self._writer.say(Message(time.monotonic_ns(), _ERROR, "console", words))
+        self._writer.say(Note(time.monotonic_ns(), _ERROR, "console", words))
         print(f"pneud: {words}", file=sys.stderr, flush=True)
 
     def _report(self, *, finished: bool = False) -> None:
