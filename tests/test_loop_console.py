@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from axis_rig import loaded
+from pneud import crew
 from pneud.axis.cycle import Axis
 from pneud.bus.inbox import Inbox
 from pneud.config import conversions
@@ -101,7 +102,7 @@ def lane(ring: Ring, console: handoff.LoopEnd | None) -> Lane:
 
 
 def test_a_lane_knows_an_operators_request_from_the_runs_own() -> None:
-    asking, taking = handoff.pair()
+    asking, taking = crew.pair()
     ring = Ring.create(slots=8)
     ring.set_console(CONSOLE_GONE)
     one = lane(ring, handoff.LoopEnd(taking))
