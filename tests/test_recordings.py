@@ -12,7 +12,7 @@ import pytest
 
 import recorded
 from commands import pneud_here
-from mangled import OFFSET_NS, simulated
+from mangled import simulated
 from pneud import resources
 from pneud.log.files.reader import read_log
 from pneud.log.format.records import LoggedTick
@@ -524,6 +524,17 @@ def test_a_suffix_may_be_in_capitals(run: Recorded, tmp_path: Path) -> None:
     assert imported(tmp_path / "X.ASC").status == 0
 
 
+@pytest.mark.parametrize("text", ["[[5, 1e999]]", "[" * 100_000, "[[5, null]]", "[[[], 5]]"])
+def test_what_is_beside_may_be_spoilt(tmp_path: Path, text: str) -> None:
+    simulated(tmp_path / "x.mcap", 0.1)
+    assert pneud_here("export", tmp_path / "x.mcap", "-o", tmp_path / "x.log").returncode == 0
+    beside = tmp_path / "x.log.json"
+    beside.write_text(beside.read_text().replace('"skipped": []', f'"skipped": {text}'))
+    done = pneud_here("import", tmp_path / "x.log", "-o", tmp_path / "y.mcap")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == f"pneud: {beside}: not what pneud export writes beside frames; move it away\n"
+
+
 def test_ticks_that_no_log_can_hold_are_not_counted(run: Recorded, tmp_path: Path) -> None:
     """A sidecar that someone has edited claims more skipped ticks than a record can say."""
     simulated(tmp_path / "x.mcap", 0.2)
@@ -535,4 +546,3 @@ def test_ticks_that_no_log_can_hold_are_not_counted(run: Recorded, tmp_path: Pat
     count = sum(1 for _ in read_log(tmp_path / "y.mcap"))
     assert f"y.mcap: {count} ticks" in done.stdout
     assert "y.mcap: ticks that no log can hold, left out" in done.stderr
-    assert OFFSET_NS > 0

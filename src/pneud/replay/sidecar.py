@@ -117,6 +117,6 @@ def read(path: Path) -> Sidecar | None:
             {int(tick): int(bits) for tick, bits in content["host"]},
         )
         _ = found.offset_ns, float(metadata["rate_hz"]), metadata["config"], metadata["dbc"], metadata["bus"]
-    except (KeyError, TypeError, ValueError, AttributeError, binascii.Error):
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError, binascii.Error):
         raise LogError(f"{path}: not what pneud export writes beside frames; move it away") from None
     return found
