@@ -56,7 +56,7 @@ systemd: $(DEV) ## the service under systemd, in a virtual machine, from the whe
 	@rm -rf build/wheels
 	@$(BIN)/python -m hatchling build -t wheel -d build/wheels >/dev/null
 	@$(BIN)/python -m pip --python $(DEBIAN_PYTHON) wheel --quiet --disable-pip-version-check -w build/wheels build/wheels/*.whl
-	@exec hil/vm/run -s -t 280 -- $(CURDIR)/$(BIN)/python -m pytest -m systemd -p no:cacheprovider tests/vm/test_service.py $(ARGS)
+	@exec hil/vm/run -s -t 560 -- $(CURDIR)/$(BIN)/python -m pytest -m systemd -p no:cacheprovider tests/vm/test_service.py $(ARGS)
 
 campaign: $(DEV) ## fault scenarios in real time: build/campaign/matrix.html (see docs/hil.md)
 	@exec $(BIN)/python hil/campaign.py --bus unixcan -o build/campaign $(ARGS)

@@ -225,7 +225,7 @@ def test_what_cannot_be_written(taken: Taken, good: dict[str, str], tmp_path: Pa
             done = run(taken, name, good, tmp_path / "out")
         if done.returncode in (0, 1):
             assert Path(name).exists(), kind
-            assert done.stderr == "", kind
+            assert all(line.startswith(REMARKS) for line in done.stderr.splitlines()), kind
             continue
         refused(done, kind)
         assert contents(tmp_path) == before or not taken.suffix, kind
@@ -280,7 +280,9 @@ def test_a_daemon_takes_a_name_or_refuses_it(
                 path.unlink()
 
 
-REMARKS = ("pneud: the law runs in Python", "pneud: fifo", "pneud: no real time")
+# what is said of a run or a recording that went as far as it could, and is no refusal
+REMARKS = ("pneud: the law runs in Python", "pneud: fifo", "pneud: no real time", "pneud: never armed")
+REMARKS += ("requests were inferred", "174 commands are not")
 
 
 OTHERS = [t for t in READ if t.words.startswith(("check", "sim", "replay", "export", "recover", "track"))]
