@@ -281,8 +281,10 @@ def test_a_daemon_takes_a_name_or_refuses_it(
 
 
 # what is said of a run or a recording that went as far as it could, and is no refusal
-REMARKS = ("pneud: the law runs in Python", "pneud: fifo", "pneud: no real time", "pneud: never armed")
-REMARKS += ("requests were inferred", "174 commands are not")
+REMARKS = (
+    *("pneud: the law runs in Python", "pneud: fifo", "pneud: no real time", "pneud: never armed"),
+    *("requests were inferred", "174 commands are not"),
+)
 
 
 OTHERS = [t for t in READ if t.words.startswith(("check", "sim", "replay", "export", "recover", "track"))]
