@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -244,6 +245,14 @@ def test_sockets_that_are_none(taken: Taken, tmp_path: Path, monkeypatch: pytest
         assert contents(tmp_path) == before, kind
 
 
+@pytest.fixture
+def short_runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A folder for sockets, whose paths have 107 bytes."""
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        yield
+
+
 DAEMON = [Taken("--virtual --duration 0.3 --headless --log {}", ".mcap")]
 DAEMON += [Taken("--virtual --duration 0.3 --headless --log {}")]
 DAEMON += [Taken("--virtual --duration 0.3 --headless --socket {}", ".sock")]
@@ -254,7 +263,7 @@ DAEMON += [Taken("--virtual --duration 0.3 --headless", "", "STATE_DIRECTORY")]
 @pytest.mark.slow
 @pytest.mark.parametrize("taken", DAEMON, ids=ids)
 def test_a_daemon_takes_a_name_or_refuses_it(
-    taken: Taken, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    taken: Taken, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, short_runtime: None
 ) -> None:
     (tmp_path / "bad").mkdir()
     for kind, name in names(tmp_path / "bad", taken.suffix).items():
@@ -393,7 +402,7 @@ def test_closed_standard_streams(words: str, closed: str, good: dict[str, str]) 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
-def test_a_run_with_closed_streams_has_its_log(closed: str, tmp_path: Path) -> None:
+def test_a_run_with_closed_streams_has_its_log(closed: str, tmp_path: Path, short_runtime: None) -> None:
     log = tmp_path / "x.mcap"
     words = ["--virtual", "--headless", "--json", "--duration", "0.5", "--log", str(log)]
     done = streams(words, closed)

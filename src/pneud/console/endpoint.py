@@ -48,6 +48,8 @@ def bind(name: str, given: str | None, *, virtual: bool) -> Endpoint:
     named = given or os.environ.get("PNEUD_SOCKET")
     try:
         path = Path(named).absolute() if named else runtime_folder() / f"{name}{_SUFFIX}"
+        if path.exists() and not stat.S_ISSOCK(path.lstat().st_mode):
+            raise PlaceError(f"{path}: is no socket; give --socket another name", 2)
         lock = _lock(path)
         if lock is None and virtual and not named:
             path = path.with_name(f"{name}-{os.getpid()}{_SUFFIX}")
@@ -58,8 +60,6 @@ def bind(name: str, given: str | None, *, virtual: bool) -> Endpoint:
         raise PlaceError(f"no socket for the console: {e}") from None
     listener = socket.socket(socket.AF_UNIX)
     try:
-        if path.exists() and not stat.S_ISSOCK(path.lstat().st_mode):
-            raise PlaceError(f"{path}: is no socket; give --socket another name", 2)
         path.unlink(missing_ok=True)
         listener.bind(str(path))  # nobody can connect before listen()
         path.chmod(0o660 if _give_to_group(path) else 0o600)
