@@ -75,8 +75,9 @@ def test_later_reference_is_that_of_the_sine(t: float, lead: float) -> None:
     p = Sine(0.4868, 0.05, math.pi)
     there, then = later(sine(t, p), lead), sine(t + lead, p)
     snap = p.amplitude_m * p.omega_rad_s**4
+    # beside that, the angles of both, up to 63 rad, are rounded by 1.3e-14 together
     assert there.position_m == pytest.approx(then.position_m, abs=snap * lead**4 / 20.0 + 1e-15)
-    assert there.velocity_m_s == pytest.approx(then.velocity_m_s, abs=snap * lead**3 / 5.0 + 1e-15)
+    assert there.velocity_m_s == pytest.approx(then.velocity_m_s, abs=snap * lead**3 / 5.0 + 3e-15)
     assert there.acceleration_m_s2 == pytest.approx(then.acceleration_m_s2, abs=snap * lead**2 / 1.9 + 1e-14)
     assert there.jerk_m_s3 == pytest.approx(then.jerk_m_s3, abs=snap * lead * 1.1 + 1e-13)
 
