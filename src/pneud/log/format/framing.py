@@ -8,7 +8,7 @@ import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
@@ -156,10 +156,7 @@ def metadata(piece: Piece) -> Metadata:
     Raises:
         DamageError: its bytes make no sense.
     """
-    try:
-        found: Metadata = Metadata.read(stream(piece.body))
-    except NONSENSE as e:
-        raise DamageError(f"damaged at byte {piece.offset}: metadata: {e}") from None
+    found: Metadata = _record(piece, Metadata, "metadata")
     return found
 
 
@@ -169,10 +166,14 @@ def message_count(piece: Piece) -> int:
     Raises:
         DamageError: its bytes make no sense.
     """
+    return int(_record(piece, Statistics, "the index").message_count)
+
+
+def _record(piece: Piece, kind: Any, name: str) -> Any:
     try:
-        return int(Statistics.read(stream(piece.body)).message_count)
+        return kind.read(stream(piece.body))
     except NONSENSE as e:
-        raise DamageError(f"damaged at byte {piece.offset}: the index: {e}") from None
+        raise DamageError(f"damaged at byte {piece.offset}: {name}: {e}") from None
 
 
 def items(piece: Piece) -> list[Schema | Channel | LoggedMessage]:
