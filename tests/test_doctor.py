@@ -17,7 +17,7 @@ from pneud.loading import load
 from pneud.rt import setup
 from pneud.rt.setup import Report
 from pneud.service import machine
-from pneud.service.doctor import diagnose, wanted_by
+from pneud.service.examination import diagnose, wanted_by
 from pneud.service.machine import Facts, InterfaceFacts
 from pneud.service.probe import Finding, Grade, Wanted, examine
 

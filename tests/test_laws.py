@@ -22,7 +22,7 @@ from pneud.config.models import Config, ConfigError
 from pneud.config.reading import parse
 from pneud.control.laws import adrc, pid
 from pneud.control.laws.adrc import in_motion
-from pneud.control.laws.loop import OpenLoop, at, delay_margin
+from pneud.control.laws.open_loop import OpenLoop, at, delay_margin
 from pneud.control.laws.slot import ADRC, IN_SLOT, PID, SLIDING, Slot
 from pneud.control.reference import rest
 from pneud.control.step import join, observe, situation, start

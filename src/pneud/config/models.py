@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from pneud.control.laws import adrc, pid
-from pneud.control.laws.loop import OpenLoop
+from pneud.control.laws.open_loop import OpenLoop
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]

@@ -10,7 +10,7 @@ from pneud.console.handoff import RequestOutcome
 from pneud.console.memory import Memory
 from pneud.console.protocol import Error, ProtocolError
 from pneud.console.server import Orders
-from pneud.console.status import StatusWatch, faults
+from pneud.console.status_reply import StatusWatch, faults
 from pneud.console.tuning import Tuning
 from pneud.log.live.ring import Ring
 from pneud.safety.faults import CENTRES, FAULT_CURES, FAULT_NAMES, STOPS

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Protocol
 
 from pneud.console import handoff, protocol
 from pneud.console.lease import LEASE_S, Lease
-from pneud.console.lines import MAX_LINE
+from pneud.console.line_stream import MAX_LINE
 from pneud.console.peer import GROUP, Peer, commanding_group, may_command, peer_of
 from pneud.console.protocol import Error, ProtocolError
 from pneud.signals import Answer, Request, RequestKind, State

@@ -41,7 +41,7 @@ class Post(NamedTuple):
 
 def load() -> None:
     """Load what a console needs and the loop does not."""
-    from pneud.console import commands, protocol, server, status  # noqa: F401, PLC0415
+    from pneud.console import commands, protocol, server, status_reply  # noqa: F401, PLC0415
 
 
 def serve(post: Post, keeper: int, place: int) -> None:
@@ -64,7 +64,7 @@ def serve(post: Post, keeper: int, place: int) -> None:
     from pneud.console import protocol  # noqa: PLC0415
     from pneud.console.commands import AxisDesk  # noqa: PLC0415
     from pneud.console.server import Server  # noqa: PLC0415
-    from pneud.console.status import StatusWatch  # noqa: PLC0415
+    from pneud.console.status_reply import StatusWatch  # noqa: PLC0415
 
     def refused(error: ProtocolError) -> None:
         print(f"pneud: {error}", file=sys.stderr, flush=True)

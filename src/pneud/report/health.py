@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pneud.bus import crc8
 from pneud.bus.codec import Codec, Codecs
-from pneud.bus.layout import SignalField, shift
+from pneud.bus.dbc_layout import SignalField, shift
 from pneud.bus.wire import CAN_ERR_FLAG
 from pneud.log.files.columns import AFTER, BEFORE, SENT, Block, Floats, FrameColumns, Ints
 from pneud.report.spread import Spread
