@@ -13,6 +13,7 @@ from pneud.control.laws.sliding import Sliding
 from pneud.control.laws.slot import IN_SLOT, SLIDING, Slot
 from pneud.control.motion import MotionFilter, kalman, quickened, triple_pole
 from pneud.control.reference import Bounds, Sine
+from pneud.control.standstill import Standstill
 from pneud.control.step import Controller
 from pneud.physics import cylinder as cyl
 from pneud.physics import gas as gas_
@@ -26,6 +27,11 @@ COMPUTING_S = 80e-6  # from the last sensor frame to the command's place on the 
 FRAME_BITS, STUFFING = 47, 1.1
 LONGEST_SHARE, LONGEST_S = 2.0, 10.0  # a stroke of homing may take so much longer than at its speed
 LEAST_STILL_M, STILL_STEPS = 5e-5, 10.0  # travel that a reading cannot hide: at least, and in encoder steps
+LEAST_HELD_M = 5e-6  # error that may be left rather than cross the dead zone, at least
+BALANCE = 0.03  # of dry friction that may be out of balance while a load counts as held by it
+SMOOTH_S = 0.02  # of force and speed of a standing load
+GRACE_S = 0.08  # that a load has to come to rest when the valve is closed
+RESTLESS_V = 0.03  # mean step of the command that is hunting
 BLEND_S = 0.1  # in which one set of gains gives way to another
 
 
@@ -177,13 +183,58 @@ def controller_of(c: Config) -> Controller:
             compensate_d=law.law == "composite",
             M=c.cylinder.moving_mass_kg,
             invert_dead_zone=law.compensate_dead_zone,
-            hold_v=law.dead_zone_hold_v,
+            hold_v=hold_v(c, cylinder),
         ),
         use_x3_hat=law.smooth_x3,
         use_force=law.estimate_force,
         force_rate_gain=1.0 - math.exp(-law.force_rate_bandwidth_rad_s * h),
         blend_kept=math.exp(-h / BLEND_S),
         slot=slot_of(law, h),
+        standstill=standstill_of(c),
+    )
+
+
+def hold_v(c: Config, k: cyl.Cylinder) -> float:
+    """Opening [V] that is not worth a way across the dead zone: the configured one at most.
+
+    Nor more than what the law asks for where the load is off by half a step of the encoder: on a small axis,
+    whose law asks for little, it would stand beside its target.
+    """
+    error_m = max(LEAST_HELD_M, 0.5 * c.control.motion.encoder_resolution_m)
+    return min(c.control.dead_zone_hold_v, k.M * c.control.k1 * error_m / k.F1_nominal)
+
+
+def standstill_of(c: Config) -> Standstill:
+    """When a load counts as standing still: from mass, friction and the encoder's step."""
+    f, step_m, M = c.control.friction, c.control.motion.encoder_resolution_m, c.cylinder.moving_mass_kg
+    if not c.control.standstill or f.bristle_stiffness_n_m <= 0.0 or f.coulomb_n <= 0.0:
+        return Standstill()
+    h, stiffness = 1.0 / c.loop.rate_hz, f.bristle_stiffness_n_m
+    omega = math.sqrt(stiffness / M)
+    enter_m, stick_m = max(6e-6, 0.8 * step_m), max(0.6e-6, 1.1 * step_m)
+    # a force that friction does not hold would have moved the load by more than that in this time
+    stick = max(8, math.ceil(math.sqrt(2.0 * M * stick_m / (BALANCE * f.coulomb_n)) / h))
+    swing_s = 2.0 * math.pi / omega
+    return Standstill(
+        enter_m=enter_m,
+        leave_m=max(11e-6, 1.3 * step_m),
+        near_m=1e-4,
+        far_m=3e-4,
+        leave_m_s=4e-3 + 50.0 * step_m,
+        omega_rad_s=omega,
+        stiffness_n_m=stiffness,
+        static_n=f.static_n,
+        swing=max(1, round(max(0.02, swing_s) / h)),
+        smooth=1.0 - math.exp(-h / SMOOTH_S),
+        stuck=max(round(1.5 * stick), round(0.6 * swing_s / h)),
+        patience=round(0.1 / h),
+        grace=round(GRACE_S / h),
+        restless=1.0 - math.exp(-h / 0.05),
+        restless_v=RESTLESS_V,
+        nudge_v=0.1 * c.valve.u_max_v,
+        stick_m=stick_m,
+        stick=stick,
+        held=1.0 - math.exp(-h / 0.01),
     )
 
 

@@ -289,7 +289,8 @@ class ControlConfig(Section):
     force_rate_bandwidth_rad_s: Annotated[float, Field(ge=0, le=5_000)] = 0.0  # fed forward; 0: not
     predict: bool = True  # over transport delay and valve lag
     compensate_dead_zone: bool = False
-    dead_zone_hold_v: Annotated[float, Field(ge=0, le=1)] = 0.02  # opening not worth crossing it
+    dead_zone_hold_v: Annotated[float, Field(ge=0, le=1)] = 0.02  # opening not worth crossing it, at most
+    standstill: bool = True  # a load at rest where it should be is left alone, the valve closed
     observer: ObserverConfig
     motion: MotionConfig
     friction: FrictionConfig = FrictionConfig()  # as identified; fed forward along the reference

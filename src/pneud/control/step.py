@@ -10,19 +10,38 @@ from typing import NamedTuple
 
 from pneud.control.disturbance import Observer, ObserverState
 from pneud.control.disturbance import observe as observe_disturbance
-from pneud.control.feedforward import bristles_under, friction_ahead, held_by_bristles
+from pneud.control.feedforward import (
+    bristles_under,
+    friction_ahead,
+    friction_felt,
+    held_by_bristles,
+    recalled,
+)
 from pneud.control.laws.situation import LawOutput, Situation, errors
 from pneud.control.laws.sliding import Sliding, SlidingState, command, engage, law, resistance
 from pneud.control.laws.slot import SLIDING, Slot, SlotState, afterwards, demand, joined, taken_over
-from pneud.control.motion import MotionFilter, MotionState, at_rest, correct, predict
+from pneud.control.motion import MotionFilter, MotionState, at_rest, correct, held, predict
 from pneud.control.prediction import Motion, Rates, Spool, ahead, follow, later
+from pneud.control.standstill import (
+    LAW,
+    Standstill,
+    StandstillState,
+    is_held,
+    is_still,
+    nudge,
+    read,
+    stand,
+    stirred,
+)
 from pneud.physics.cylinder import F0, Cylinder, F1_exhaust, F1_fill, x3_of
 from pneud.physics.friction import Friction
 from pneud.physics.gas import Gas
-from pneud.physics.valve import SpoolTransition, Valve, opening, spool_transition
+from pneud.physics.valve import SpoolTransition, Valve, dead_zone_inverse, opening, spool_transition
 from pneud.signals import Estimate, Reference
 
 NAN = float("nan")
+STILL_RATE = 0.5  # of the rate of F̂ that is fed forward at rest, where much of it answers the law itself
+RECALL = 0.05  # share of what F̂ says of the bristles of a standing load that is believed in a tick
 X1_MARGIN = 1e-3  # least chamber length the model is evaluated at [m]
 
 
@@ -46,6 +65,7 @@ class Controller(NamedTuple):
     force_rate_gain: float  # of the low-pass for the rate of F̂ in Z; 0 leaves it out
     blend_kept: float = 0.0  # part of the blend that is left a sample later
     slot: Slot = Slot()  # which law runs
+    standstill: Standstill = Standstill()
 
 
 class ControllerState(NamedTuple):
@@ -64,6 +84,7 @@ class ControllerState(NamedTuple):
     force_step_n: float  # that friction's gain until the next sample
     blend: float = 0.0  # leads from one law or set of gains to another [m/s³]
     own: SlotState = SlotState()
+    standstill: StandstillState = StandstillState()
 
 
 def start(position_m: float, p1_pa: float, p2_pa: float, supply_pa: float, p: Controller) -> ControllerState:
@@ -117,11 +138,14 @@ def observe(
     Returns:
         The state after this sample, and what is believed.
     """
-    c = p.cylinder
+    c, standstill = p.cylinder, state.standstill
     x3 = x3_of(p1_pa, p2_pa, c)
     motion = predict(state.motion, x3, state.force_step_n, c.rod_force_n, c.M, dt)
     if measured:
         motion = correct(motion, position_m, c.M, p.h, p.motion)
+        standstill = read(standstill, position_m, p.standstill)
+        if is_held(standstill, p.standstill):
+            motion = held(motion, c.rod_force_n, p.standstill.held)
     x1 = chamber_length(motion.x, c)
     f0 = F0(x1, p1_pa, p2_pa, c, p.gas)
     f1_fill = F1_fill(x1, p1_pa, p2_pa, supply_pa, c, p.gas)
@@ -158,6 +182,7 @@ def observe(
             0.0,  # until `act` knows better
             state.blend,
             state.own,
+            standstill,
         ),
         Estimate(motion.x, motion.v, motion.F, x3, observer.x_hat, observer.d_hat, motion.innovation, u_mean),
     )
@@ -186,7 +211,12 @@ def situation(state: ControllerState, e: Estimate, r: Reference, p: Controller) 
     """What a law is asked about, for an estimate and a reference of the same instant."""
     M = p.cylinder.M
     goal = later(r, p.lead_s)
-    friction = friction_ahead(state.bristles_m, r, goal, p.h, p.lead_s, p.friction)
+    force_rate = state.force_rate
+    if p.standstill.enter_m > 0.0 and is_still(r, goal):
+        friction = friction_felt(state.bristles_m, e.velocity_m_s, p.h, p.lead_s, p.friction)
+        force_rate *= STILL_RATE
+    else:
+        friction = friction_ahead(state.bristles_m, r, goal, p.h, p.lead_s, p.friction)
     motion = at_effect(state, e, friction.ahead_n + p.lead_s * state.force_rate, p)
     w1, w2, w3 = errors(motion, goal, M)
     return Situation(
@@ -199,7 +229,7 @@ def situation(state: ControllerState, e: Estimate, r: Reference, p: Controller) 
         w3,
         motion.force_n + (e.force_n if p.use_force else 0.0),
         friction,
-        state.force_rate,
+        force_rate,
         state.f0,
         state.f1_fill,
         state.f1_exhaust,
@@ -249,8 +279,47 @@ def _resistance(state: ControllerState, e: Estimate, r: Reference, p: Controller
 def act(
     state: ControllerState, e: Estimate, r: Reference, p: Controller
 ) -> tuple[ControllerState, LawOutput]:
-    """The law's command for an estimate and a reference of the same instant."""
+    """The command for an estimate and a reference of one instant: the law's, or that of a standing load."""
     s = situation(state, e, r, p)
+    if p.standstill.enter_m <= 0.0:
+        return tracked(state, s, p)
+    still = is_still(r, s.goal)
+    standstill = stand(
+        state.standstill,
+        s.goal.position_m - e.position_m,
+        e.velocity_m_s,
+        s.now.force_n,
+        e.x3_hat_n,
+        e.force_n,
+        still,
+        p.standstill,
+    )
+    if still:
+        bristles_m = recalled(s.friction.bristles_m, e.force_n, RECALL, p.friction)
+    else:
+        bristles_m = s.friction.bristles_m
+    if standstill.mode != LAW:
+        return left_alone(stood(state, standstill, bristles_m), s, p)
+    state, out = tracked(state, s, p)
+    if still:
+        u_max = p.valve.u_max_v
+        step_v = abs(max(-u_max, min(u_max, out.u_v)) - state.applied_v)
+        standstill = stirred(standstill, step_v, p.standstill)
+    return stood(state, standstill, bristles_m), out
+
+
+def left_alone(state: ControllerState, s: Situation, p: Controller) -> tuple[ControllerState, LawOutput]:
+    """A load that stands: the valve closed or nudging, and the law ready to take over with s = 0."""
+    u_v = nudge(state.standstill, s.e.x3_hat_n, p.h, s.f1_fill, s.f1_exhaust, p.standstill)
+    if p.sliding.invert_dead_zone:
+        u_v = dead_zone_inverse(u_v, p.valve, 0.0)
+    own = joined(s, s.e.force_n - held_by_bristles(s.e.force_n, p.friction), p.slot)
+    state = carried(state, engage(s.w3), state.bristles_m, 0.0, state.blend * p.blend_kept, own)
+    return state, LawOutput(u_v, 0.0, 0.0)
+
+
+def tracked(state: ControllerState, s: Situation, p: Controller) -> tuple[ControllerState, LawOutput]:
+    """The law's command in a situation."""
     friction, blend = s.friction, state.blend * p.blend_kept
     if p.slot.kind != SLIDING:
         own, Z = demand(state.own, s, p.slot)
@@ -267,8 +336,8 @@ def act(
         s.w3,
         s.goal.jerk_m_s3,
         state.f0 * s.motion.v,
-        e.d_hat_n_s,
-        friction.rate_n_s + state.force_rate,
+        s.e.d_hat_n_s,
+        friction.rate_n_s + s.force_rate,
         state.f1_fill,
         state.f1_exhaust,
         p.h,
@@ -303,4 +372,25 @@ def carried(
         force_step_n,
         blend,
         own,
+        s.standstill,
+    )
+
+
+def stood(s: ControllerState, standstill: StandstillState, bristles_m: float) -> ControllerState:
+    """The state with what is known of the standstill."""
+    return ControllerState(
+        s.motion,
+        s.observer,
+        s.sliding,
+        s.spool,
+        s.applied_v,
+        s.f0,
+        s.f1_fill,
+        s.f1_exhaust,
+        s.force_rate,
+        bristles_m,
+        s.force_step_n,
+        s.blend,
+        s.own,
+        standstill,
     )
