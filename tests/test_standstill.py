@@ -138,14 +138,18 @@ def test_what_sticks_beside_the_band_is_nudged_towards_it_as_far_as_friction_all
 def test_a_step_of_force_takes_a_swing_and_a_half_and_teaches_the_stiffness() -> None:
     nudged = stand(StandstillState(same=P.stuck), error_m=5e-5)
     assert stand(nudged._replace(ticks=118), error_m=5e-5).ticks == 119
-    over = nudged._replace(ticks=120)
+    over = nudged._replace(ticks=120, same=P.stick)
     learnt = stand(over, error_m=3e-5, force_n=104.0)  # 4 N for 20 µm
     assert learnt.stiffness_n_m == pytest.approx(2e5)
     assert learnt.step_n == pytest.approx(0.8 * 2e5 * 3e-5)
-    assert stand(over, error_m=5e-5, force_n=104.0).stiffness_n_m == pytest.approx(3e5)  # at most three times
+    assert stand(over, error_m=5e-5, force_n=104.0).stiffness_n_m == pytest.approx(2e5)  # at most twice
     assert stand(over, error_m=1e-5, force_n=101.3).stiffness_n_m == pytest.approx(0.5e5)  # at least half
     assert stand(over, error_m=3e-5, force_n=101.0).stiffness_n_m == 0.0  # the force has not come
     assert stand(over, error_m=0.0, force_n=104.0).mode == CLOSED
+    assert stand(nudged, error_m=-1e-6).mode == CLOSED  # past the target
+    moving = over._replace(same=P.stick - 1)
+    assert stand(moving, error_m=3e-5, force_n=104.0).ticks == 121  # it has to come to rest
+    assert stand(moving._replace(ticks=320), error_m=3e-5, force_n=104.0).ticks == 0
     back = stand(StandstillState(same=P.stuck), error_m=-5e-5)._replace(ticks=120)
     assert stand(back, error_m=-3e-5, force_n=96.0).stiffness_n_m == pytest.approx(2e5)
 
@@ -232,7 +236,8 @@ def test_a_load_at_rest_neither_hunts_nor_stands_beside_its_target(
     c, plant = rig(step_m, bristles_n_m)
     pair = trial.begin(0.44, c, plant)
     _, v = move(pair, True, 0.48, c, plant, 20_000, 5_000, 1e-3)
-    assert v.max_m <= max(25e-6, 2.0 * step_m)
+    assert v.rms_m <= max(10e-6, 1.2 * step_m)
+    assert v.max_m <= 50e-6
     assert v.step_v <= 0.005
 
 
@@ -248,7 +253,7 @@ def test_short_ways_end_in_position() -> None:
     at_m = 0.45
     for by_m in (1e-3, 1e-3, -1e-3, 10e-3, -10e-3, -10e-3, 1e-3, -1e-3):
         at_m += by_m
-        pair, v = move(pair, False, at_m, c, plant, 1_000, 0, 25e-6)
+        pair, v = move(pair, False, at_m, c, plant, 1_000, 0, 30e-6)
         assert v.outside <= 400
         assert (v.high_m - at_m if by_m > 0.0 else at_m - v.low_m) <= 50e-6
 

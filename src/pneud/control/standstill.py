@@ -26,12 +26,14 @@ SHARE = 0.8  # of the error that a step of force is to take away
 ROOM = 0.3  # of what static friction still holds that one step may take
 MOST = 0.3  # of static friction that one step may be
 LEAST = 0.01  # of static friction that any step may be
+TELLING = 0.02  # of static friction, below which a step teaches nothing
 FOLLOWED = 0.3  # of a step of force that has to have come before anything is learnt of it
 STIFFEST, SOFTEST = 40.0, 0.3  # stiffness that may be found, in terms of the configured one
-RISE, FALL = 3.0, 0.5  # by which what was found may change from step to step
+RISE, FALL = 2.0, 0.5  # by which what was found may change from step to step
 FORCE_RAD_S = 40.0  # bandwidth of the force that is led along a step
 LEAST_V = 0.01  # opening that is not worth a way across the dead zone
 SWINGS = 1.5  # that a step of force and what follows it take
+LONGEST = 4.0  # swings that a load has to come to rest after a step of force
 
 
 class Standstill(NamedTuple):
@@ -141,7 +143,9 @@ def stand(
         if size <= p.leave_m or coming:
             return s
         return planned(s, error_m, force_n, friction_n, p) if s.same >= p.stuck else given_back(s)
-    if s.ticks < SWINGS * p.swing:
+    if s.step_n * error_m < 0.0:
+        return _entered(s, CLOSED, p.grace, s.restless_v)  # past the target
+    if s.ticks < SWINGS * p.swing or (s.same < p.stick and s.ticks < LONGEST * p.swing):
         return s
     return planned(learnt(s, error_m, force_n, p), error_m, force_n, friction_n, p)
 
@@ -160,7 +164,7 @@ def would_rest(s: StandstillState, error_m: float, p: Standstill) -> bool:
 def learnt(s: StandstillState, error_m: float, force_n: float, p: Standstill) -> StandstillState:
     """The stiffness that a step of force has shown, where the force has come."""
     given_n = abs(force_n - s.from_n)
-    if given_n < FOLLOWED * abs(s.step_n):
+    if given_n < max(FOLLOWED * abs(s.step_n), TELLING * p.static_n):
         return s
     moved_m = s.error_m - error_m if s.step_n > 0.0 else error_m - s.error_m
     before = stiffness(s, p)
