@@ -6,6 +6,7 @@ import math
 
 from pneud.axis.state import AxisParameters
 from pneud.config.models import BusConfig, Config, ControlConfig, FrictionConfig, RealtimeConfig
+from pneud.control.adaptation import Adaptation, Rate
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.homing import HomingParameters
 from pneud.control.homogeneous import Feedback, feedback
@@ -26,6 +27,7 @@ COMPUTING_S = 80e-6  # from the last sensor frame to the command's place on the 
 FRAME_BITS, STUFFING = 47, 1.1
 LONGEST_SHARE, LONGEST_S = 2.0, 10.0  # a stroke of homing may take so much longer than at its speed
 LEAST_STILL_M, STILL_STEPS = 5e-5, 10.0  # travel that a reading cannot hide: at least, and in encoder steps
+MOST_EDGE = 0.08  # part of the greatest opening that an edge of the dead zone may be learnt to be
 BLEND_S = 0.1  # in which one set of gains gives way to another
 
 
@@ -184,6 +186,23 @@ def controller_of(c: Config) -> Controller:
         force_rate_gain=1.0 - math.exp(-law.force_rate_bandwidth_rad_s * h),
         blend_kept=math.exp(-h / BLEND_S),
         slot=slot_of(law, h),
+        adaptation=adaptation_of(c),
+    )
+
+
+def adaptation_of(c: Config) -> Adaptation:
+    """What is learnt, how fast, and within which bounds."""
+    a, u_max_v, dead_zone_v = c.control.adaptation, c.valve.u_max_v, c.valve.dead_zone_v
+    force = c.control.estimate_force
+    load_n = (c.gas.supply_pa - c.gas.atmosphere_pa) * c.cylinder.piston_area_1_m2
+    return Adaptation(
+        enabled=a.enabled,
+        edges=Rate(1.0 * a.dead_zone, 0.0, max(MOST_EDGE * u_max_v, dead_zone_v)),
+        flow=Rate(1.0 * a.flow, 0.5, 2.0),
+        lag=Rate(10.0 * a.lag, 1.0, 4.0),
+        friction=Rate(3.0 * (a.friction and force), 0.3, 3.0),
+        load=Rate(1.0 * (a.load and force), -load_n, load_n),
+        mass=Rate(3.0 * a.mass, 0.4, 2.5),
     )
 
 

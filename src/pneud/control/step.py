@@ -8,6 +8,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from pneud.control.adaptation import (
+    Adaptation,
+    Learnt,
+    cylinder_learnt,
+    friction_learnt,
+    learn_force,
+    learn_valve,
+    valve_learnt,
+)
 from pneud.control.disturbance import Observer, ObserverState
 from pneud.control.disturbance import observe as observe_disturbance
 from pneud.control.feedforward import bristles_under, friction_ahead, held_by_bristles
@@ -46,6 +55,7 @@ class Controller(NamedTuple):
     force_rate_gain: float  # of the low-pass for the rate of F̂ in Z; 0 leaves it out
     blend_kept: float = 0.0  # part of the blend that is left a sample later
     slot: Slot = Slot()  # which law runs
+    adaptation: Adaptation = Adaptation()
 
 
 class ControllerState(NamedTuple):
@@ -64,6 +74,7 @@ class ControllerState(NamedTuple):
     force_step_n: float  # that friction's gain until the next sample
     blend: float = 0.0  # leads from one law or set of gains to another [m/s³]
     own: SlotState = SlotState()
+    learnt: Learnt = Learnt()
 
 
 def start(position_m: float, p1_pa: float, p2_pa: float, supply_pa: float, p: Controller) -> ControllerState:
@@ -82,6 +93,49 @@ def start(position_m: float, p1_pa: float, p2_pa: float, supply_pa: float, p: Co
         force_rate=0.0,
         bristles_m=0.0,
         force_step_n=0.0,
+    )
+
+
+def as_learnt(p: Controller, learnt: Learnt) -> Controller:
+    """The controller with what has been learnt in place of what is configured."""
+    if not p.adaptation.enabled:
+        return p
+    valve, cylinder, g = valve_learnt(p.valve, learnt), cylinder_learnt(p.cylinder, learnt), p.sliding
+    lead_s, spool_before, spool_ahead = p.lead_s, p.spool_before, p.spool_ahead
+    if learnt.lag != 1.0:
+        if lead_s > 0.0:
+            lead_s += 2.0 * p.valve.zeta / p.valve.omega_rad_s * (learnt.lag - 1.0)
+        spool_before = spool_transition(p.delay_s, valve)
+        spool_ahead = spool_transition(0.5 * lead_s, valve)
+    sliding = Sliding(
+        g.gains,
+        g.eta,
+        g.implicit,
+        g.horizon_s + (lead_s - p.lead_s),
+        g.compensate_d,
+        cylinder.M,
+        g.invert_dead_zone,
+        g.hold_v,
+    )
+    return Controller(
+        p.h,
+        p.delay_s,
+        spool_before,
+        lead_s,
+        spool_ahead,
+        p.gas,
+        cylinder,
+        valve,
+        friction_learnt(p.friction, learnt),
+        p.motion,
+        p.observer,
+        sliding,
+        p.use_x3_hat,
+        p.use_force,
+        p.force_rate_gain,
+        p.blend_kept,
+        p.slot,
+        p.adaptation,
     )
 
 
@@ -117,6 +171,7 @@ def observe(
     Returns:
         The state after this sample, and what is believed.
     """
+    prior, p = p, as_learnt(p, state.learnt)
     c = p.cylinder
     x3 = x3_of(p1_pa, p2_pa, c)
     motion = predict(state.motion, x3, state.force_step_n, c.rod_force_n, c.M, dt)
@@ -140,6 +195,19 @@ def observe(
 
     f1_sum = state.f1_fill + f1_fill if u_mean >= 0.0 else state.f1_exhaust + f1_exhaust
     f_mean = 0.5 * (state.f0 * state.motion.v + f0 * motion.v + f1_sum * u_mean)
+    learnt = state.learnt
+    if p.adaptation.enabled and measured and dt < 1.5 * p.h:
+        learnt = learn_valve(
+            learnt,
+            x3 - state.motion.x3 - dt * f_mean,
+            0.5 * f1_sum,
+            u_mean,
+            spool.position_v,
+            spool.rate_v_s,
+            motion.v,
+            prior.valve,
+            p.adaptation,
+        )
     observer = observe_disturbance(state.observer, x3, f_mean, dt, p.observer)
     found = (motion.F - state.motion.F - state.force_step_n) / dt
     force_rate = state.force_rate + p.force_rate_gain * (found - state.force_rate)
@@ -158,6 +226,7 @@ def observe(
             0.0,  # until `act` knows better
             state.blend,
             state.own,
+            learnt,
         ),
         Estimate(motion.x, motion.v, motion.F, x3, observer.x_hat, observer.d_hat, motion.innovation, u_mean),
     )
@@ -216,10 +285,11 @@ def situation(state: ControllerState, e: Estimate, r: Reference, p: Controller) 
 
 def join(state: ControllerState, e: Estimate, r: Reference, p: Controller) -> ControllerState:
     """The state with s(0) = 0 for a law that takes over now; the bristles take what force they can."""
-    bristles_m = bristles_under(e.force_n, p.friction)
+    p, force_n = as_learnt(p, state.learnt), e.force_n - state.learnt.load_n
+    bristles_m = bristles_under(force_n, p.friction)
     state = carried(state, state.sliding, bristles_m, 0.0, 0.0, state.own)
     s = situation(state, e, r, p)
-    own = joined(s, e.force_n - held_by_bristles(e.force_n, p.friction), p.slot)
+    own = joined(s, e.force_n - held_by_bristles(force_n, p.friction), p.slot)
     return carried(state, engage(s.w3), bristles_m, 0.0, 0.0, own)
 
 
@@ -227,6 +297,7 @@ def change(
     state: ControllerState, e: Estimate, r: Reference, before: Controller, after: Controller
 ) -> ControllerState:
     """The state with which the next command under another law or other gains is that of the one before."""
+    before, after = as_learnt(before, state.learnt), as_learnt(after, state.learnt)
     s = situation(state, e, r, after)
     sliding, own = state.sliding, taken_over(state.own, s, before.slot, after.slot)
     if before.slot.kind != SLIDING:
@@ -250,7 +321,24 @@ def act(
     state: ControllerState, e: Estimate, r: Reference, p: Controller
 ) -> tuple[ControllerState, LawOutput]:
     """The law's command for an estimate and a reference of the same instant."""
+    prior, p = p, as_learnt(p, state.learnt)
     s = situation(state, e, r, p)
+    if p.adaptation.enabled:
+        learnt = learn_force(
+            state.learnt,
+            e.force_n,
+            s.friction.now_n,
+            e.velocity_m_s,
+            r.velocity_m_s,
+            e.x3_n - p.cylinder.rod_force_n,
+            e.innovation_m,
+            p.h,
+            p.cylinder.M,
+            prior.friction,
+            p.motion,
+            p.adaptation,
+        )
+        state = with_learnt(state, learnt)
     friction, blend = s.friction, state.blend * p.blend_kept
     if p.slot.kind != SLIDING:
         own, Z = demand(state.own, s, p.slot)
@@ -303,4 +391,25 @@ def carried(
         force_step_n,
         blend,
         own,
+        s.learnt,
+    )
+
+
+def with_learnt(s: ControllerState, learnt: Learnt) -> ControllerState:
+    """The state with what has been learnt."""
+    return ControllerState(
+        s.motion,
+        s.observer,
+        s.sliding,
+        s.spool,
+        s.applied_v,
+        s.f0,
+        s.f1_fill,
+        s.f1_exhaust,
+        s.force_rate,
+        s.bristles_m,
+        s.force_step_n,
+        s.blend,
+        s.own,
+        learnt,
     )
