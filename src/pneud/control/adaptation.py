@@ -18,7 +18,8 @@ from pneud.physics.valve import Valve
 MOVING_M_S = 3e-3  # slower is no motion to learn from
 SATURATED = 0.98  # part of the greatest opening beyond which the valve is taken as saturated
 OPENING_V = 0.5  # opening at which the flow is learnt best
-LAG_V = 0.1  # lagging behind by so much, the lag is
+LAG_V = 0.2  # lagging behind by so much, the lag is
+PLAIN = 0.12  # part of the friction that may be amiss without a word of its bristles
 SLIDING_M_S = 2e-2  # slower, bristles may hold a load that is shaken
 SHAKE_M = 1e-5  # innovation by which the mass is: a load that shakes
 
@@ -211,14 +212,15 @@ def learn_force(
         if short * goal_v < 0.0:
             short = 0.0
         level = within(level + p.friction.per_s * rest * weight * friction_n * level / size, p.friction)
-        stiffness = within(stiffness + p.stiffness.per_s * rest * short * stiffness / size, p.stiffness)
-    weight = 0.0
-    if abs(goal_v) >= SLIDING_M_S:
-        weight = psi * psi / (SHAKE_M * SHAKE_M + psi * psi)
+        plain = h * PLAIN * dry
+        odd = rest - max(-plain, min(plain, rest))
+        stiffness = within(stiffness + p.stiffness.per_s * odd * short * stiffness / size, p.stiffness)
     mass = so_far.mass
-    if innovation_m != 0.0 and psi != 0.0:
-        more = max(-1.0, min(1.0, innovation_m / psi))  # of the acceleration that was believed
-        mass = within(mass * (1.0 - p.mass.per_s * h * weight * more), p.mass)
+    if abs(goal_v) >= SLIDING_M_S:
+        r = innovation_m - max(-filter.blind_m, min(filter.blind_m, innovation_m))
+        r = max(-abs(psi), min(abs(psi), r))
+        more = r * psi / (SHAKE_M * SHAKE_M + psi * psi)  # of the acceleration that was believed
+        mass = within(mass * (1.0 - p.mass.per_s * h * more), p.mass)
     return Learnt(
         so_far.edge_plus_v, so_far.edge_minus_v, so_far.flow, so_far.lag, level, stiffness, load, mass, shake
     )
