@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from pneud.control.motion import MotionFilter
+from pneud.control.prediction import Spool
 from pneud.physics.cylinder import Cylinder
 from pneud.physics.friction import Friction, stribeck
 from pneud.physics.valve import Valve
@@ -19,7 +20,7 @@ MOVING_M_S = 3e-3  # slower is no motion to learn from
 SATURATED = 0.98  # part of the greatest opening beyond which the valve is taken as saturated
 OPENING_V = 0.5  # opening at which the flow is learnt best
 LAG_V = 0.2  # lagging behind by so much, the lag is
-PLAIN = 0.12  # part of the friction that may be amiss without a word of its bristles
+PLAIN = 0.18  # part of the friction that may be amiss without a word of its bristles
 SLIDING_M_S = 2e-2  # slower, bristles may hold a load that is shaken
 SHAKE_M = 1e-5  # innovation by which the mass is: a load that shakes
 
@@ -66,6 +67,8 @@ class Learnt(NamedTuple):
     load_n: float = 0.0  # force against the motion that is no friction
     mass: float = 1.0  # factor of the moving mass
     shake: Shake = Shake()
+    usable: bool = False  # the last sample may be learnt from
+    moving: bool = False  # the reference moved at the last sample
 
 
 def within(value: float, r: Rate) -> float:
@@ -115,11 +118,11 @@ def friction_learnt(f: Friction, so_far: Learnt) -> Friction:
 
 def learn_valve(
     so_far: Learnt,
+    fresh: bool,
     residual_n: float,
     f1: float,
     u_v: float,
-    spool_v: float,
-    rate_v_s: float,
+    spool: Spool,
     v: float,
     valve: Valve,
     p: Adaptation,
@@ -127,31 +130,41 @@ def learn_valve(
     """What the pressures say of the valve, in one sample.
 
     Args:
-        so_far: as learnt so far.
+        so_far: as learnt.
+        fresh: whether all sensors have been read, one sample after the last.
         residual_n: what x3 gained beyond its model since the last sample [N].
         f1: of that model [N/(s V)].
         u_v: mean opening meanwhile, as believed.
-        spool_v: the spool now.
-        rate_v_s: its rate.
+        spool: as believed now.
         v: velocity [m/s].
         valve: as configured.
         p: rates and bounds.
     """
-    if abs(v) < MOVING_M_S or u_v == 0.0 or abs(spool_v) >= SATURATED * valve.u_max_v:
-        return so_far
-    missing = residual_n / f1  # opening that the model lacks, times the time [V s]
-    plus, minus, prior = so_far.edge_plus_v, so_far.edge_minus_v, valve.dead_zone_v
-    if u_v > 0.0:
-        plus = within(prior + plus - p.edges.per_s * missing, p.edges) - prior
-    else:
-        minus = within(prior + minus + p.edges.per_s * missing, p.edges) - prior
-    flow = within(so_far.flow + p.flow.per_s * missing * u_v / (OPENING_V * OPENING_V + u_v * u_v), p.flow)
-    lag = so_far.lag
-    if valve.omega_rad_s > 0.0:
-        behind = 2.0 * valve.zeta / valve.omega_rad_s * lag * rate_v_s
-        lag = within(lag - p.lag.per_s * missing * behind / (LAG_V * LAG_V + behind * behind), p.lag)
+    plus, minus, flow, lag = so_far.edge_plus_v, so_far.edge_minus_v, so_far.flow, so_far.lag
+    usable = fresh and abs(v) >= MOVING_M_S and abs(spool.position_v) < SATURATED * valve.u_max_v
+    if usable and so_far.moving and u_v != 0.0:
+        missing = residual_n / f1  # opening that the model lacks, times the time [V s]
+        prior = valve.dead_zone_v
+        if u_v > 0.0:
+            plus = within(prior + plus - p.edges.per_s * missing, p.edges) - prior
+        else:
+            minus = within(prior + minus + p.edges.per_s * missing, p.edges) - prior
+        flow = within(flow + p.flow.per_s * missing * u_v / (OPENING_V * OPENING_V + u_v * u_v), p.flow)
+        if valve.omega_rad_s > 0.0:
+            behind = 2.0 * valve.zeta / valve.omega_rad_s * lag * spool.rate_v_s
+            lag = within(lag - p.lag.per_s * missing * behind / (LAG_V * LAG_V + behind * behind), p.lag)
     return Learnt(
-        plus, minus, flow, lag, so_far.friction, so_far.stiffness, so_far.load_n, so_far.mass, so_far.shake
+        plus,
+        minus,
+        flow,
+        lag,
+        so_far.friction,
+        so_far.stiffness,
+        so_far.load_n,
+        so_far.mass,
+        so_far.shake,
+        usable,
+        False,  # until `learn_force` knows better
     )
 
 
@@ -186,43 +199,64 @@ def learn_force(
         p: rates and bounds.
     """
     psi, shake = shaken(so_far.shake, (pushed_n - so_far.load_n - friction_n) / M, h, filter)
-    if abs(v) < MOVING_M_S or v * goal_v <= 0.0:
-        return Learnt(
-            so_far.edge_plus_v,
-            so_far.edge_minus_v,
-            so_far.flow,
-            so_far.lag,
-            so_far.friction,
-            so_far.stiffness,
-            so_far.load_n,
-            so_far.mass,
-            shake,
-        )
-    rest = h * (force_n - so_far.load_n - friction_n)
-    load = within(so_far.load_n + p.load.per_s * rest, p.load)
-    level, stiffness = so_far.friction, so_far.stiffness
-    if f.coulomb_n > 0.0:
-        # level: where friction changes most, just after a reversal; there alone an error costs
-        speed = goal_v / f.stribeck_m_s
-        weight = 1.0 / (1.0 + speed * speed * speed * speed)
-        dry = stribeck(goal_v, f) * level
-        size = dry * dry
-        steady = (dry if goal_v > 0.0 else -dry) + f.viscous_n_s_m * level * goal_v
-        short = steady - friction_n  # what bristles that still bend have not taken yet
-        if short * goal_v < 0.0:
-            short = 0.0
-        level = within(level + p.friction.per_s * rest * weight * friction_n * level / size, p.friction)
-        plain = h * PLAIN * dry
-        odd = rest - max(-plain, min(plain, rest))
-        stiffness = within(stiffness + p.stiffness.per_s * odd * short * stiffness / size, p.stiffness)
-    mass = so_far.mass
-    if abs(goal_v) >= SLIDING_M_S:
-        r = innovation_m - max(-filter.blind_m, min(filter.blind_m, innovation_m))
-        r = max(-abs(psi), min(abs(psi), r))
-        more = r * psi / (SHAKE_M * SHAKE_M + psi * psi)  # of the acceleration that was believed
-        mass = within(mass * (1.0 - p.mass.per_s * h * more), p.mass)
+    moving = abs(goal_v) >= MOVING_M_S
+    level, stiffness, load, mass = so_far.friction, so_far.stiffness, so_far.load_n, so_far.mass
+    if so_far.usable and moving and v * goal_v > 0.0:
+        rest = force_n - load - friction_n
+        load = within(load + p.load.per_s * h * rest, p.load)
+        if f.coulomb_n > 0.0:
+            level, stiffness = friction_corrected(so_far, rest, friction_n, goal_v, h, f, p)
+        if abs(goal_v) >= SLIDING_M_S:
+            r = innovation_m - max(-filter.blind_m, min(filter.blind_m, innovation_m))
+            r = max(-abs(psi), min(abs(psi), r))
+            more = r * psi / (SHAKE_M * SHAKE_M + psi * psi)  # of the acceleration that was believed
+            mass = within(mass * (1.0 - p.mass.per_s * h * more), p.mass)
     return Learnt(
-        so_far.edge_plus_v, so_far.edge_minus_v, so_far.flow, so_far.lag, level, stiffness, load, mass, shake
+        so_far.edge_plus_v,
+        so_far.edge_minus_v,
+        so_far.flow,
+        so_far.lag,
+        level,
+        stiffness,
+        load,
+        mass,
+        shake,
+        so_far.usable,
+        moving,
+    )
+
+
+def friction_corrected(
+    so_far: Learnt, rest_n: float, friction_n: float, goal_v: float, h: float, f: Friction, p: Adaptation
+) -> tuple[float, float]:
+    """Level and stiffness of the friction after one sample.
+
+    The level is learnt where friction changes most, just after a reversal: there alone an error costs.
+    Bristles that bend less far than believed show as force that comes too soon.
+
+    Args:
+        so_far: as learnt.
+        rest_n: force that friction and load do not explain [N].
+        friction_n: friction that the reference meets, as learnt [N].
+        goal_v: velocity of the reference [m/s].
+        h: sample time [s].
+        f: friction as configured, with dry friction in it.
+        p: rates and bounds.
+    """
+    level, stiffness = so_far.friction, so_far.stiffness
+    dry = stribeck(goal_v, f) * level
+    rest = max(-dry, min(dry, rest_n))
+    speed = goal_v / f.stribeck_m_s
+    weight = 1.0 / (1.0 + speed * speed * speed * speed)
+    steady = (dry if goal_v > 0.0 else -dry) + f.viscous_n_s_m * level * goal_v
+    short = steady - friction_n  # what bristles that still bend have not taken yet
+    if short * goal_v < 0.0:
+        short = 0.0
+    odd = rest - max(-PLAIN * dry, min(PLAIN * dry, rest))
+    step = h / (dry * dry)
+    return (
+        within(level + p.friction.per_s * step * weight * rest * friction_n * level, p.friction),
+        within(stiffness + p.stiffness.per_s * step * odd * short * stiffness, p.stiffness),
     )
 
 

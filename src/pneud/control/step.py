@@ -196,17 +196,11 @@ def observe(
     f1_sum = state.f1_fill + f1_fill if u_mean >= 0.0 else state.f1_exhaust + f1_exhaust
     f_mean = 0.5 * (state.f0 * state.motion.v + f0 * motion.v + f1_sum * u_mean)
     learnt = state.learnt
-    if p.adaptation.enabled and measured and dt < 1.5 * p.h:
+    if p.adaptation.enabled:
+        fresh = measured and dt < 1.5 * p.h
+        residual_n = x3 - state.motion.x3 - dt * f_mean
         learnt = learn_valve(
-            learnt,
-            x3 - state.motion.x3 - dt * f_mean,
-            0.5 * f1_sum,
-            u_mean,
-            spool.position_v,
-            spool.rate_v_s,
-            motion.v,
-            prior.valve,
-            p.adaptation,
+            learnt, fresh, residual_n, 0.5 * f1_sum, u_mean, spool, motion.v, prior.valve, p.adaptation
         )
     observer = observe_disturbance(state.observer, x3, f_mean, dt, p.observer)
     found = (motion.F - state.motion.F - state.force_step_n) / dt
