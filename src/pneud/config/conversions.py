@@ -6,6 +6,7 @@ import math
 
 from pneud.axis.state import AxisParameters
 from pneud.config.models import BusConfig, Config, ControlConfig, FrictionConfig, RealtimeConfig
+from pneud.control.adaptation import Adaptation, Rate
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.homing import HomingParameters
 from pneud.control.homogeneous import Feedback, feedback
@@ -32,6 +33,7 @@ BALANCE = 0.03  # of dry friction that may be out of balance while a load counts
 SMOOTH_S = 0.02  # of force and speed of a standing load
 GRACE_S = 0.08  # that a load has to come to rest when the valve is closed
 RESTLESS_V = 0.03  # mean step of the command that is hunting
+MOST_EDGE = 0.08  # part of the greatest opening that an edge of the dead zone may be learnt to be
 BLEND_S = 0.1  # in which one set of gains gives way to another
 
 
@@ -191,6 +193,7 @@ def controller_of(c: Config) -> Controller:
         blend_kept=math.exp(-h / BLEND_S),
         slot=slot_of(law, h),
         standstill=standstill_of(c),
+        adaptation=adaptation_of(c),
     )
 
 
@@ -235,6 +238,23 @@ def standstill_of(c: Config) -> Standstill:
         stick_m=stick_m,
         stick=stick,
         held=1.0 - math.exp(-h / 0.01),
+    )
+
+
+def adaptation_of(c: Config) -> Adaptation:
+    """What is learnt, how fast, and within which bounds."""
+    a, u_max_v, dead_zone_v = c.control.adaptation, c.valve.u_max_v, c.valve.dead_zone_v
+    force = c.control.estimate_force
+    load_n = (c.gas.supply_pa - c.gas.atmosphere_pa) * c.cylinder.piston_area_1_m2
+    return Adaptation(
+        enabled=a.enabled,
+        edges=Rate(1.0 * a.dead_zone, 0.0, max(MOST_EDGE * u_max_v, dead_zone_v)),
+        flow=Rate(1.0 * a.flow, 0.5, 2.0),
+        lag=Rate(20.0 * a.lag, 1.0, 4.0),
+        friction=Rate(3.0 * (a.friction and force), 0.3, 3.0),
+        stiffness=Rate(0.0 * (a.friction and force), 1.0, 20.0),
+        load=Rate(1.0 * (a.load and force), -load_n, load_n),
+        mass=Rate(3.0 * a.mass, 0.4, 2.5),
     )
 
 

@@ -272,6 +272,18 @@ def _check_hurwitz(loop: OpenLoop) -> None:
         raise ValueError(f"gains are not Hurwitz: needs {loop.criterion}")
 
 
+class AdaptationConfig(Section):
+    """What is learnt in motion, slowly and within bounds, from its configured value on."""
+
+    enabled: bool = True
+    dead_zone: bool = True  # both edges: 0 to 8 % of valve.u_max_v, or to what is configured
+    flow: bool = True  # gain of the valve: 0.5 to 2 times
+    lag: bool = True  # of the spool: 1 to 4 times
+    friction: bool = True  # fed forward: its level, 0.3 to 3 times, and stiffness, 1 to 20 times
+    load: bool = True  # force that is no friction, up to what the supply can push
+    mass: bool = True  # from a load that shakes: 0.4 to 2.5 times
+
+
 class ControlConfig(Section):
     """The law, and the gains of all: of composite and ISMC here, of the others in their tables."""
 
@@ -296,6 +308,7 @@ class ControlConfig(Section):
     friction: FrictionConfig = FrictionConfig()  # as identified; fed forward along the reference
     pid: PidConfig = PidConfig()
     adrc: AdrcConfig = AdrcConfig()
+    adaptation: AdaptationConfig = AdaptationConfig()
 
     @model_validator(mode="after")
     def _force_is_used(self) -> ControlConfig:

@@ -8,6 +8,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from pneud.control.adaptation import (
+    Adaptation,
+    Learnt,
+    cylinder_learnt,
+    friction_learnt,
+    learn_force,
+    learn_valve,
+    valve_learnt,
+)
 from pneud.control.disturbance import Observer, ObserverState
 from pneud.control.disturbance import observe as observe_disturbance
 from pneud.control.feedforward import (
@@ -66,6 +75,7 @@ class Controller(NamedTuple):
     blend_kept: float = 0.0  # part of the blend that is left a sample later
     slot: Slot = Slot()  # which law runs
     standstill: Standstill = Standstill()
+    adaptation: Adaptation = Adaptation()
 
 
 class ControllerState(NamedTuple):
@@ -85,6 +95,7 @@ class ControllerState(NamedTuple):
     blend: float = 0.0  # leads from one law or set of gains to another [m/s³]
     own: SlotState = SlotState()
     standstill: StandstillState = StandstillState()
+    learnt: Learnt = Learnt()
 
 
 def start(position_m: float, p1_pa: float, p2_pa: float, supply_pa: float, p: Controller) -> ControllerState:
@@ -103,6 +114,50 @@ def start(position_m: float, p1_pa: float, p2_pa: float, supply_pa: float, p: Co
         force_rate=0.0,
         bristles_m=0.0,
         force_step_n=0.0,
+    )
+
+
+def as_learnt(p: Controller, learnt: Learnt) -> Controller:
+    """The controller with what has been learnt in place of what is configured."""
+    if not p.adaptation.enabled:
+        return p
+    valve, cylinder, g = valve_learnt(p.valve, learnt), cylinder_learnt(p.cylinder, learnt), p.sliding
+    lead_s, spool_before, spool_ahead = p.lead_s, p.spool_before, p.spool_ahead
+    if learnt.lag != 1.0:
+        if lead_s > 0.0:
+            lead_s += 2.0 * p.valve.zeta / p.valve.omega_rad_s * (learnt.lag - 1.0)
+        spool_before = spool_transition(p.delay_s, valve)
+        spool_ahead = spool_transition(0.5 * lead_s, valve)
+    sliding = Sliding(
+        g.gains,
+        g.eta,
+        g.implicit,
+        g.horizon_s + (lead_s - p.lead_s),
+        g.compensate_d,
+        cylinder.M,
+        g.invert_dead_zone,
+        g.hold_v,
+    )
+    return Controller(
+        p.h,
+        p.delay_s,
+        spool_before,
+        lead_s,
+        spool_ahead,
+        p.gas,
+        cylinder,
+        valve,
+        friction_learnt(p.friction, learnt),
+        p.motion,
+        p.observer,
+        sliding,
+        p.use_x3_hat,
+        p.use_force,
+        p.force_rate_gain,
+        p.blend_kept,
+        p.slot,
+        p.standstill,
+        p.adaptation,
     )
 
 
@@ -138,6 +193,7 @@ def observe(
     Returns:
         The state after this sample, and what is believed.
     """
+    prior, p = p, as_learnt(p, state.learnt)
     c, standstill = p.cylinder, state.standstill
     x3 = x3_of(p1_pa, p2_pa, c)
     motion = predict(state.motion, x3, state.force_step_n, c.rod_force_n, c.M, dt)
@@ -164,6 +220,13 @@ def observe(
 
     f1_sum = state.f1_fill + f1_fill if u_mean >= 0.0 else state.f1_exhaust + f1_exhaust
     f_mean = 0.5 * (state.f0 * state.motion.v + f0 * motion.v + f1_sum * u_mean)
+    learnt = state.learnt
+    if p.adaptation.enabled:
+        fresh = measured and dt < 1.5 * p.h
+        residual_n = x3 - state.motion.x3 - dt * f_mean
+        learnt = learn_valve(
+            learnt, fresh, residual_n, 0.5 * f1_sum, u_mean, spool, motion.v, prior.valve, p.adaptation
+        )
     observer = observe_disturbance(state.observer, x3, f_mean, dt, p.observer)
     found = (motion.F - state.motion.F - state.force_step_n) / dt
     force_rate = state.force_rate + p.force_rate_gain * (found - state.force_rate)
@@ -183,6 +246,7 @@ def observe(
             state.blend,
             state.own,
             standstill,
+            learnt,
         ),
         Estimate(motion.x, motion.v, motion.F, x3, observer.x_hat, observer.d_hat, motion.innovation, u_mean),
     )
@@ -246,10 +310,11 @@ def situation(state: ControllerState, e: Estimate, r: Reference, p: Controller) 
 
 def join(state: ControllerState, e: Estimate, r: Reference, p: Controller) -> ControllerState:
     """The state with s(0) = 0 for a law that takes over now; the bristles take what force they can."""
-    bristles_m = bristles_under(e.force_n, p.friction)
+    p, force_n = as_learnt(p, state.learnt), e.force_n - state.learnt.load_n
+    bristles_m = bristles_under(force_n, p.friction)
     state = carried(state, state.sliding, bristles_m, 0.0, 0.0, state.own)
     s = situation(state, e, r, p)
-    own = joined(s, e.force_n - held_by_bristles(e.force_n, p.friction), p.slot)
+    own = joined(s, e.force_n - held_by_bristles(force_n, p.friction), p.slot)
     return carried(state, engage(s.w3), bristles_m, 0.0, 0.0, own)
 
 
@@ -257,6 +322,7 @@ def change(
     state: ControllerState, e: Estimate, r: Reference, before: Controller, after: Controller
 ) -> ControllerState:
     """The state with which the next command under another law or other gains is that of the one before."""
+    before, after = as_learnt(before, state.learnt), as_learnt(after, state.learnt)
     s = situation(state, e, r, after)
     sliding, own = state.sliding, taken_over(state.own, s, before.slot, after.slot)
     if before.slot.kind != SLIDING:
@@ -280,24 +346,25 @@ def act(
     state: ControllerState, e: Estimate, r: Reference, p: Controller
 ) -> tuple[ControllerState, LawOutput]:
     """The command for an estimate and a reference of one instant: the law's, or that of a standing load."""
+    prior, p = p, as_learnt(p, state.learnt)
     s = situation(state, e, r, p)
+    state = taught(state, s, r, prior, p)
     if p.standstill.enter_m <= 0.0:
         return tracked(state, s, p)
-    still = is_still(r, s.goal)
+    still, friction_n = is_still(r, s.goal), e.force_n - state.learnt.load_n
     standstill = stand(
         state.standstill,
         s.goal.position_m - e.position_m,
         e.velocity_m_s,
         s.now.force_n,
         e.x3_hat_n,
-        e.force_n,
+        friction_n,
         still,
         p.standstill,
     )
+    bristles_m = s.friction.bristles_m
     if still:
-        bristles_m = recalled(s.friction.bristles_m, e.force_n, RECALL, p.friction)
-    else:
-        bristles_m = s.friction.bristles_m
+        bristles_m = recalled(bristles_m, friction_n, RECALL, p.friction)
     if standstill.mode != LAW:
         return left_alone(stood(state, standstill, bristles_m), s, p)
     state, out = tracked(state, s, p)
@@ -308,12 +375,36 @@ def act(
     return stood(state, standstill, bristles_m), out
 
 
+def taught(
+    state: ControllerState, s: Situation, r: Reference, prior: Controller, p: Controller
+) -> ControllerState:
+    """The state with what the force has taught, the parameters as configured and as learnt."""
+    if not p.adaptation.enabled:
+        return state
+    learnt = learn_force(
+        state.learnt,
+        s.e.force_n,
+        s.friction.now_n,
+        s.e.velocity_m_s,
+        r.velocity_m_s,
+        s.e.x3_n - p.cylinder.rod_force_n,
+        s.e.innovation_m,
+        p.h,
+        p.cylinder.M,
+        prior.friction,
+        p.motion,
+        p.adaptation,
+    )
+    return with_learnt(state, learnt)
+
+
 def left_alone(state: ControllerState, s: Situation, p: Controller) -> tuple[ControllerState, LawOutput]:
     """A load that stands: the valve closed or nudging, and the law ready to take over with s = 0."""
     u_v = nudge(state.standstill, s.e.x3_hat_n, p.h, s.f1_fill, s.f1_exhaust, p.standstill)
     if p.sliding.invert_dead_zone:
         u_v = dead_zone_inverse(u_v, p.valve, 0.0)
-    own = joined(s, s.e.force_n - held_by_bristles(s.e.force_n, p.friction), p.slot)
+    held_n = held_by_bristles(s.e.force_n - state.learnt.load_n, p.friction)
+    own = joined(s, s.e.force_n - held_n, p.slot)
     state = carried(state, engage(s.w3), state.bristles_m, 0.0, state.blend * p.blend_kept, own)
     return state, LawOutput(u_v, 0.0, 0.0)
 
@@ -373,6 +464,7 @@ def carried(
         blend,
         own,
         s.standstill,
+        s.learnt,
     )
 
 
@@ -393,4 +485,26 @@ def stood(s: ControllerState, standstill: StandstillState, bristles_m: float) ->
         s.blend,
         s.own,
         standstill,
+        s.learnt,
+    )
+
+
+def with_learnt(s: ControllerState, learnt: Learnt) -> ControllerState:
+    """The state with what has been learnt."""
+    return ControllerState(
+        s.motion,
+        s.observer,
+        s.sliding,
+        s.spool,
+        s.applied_v,
+        s.f0,
+        s.f1_fill,
+        s.f1_exhaust,
+        s.force_rate,
+        s.bristles_m,
+        s.force_step_n,
+        s.blend,
+        s.own,
+        s.standstill,
+        learnt,
     )
