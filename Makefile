@@ -23,6 +23,9 @@ virtual: $(RUNTIME) ## close the loop on the software rig
 install-service: $(if $(PNEUD),,$(RUNTIME)) ## the systemd units of the installed pneud; DESTDIR= writes them below a folder
 	@exec $(or $(PNEUD),$(BIN)/pneud) install-service $(if $(DESTDIR),--destdir '$(DESTDIR)') $(ARGS)
 
+# Tests start many processes: each would compile all over again where the environment forbids to keep that.
+test ci-tests coverage lowest: export PYTHONDONTWRITEBYTECODE :=
+
 test: $(DEV) ## the quick tests
 	@exec $(BIN)/python -m pytest -n 2 $(ARGS)
 
