@@ -15,7 +15,7 @@ from pneud.log.files.reader import read_log
 from rewritten import rewrite
 
 KINDS = {"lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
-COUNT = 4
+COUNT = 2
 MORE = pytest.param(60, marks=pytest.mark.slow, id="many")
 VERBS = {
     "replay": "replay {}",

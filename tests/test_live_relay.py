@@ -181,6 +181,7 @@ def test_heads_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_there_is_room_for_so_many(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(relay, "MOST_CLIENTS", 2)
+    monkeypatch.setattr(relay, "_LINGER_S", 0.2)
     with behind() as place:
         inside = [come(place, head()) for _ in range(2)]
         for client in inside:
