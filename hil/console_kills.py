@@ -61,17 +61,17 @@ def until(holds: Callable[[], Any], what: str) -> None:
     """Wait until something holds.
 
     Raises:
-        TimeoutError: it never did.
+        TimeoutError: it never did; why is told.
     """
-    deadline = time.monotonic() + PATIENCE_S
+    deadline, why = time.monotonic() + PATIENCE_S, ""
     while time.monotonic() < deadline:
         try:
             if holds():
                 return
-        except (PlaceError, RefusedError):
-            pass
+        except (PlaceError, RefusedError) as e:
+            why = f"; {e}"
         time.sleep(0.05)
-    raise TimeoutError(what)
+    raise TimeoutError(what + why)
 
 
 def ask(socket: str, verb: str, **fields: Any) -> dict[str, Any]:
