@@ -7,6 +7,7 @@ import signal
 import socket
 import time
 from collections.abc import Iterator
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -129,7 +130,7 @@ def test_consoles_that_die_at_once_are_started_less_and_less_often_which_is_said
         for pid in children(kept.keeper):
             killed.append(time.monotonic() - began)
             os.kill(pid, signal.SIGKILL)
-            eventually(lambda pid=pid: pid not in children(kept.keeper))
+            eventually(partial(reaped, kept.keeper, pid))
         time.sleep(0.01)
         assert time.monotonic() < began + 20.0
     apart_s = [b - a for a, b in pairwise(killed)]
@@ -137,6 +138,14 @@ def test_consoles_that_die_at_once_are_started_less_and_less_often_which_is_said
     said = kept.said()
     assert said.count("was killed") == 2
     assert said.count("again and again, and is started every 8 s at most") == 1
+
+
+def replied(client: Client) -> bool:
+    return bool(client.replies())
+
+
+def reaped(parent: int, pid: int) -> bool:
+    return pid not in children(parent)
 
 
 def asleep(pid: int) -> int:
@@ -166,7 +175,7 @@ def test_half_of_an_upload_goes_with_its_console_and_a_whole_one_stays(kept: Kep
             for _ in range(2):  # the profile is emptied, and has a piece
                 request(kept)
                 taken(kept)
-            eventually(lambda c=client: bool(c.replies()))
+            eventually(partial(replied, client))
             os.kill(first, signal.SIGKILL)
         with Client(kept.path) as client:
             client.send("arm")
