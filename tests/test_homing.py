@@ -18,7 +18,7 @@ from pneud.control import homing
 from pneud.control.homing import AWAY, BACK, HALT, TOWARDS, Homing
 from pneud.rig.node import PlantNode
 from pneud.safety.faults import F, names
-from pneud.signals import Answer, Estimate, Measurement, RequestKind, State, Tick
+from pneud.signals import Answer, Estimate, Host, Measurement, RequestKind, State, Tick
 
 HOME, GOTO, JOG, STOP = RequestKind.HOME, RequestKind.GOTO, RequestKind.JOG, RequestKind.STOP
 
@@ -149,6 +149,22 @@ def test_stopped_while_homing_the_valve_is_centred_at_once(kind: RequestKind) ->
     tick = rig.tick(kind)
     assert (tick.answer, tick.state, tick.command.enable) == (Answer.TAKEN, State.DISARMED, 0)
     assert not known(rig)
+
+
+def test_cut_behind_the_stop_it_can_be_cleared_and_homed_again() -> None:
+    rig = unhomed(0.01, speed_m_s=0.05)
+    rig.tick(HOME)
+    while not known(rig):
+        rig.tick()
+        assert rig.count < 60_000
+    rig.ticks(5)
+    rig.host = int(Host.CONSOLE_LOST)
+    lost = rig.tick()
+    rig.host = 0
+    assert (lost.state, names(lost.latched)) == (State.FAULT, ["console_lost"])
+    assert names(rig.tick().present) == ["encoder_unreferenced"], "at the stop, which lies beyond the travel"
+    assert rig.tick(CLEAR).state == State.DISARMED
+    assert homed(rig)[-1].state == State.HOLDING
 
 
 @pytest.mark.slow

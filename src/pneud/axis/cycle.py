@@ -147,6 +147,8 @@ def put_away(
         profile = asked.profile
     if asked.reference is not None:
         reference = asked.reference
+    # a homing that is cut may leave the load at the stop, beyond the travel: the axis can be homed again
+    cut = state.supervisor.state == HOMING and not is_engaged(after.state)
     return AxisState(
         supervisor=after,
         controller=driven.controller,
@@ -161,7 +163,7 @@ def put_away(
         watch=watch,
         law=law,
         zero_m=course.zero_m,
-        referenced=course.referenced,
+        referenced=course.referenced and not cut,
         homing=course.homing,
         reference=reference,
     )
