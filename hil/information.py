@@ -94,7 +94,7 @@ def late(
     s: Stream, i: int, role: str, frame: Frame, *,
     roles: Sequence[str] = ALL, count: int = 1, periods: int = 1, at: float | None = None, aged: bool = False,
 ) -> Sequence[Frame]:  # fmt: skip
-    """Frames come when a later SYNC should have been answered, the whole set at once: `at` a part of a period.
+    """Frames come when a later SYNC should have been answered, a whole set at once: `at` a part of a period.
 
     Without it they come as long after that SYNC as they would have come after their own.
     """

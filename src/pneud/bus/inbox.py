@@ -14,7 +14,7 @@ import math
 from typing import Any, NamedTuple
 
 from pneud.bus.codec import Codec, Codecs
-from pneud.bus.lag import MARGIN_NS, SURELY_LATE, UNTOLD, Lag, LagState, Reading, told_by
+from pneud.bus.lag import LATE, MARGIN_NS, UNTOLD, Lag, LagState, Reading, told_by
 from pneud.bus.wire import (
     CAN_ERR_FLAG,
     ERR_BUS_OFF,
@@ -289,11 +289,15 @@ class Inbox:
         behind = lag.behind(counter, self._syncs)
         if not behind:
             return False
+        if (
+            late
+        ):  # between two ticks, or behind a SYNC that had not been sent: it may well answer the last one
+            return True
         says = UNTOLD
-        if late or sample_ns - self._t_ns < lag.soonest_ns - MARGIN_NS:
-            says = SURELY_LATE
-        elif origin is self._encoder:
+        if origin is self._encoder:
             says = told_by(self._readings, value, self._t_ns, self._before_ns)
+        if says == UNTOLD and sample_ns - self._t_ns < lag.soonest_ns - MARGIN_NS:
+            says = LATE
         return lag.late(behind, says, self._t_ns - origin.sample_ns)
 
     def measurement(self, skipped: int, host: int) -> Measurement:

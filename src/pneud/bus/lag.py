@@ -9,8 +9,8 @@ at once; one that has fallen a period behind lags as much and answers too late f
 two holds until something decides:
 
 * a frame comes that does not lag: the node has caught up, and the distance stands;
-* a frame comes before its SYNC, or sooner after it than any has come: it answers an earlier one;
-* the encoder's value lies where the load was, or where it is, as far as that differs;
+* the encoder's values lie where the load was, or where it is, as far as that differs;
+* frames come sooner after SYNC than any has come: they answer an earlier one;
 * nothing does in `AGREE` frames, or while the source's time-out is running out: then the load has as good as
   stood still, or it is a source that may be so old, and the new distance is the node's own.
 
@@ -27,10 +27,10 @@ from typing import NamedTuple
 
 MOST = 8  # periods that a frame is late
 AGREE = 8  # frames in a row
-PROMPT, UNTOLD, LATE, SURELY_LATE = 1, 0, -1, -2  # what a frame that lags says of itself
+PROMPT, UNTOLD, LATE = 1, 0, -1  # what a frame that lags says of itself
 VERDICT = 2  # so much of it, added up, decides
 PATIENCE, NAMED = 0.7, 2.0  # time-outs: until a source that lags is believed, and one that was found late
-MARGIN_NS = 20_000  # by which a frame comes sooner than any has come
+MARGIN_NS = 50_000  # by which a frame comes sooner than any has come
 _UNKNOWN_NS = 1 << 62
 
 TELLING_M = 30e-6  # from where the load was to where it is: encoder's steps and noise are less
@@ -121,7 +121,7 @@ class Lag:
 
         Args:
             lag: by so many SYNCs.
-            says: of itself, from `PROMPT` to `SURELY_LATE`.
+            says: of itself, `PROMPT`, `UNTOLD` or `LATE`.
             waited_ns: since the source was last fresh.
         """
         if lag != self._shift:
