@@ -14,7 +14,7 @@ import math
 from typing import Any, NamedTuple
 
 from pneud.bus.codec import Codec, Codecs
-from pneud.bus.lag import LATE, MARGIN_NS, UNTOLD, Lag, LagState, Reading, told_by
+from pneud.bus.lag import UNREAD, UNTOLD, Lag, LagState, Reading, told_by
 from pneud.bus.wire import (
     CAN_ERR_FLAG,
     ERR_BUS_OFF,
@@ -78,7 +78,7 @@ class InboxState(NamedTuple):
     commanded_ns: int = -NEVER_NS
     syncs: int = 0
     t_ns: int = 0
-    readings: tuple[Reading, ...] = ()
+    readings: tuple[Reading, Reading, Reading] = UNREAD
 
 
 class _Origin:
@@ -95,7 +95,8 @@ class _Origin:
         self.bit = bit
         self.codec = codec
         self.has_age = has_age
-        self.lag = Lag(codec.counter_mask if bus.sync else 0, round(bus.sensor_timeout_ms * 1e6))
+        counts = bus.sync and codec.counter_mask
+        self.lag = Lag(counts, round(bus.sensor_timeout_ms * 1e6)) if counts else None
         self.counter = -1  # the newest one seen
         self.corrupt = 0  # frames since then whose counter could not be believed
         self.defects = 0
@@ -126,12 +127,18 @@ class _Origin:
 
     def freeze(self) -> OriginState:
         return OriginState(
-            self.counter, self.corrupt, self.defects, self.sample_ns, self.values, self.lag.freeze()
+            self.counter,
+            self.corrupt,
+            self.defects,
+            self.sample_ns,
+            self.values,
+            self.lag.freeze() if self.lag is not None else LagState(),
         )
 
     def thaw(self, state: OriginState) -> None:
         self.counter, self.corrupt, self.defects, self.sample_ns, self.values, lag = state
-        self.lag.thaw(lag)
+        if self.lag is not None:
+            self.lag.thaw(lag)
 
     def age_ns(self, t_ns: int, fresh: int) -> int:
         if fresh & self.bit:
@@ -170,7 +177,7 @@ class Inbox:
         """When the last command was sent, to be set after `measurement`; −1 where it could not be."""
         self._syncs = 0
         self._before_ns = 0  # the last tick's SYNC
-        self._readings: tuple[Reading, ...] = ()  # the last three positions that were fresh
+        self._readings = UNREAD  # the last three positions that were fresh
         self._fresh = 0
         self._rx = self._crc = self._stale = self._late = self._foreign = self._errors = 0
         self._emcy: dict[int, int] = {}
@@ -253,12 +260,12 @@ class Inbox:
         late = sample_ns < self._not_before_ns or sample_ns == -NEVER_NS
         if mask:
             lag, older = origin.lag, False
-            if lag.mask:
-                if lag.open or counter != (lag.offset + self._syncs) & lag.mask:
-                    if self._lags(origin, counter, values[0], sample_ns, late):
-                        late, older = True, lag.older(counter, origin.counter)
-                elif not late and sample_ns - self._t_ns < lag.soonest_ns:
-                    lag.soonest_ns = sample_ns - self._t_ns
+            if (
+                lag is not None
+                and (lag.open or counter != (lag.offset + self._syncs) & mask)
+                and self._lags(origin, lag, counter, values[0], late)
+            ):
+                late, older = True, lag.older(counter, origin.counter)
             if older:
                 origin.found()
             else:
@@ -275,29 +282,24 @@ class Inbox:
         origin.defects = 0
         self._fresh |= origin.bit
 
-    def _lags(self, origin: _Origin, counter: int, value: Any, sample_ns: int, late: bool) -> bool:
+    def _lags(self, origin: _Origin, lag: Lag, counter: int, value: Any, late: bool) -> bool:
         """Whether a frame whose counter is not the expected one answers an earlier SYNC.
 
         Args:
             origin: its source.
+            lag: of that.
             counter: of the frame.
             value: its first one.
-            sample_ns: when it was sampled, as far as stamp and age tell.
-            late: it is late by these.
+            late: it is late by stamp or age.
         """
-        lag = origin.lag
         behind = lag.behind(counter, self._syncs)
         if not behind:
             return False
-        if (
-            late
-        ):  # between two ticks, or behind a SYNC that had not been sent: it may well answer the last one
+        if late:  # it came between two ticks, or so nearly: it may well answer the last SYNC
             return True
         says = UNTOLD
         if origin is self._encoder:
             says = told_by(self._readings, value, self._t_ns, self._before_ns)
-        if says == UNTOLD and sample_ns - self._t_ns < lag.soonest_ns - MARGIN_NS:
-            says = LATE
         return lag.late(behind, says, self._t_ns - origin.sample_ns)
 
     def measurement(self, skipped: int, host: int) -> Measurement:
@@ -321,7 +323,8 @@ class Inbox:
             offset_ns = encoder.sample_ns - self._encoder_wire_ns - t_ns
         self._fresh = 0
         if fresh & encoder.bit and self.sync:
-            self._readings = (*self._readings[-2:], Reading(t_ns, position_m))
+            readings = self._readings
+            self._readings = (readings[1], readings[2], (t_ns, position_m))
         encoder_ns = pressure_ns = valve_ns = 0
         if fresh != ALL_SOURCES:
             encoder_ns, pressure_ns, valve_ns = (o.age_ns(t_ns, fresh) for o in self._sources)

@@ -10,7 +10,6 @@ two holds until something decides:
 
 * a frame comes that does not lag: the node has caught up, and the distance stands;
 * the encoder's values lie where the load was, or where it is, as far as that differs;
-* frames come sooner after SYNC than any has come: they answer an earlier one;
 * nothing does in `AGREE` frames, or while the source's time-out is running out: then the load has as good as
   stood still, or it is a source that may be so old, and the new distance is the node's own.
 
@@ -23,6 +22,7 @@ and takes the rest for being ahead.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 MOST = 8  # periods that a frame is late
@@ -30,8 +30,6 @@ AGREE = 8  # frames in a row
 PROMPT, UNTOLD, LATE = 1, 0, -1  # what a frame that lags says of itself
 VERDICT = 2  # so much of it, added up, decides
 PATIENCE, NAMED = 0.7, 2.0  # time-outs: until a source that lags is believed, and one that was found late
-MARGIN_NS = 50_000  # by which a frame comes sooner than any has come
-_UNKNOWN_NS = 1 << 62
 
 TELLING_M = 30e-6  # from where the load was to where it is: encoder's steps and noise are less
 TIMES = 4.0  # and so many times what a straight line may be off
@@ -39,11 +37,9 @@ ACCELERATION_M_S2 = 2.0  # that two speeds need not show
 _NEAR = 0.3  # of the way between the two places
 
 
-class Reading(NamedTuple):
-    """Where the load was."""
-
-    t_ns: int
-    position_m: float
+Reading = tuple[int, float]
+"""When the load was where: SYNC [ns], position [m]."""
+UNREAD: tuple[Reading, Reading, Reading] = ((0, math.nan), (0, math.nan), (0, math.nan))
 
 
 class LagState(NamedTuple):
@@ -54,23 +50,20 @@ class LagState(NamedTuple):
     shift: int = 0
     run: int = 0
     votes: int = 0
-    soonest_ns: int = _UNKNOWN_NS
 
 
 class Lag:
     """One source's counter beside the number of SYNCs.
 
     Attributes:
-        mask: of the counter; 0 where frames answer no SYNC or carry none, and nothing can be told.
         offset: from the number of SYNCs to the counter.
         agreed: frames in a row that had it; it is believed from `AGREE` on.
         open: it is not believed yet, or frames lag behind it.
-        soonest_ns: that a frame which did not lag has come after SYNC.
     """
 
     __slots__ = (
-        *("_most", "_named_ns", "_patience_ns", "_run", "_shift", "_votes", "agreed", "mask", "offset"),
-        *("open", "soonest_ns"),
+        *("_mask", "_most", "_named_ns", "_patience_ns", "_run", "_shift", "_votes"),
+        *("agreed", "offset", "open"),
     )
 
     def __init__(self, mask: int, timeout_ns: int) -> None:
@@ -80,18 +73,18 @@ class Lag:
             mask: of the counter.
             timeout_ns: after which a source is a fault that has not been fresh.
         """
-        self.mask = mask
+        self._mask = mask
         self._most = min(MOST, mask >> 1)
         self._patience_ns, self._named_ns = round(PATIENCE * timeout_ns), round(NAMED * timeout_ns)
         self.thaw(LagState())
 
     def freeze(self) -> LagState:
         """Between two ticks."""
-        return LagState(self.offset, self.agreed, self._shift, self._run, self._votes, self.soonest_ns)
+        return LagState(self.offset, self.agreed, self._shift, self._run, self._votes)
 
     def thaw(self, state: LagState) -> None:
         """Go on from there."""
-        self.offset, self.agreed, self._shift, self._run, self._votes, self.soonest_ns = state
+        self.offset, self.agreed, self._shift, self._run, self._votes = state
         self.open = self.agreed < AGREE or self._shift > 0
 
     def behind(self, counter: int, syncs: int) -> int:
@@ -101,11 +94,11 @@ class Lag:
             counter: of the frame.
             syncs: sent so far.
         """
-        lag = (self.offset + syncs - counter) & self.mask
+        lag = (self.offset + syncs - counter) & self._mask
         if self.agreed >= AGREE and 0 < lag <= self._most:
             return lag
         if lag:
-            self.offset = (counter - syncs) & self.mask
+            self.offset = (counter - syncs) & self._mask
             self.agreed = 0
         self.agreed = min(AGREE, self.agreed + 1)
         self._shift = 0
@@ -114,7 +107,7 @@ class Lag:
 
     def older(self, counter: int, newest: int) -> bool:
         """Whether a frame that lags was sent before one that has come."""
-        return 0 < (newest - counter) & self.mask <= self._most
+        return 0 < (newest - counter) & self._mask <= self._most
 
     def late(self, lag: int, says: int, waited_ns: int) -> bool:
         """Whether a frame that lags is late, as far as is known by now.
@@ -136,17 +129,17 @@ class Lag:
         else:
             over = self._votes >= VERDICT or self._run >= AGREE or waited_ns > self._patience_ns
         if over:
-            self.offset = (self.offset - lag) & self.mask
+            self.offset = (self.offset - lag) & self._mask
             self._shift = 0
             self.open = False
         return not over
 
 
-def told_by(readings: tuple[Reading, ...], position_m: float, t_ns: int, before_ns: int) -> int:
+def told_by(readings: tuple[Reading, Reading, Reading], position_m: float, t_ns: int, before_ns: int) -> int:
     """Whether a position was read at this SYNC or at an earlier one, by those that were read before.
 
     Args:
-        readings: the last three that were in time, the newest last; nothing is told by fewer.
+        readings: the last three that were in time, the newest last.
         position_m: of the frame in question.
         t_ns: this SYNC.
         before_ns: the last one.
@@ -154,18 +147,17 @@ def told_by(readings: tuple[Reading, ...], position_m: float, t_ns: int, before_
     Returns:
         `PROMPT`, `LATE`, or `UNTOLD`.
     """
-    if len(readings) < 3:
+    (t0_ns, x0_m), (t1_ns, x1_m), (t2_ns, x2_m) = readings
+    if not t0_ns < t1_ns < t2_ns < t_ns:
         return UNTOLD
-    first, second, last = readings
-    h = 1e-9 * (last.t_ns - second.t_ns)
-    ahead_s = 1e-9 * (t_ns - last.t_ns)
-    v = (last.position_m - second.position_m) / h
-    change = abs(v - (second.position_m - first.position_m) / (1e-9 * (second.t_ns - first.t_ns)))
+    h, ahead_s = 1e-9 * (t2_ns - t1_ns), 1e-9 * (t_ns - t2_ns)
+    v = (x2_m - x1_m) / h
+    change = abs(v - (x1_m - x0_m) / (1e-9 * (t1_ns - t0_ns)))
     may_be_off_m = 0.5 * max(ACCELERATION_M_S2, change / h) * ahead_s * (ahead_s + h)
     way_m = 1e-9 * v * (t_ns - before_ns)
     if not abs(way_m) > TELLING_M + TIMES * may_be_off_m:
         return UNTOLD
-    back = (last.position_m + v * ahead_s - position_m) / way_m
+    back = (x2_m + v * ahead_s - position_m) / way_m
     if back > 1.0 - _NEAR:
         return LATE
     return PROMPT if abs(back) < _NEAR else UNTOLD
