@@ -26,9 +26,10 @@ from typing import Any, NamedTuple
 
 from pneud.bus.codec import Codec, Codecs
 from pneud.loading import Loaded, load
-from pneud.replay.lockstep import Simulation, backend_of
+from pneud.replay.lockstep import START_NS, Simulation, backend_of
 from pneud.rig.node import ENCODER_NODE, PRESSURE_NODE, VALVE_NODE
 from pneud.safety.faults import BLOCKS_ARM, F, names
+from pneud.scenario.format import Scenario
 from pneud.signals import Frame, Request, RequestKind, State
 
 ENCODER, PRESSURE, VALVE = "encoder", "pressure", "valve_status"
@@ -38,6 +39,7 @@ POSITION, STATUS, AGE = (ENCODER, 0), (ENCODER, 1), (ENCODER, 2)
 P1, P2, SUPPLY = (PRESSURE, 0), (PRESSURE, 1), (PRESSURE, 2)
 APPLIED, VALVE_STATE = (VALVE, 0), (VALVE, 1)
 FOREVER = 1 << 30
+STALLED = "2 ticks skipped"  # by the controller
 ARMED_TICKS, SEARCH_TICKS = 1000, 2100  # where the onset is sought: the reference is joined by then
 WATCHED_TICKS, APART_TICKS = 500, 7  # after the onset; from phase to phase
 RANDOM_S = 60.0
@@ -189,6 +191,7 @@ def _rows() -> Iterator[tuple[str, Act]]:
     """What can be wrong, by name."""
     one = {"encoder": (ENCODER,), "pressure": (PRESSURE,), "valve status": (VALVE,)}
     yield "none", nothing
+    yield STALLED, nothing
     yield "late set, whole, 1 period, 1x", partial(late, at=SOON)
     yield "late set, behind the next", partial(late, at=BEHIND)
     yield "late set, together with the next", late
@@ -231,10 +234,9 @@ def _rows() -> Iterator[tuple[str, Act]]:
         metres = by * (1e-3 if unit == "mm" else 1e-6)
         yield f"encoder {by:+d} {unit} {times}x", partial(off, signal=POSITION, by=metres, count=times)
     for um in (10, 100):
-        yield (
-            f"encoder +-{um} um alternating 100 ticks",
-            partial(off, signal=POSITION, by=1e-6 * um, count=100, alternating=True),
-        )
+        alternating = partial(off, signal=POSITION, by=1e-6 * um, alternating=True)
+        yield f"encoder +-{um} um alternating 100 ticks", partial(alternating, count=100)
+        yield f"encoder +-{um} um alternating for ever", partial(alternating, count=FOREVER)
     yield "encoder step +100 um stays", partial(off, signal=POSITION, by=1e-4, count=FOREVER)
     yield "encoder step +1 mm stays", partial(off, signal=POSITION, by=1e-3, count=FOREVER)
     for bar in (0.1, 0.2, 0.5, 1.0, -1.0):
@@ -261,6 +263,7 @@ RANDOM = f"{RANDOM_S:g} s with {LOST:.1%} lost, {LATE:.1%} late, {ODD:.1%} off b
 class Sample(NamedTuple):
     """One tick of a run."""
 
+    number: int  # of the period
     volts: float
     truth_m: float
     error_m: float  # against the reference
@@ -296,25 +299,44 @@ def _loaded(config: str) -> Loaded:
     return load(config)
 
 
-def samples(config: str, moving: bool, act: Act, onset: int, duration_s: float) -> Iterator[Sample]:
-    """The ticks of a run whose act begins with a tick."""
+def samples(config: str, moving: bool, row: str, onset: int, duration_s: float) -> Iterator[Sample]:
+    """The ticks of a run whose row begins with a tick."""
     loaded = _loaded(config)
+    rate = loaded.config.loop.rate_hz
 
     def operator(state: int, present: int) -> Request | None:
         if state == State.DISARMED and not present & BLOCKS_ARM:
             return Request(RequestKind.ARM, (1.0,) if moving else ())
         return None
 
-    run = Simulation(loaded, duration_s, 0, backend_of(loaded), operator=operator)
-    run.node.hook = Stream(run, loaded, act, onset)
+    stall = stalled(onset / rate, 2.0 / rate) if row == STALLED else None
+    run = Simulation(loaded, duration_s, 0, backend_of(loaded), scenario=stall, operator=operator)
+    if stall is None:
+        run.node.hook = Stream(run, loaded, ROWS.get(row, now_and_then), onset)
     for record in run.records():
         tick = record.tick
         r, c = tick.reference, tick.command
-        faults = (tick.latched or tick.present) & ~(1 << F.SATURATED)  # which has a column
-        error_m = record.truth_m - r.position_m
+        # the reference of the sampling instant, taken back to the instant of SYNC
+        wanted_m = r.position_m - r.velocity_m_s * tick.measurement.encoder_offset_ns * 1e-9
         yield Sample(
-            c.voltage_v, record.truth_m, error_m, r.velocity_m_s, c.saturated, faults, int(tick.state)
+            round((tick.t_ns - START_NS) * 1e-9 * rate),
+            c.voltage_v,
+            record.truth_m,
+            record.truth_m - wanted_m,
+            r.velocity_m_s,
+            c.saturated,
+            (tick.latched or tick.present) & ~(1 << F.SATURATED),  # which has a column
+            int(tick.state),
         )
+
+
+def stalled(at_s: float, for_s: float) -> Scenario:
+    """The controller stands still once."""
+    fault = {"kind": "stop", "who": "daemon", "since": "start", "at_s": at_s, "for_s": for_s}
+    return Scenario.model_validate({
+        "schema": 1, "name": "stalled", "description": STALLED, "fault": [fault],
+        "expect": {"reaction": "none"},
+    })  # fmt: skip
 
 
 def rate_hz(config: str) -> float:
@@ -325,8 +347,8 @@ def rate_hz(config: str) -> float:
 @cache
 def undisturbed(config: str, moving: bool) -> list[Sample]:
     """The run that others are held against."""
-    ticks = SEARCH_TICKS + WATCHED_TICKS + 100
-    return list(islice(samples(config, moving, nothing, 0, 2.0 * ticks / rate_hz(config)), ticks))
+    ticks = SEARCH_TICKS + WATCHED_TICKS + 1000
+    return list(islice(samples(config, moving, "none", 0, 2.0 * ticks / rate_hz(config)), ticks))
 
 
 def onset_of(case: Case) -> int:
@@ -340,12 +362,12 @@ def outcome(case: Case) -> Outcome:
     """Do one run."""
     onset = onset_of(case)
     duration_s = 2.0 * (onset + WATCHED_TICKS) / rate_hz(case.config)
-    run = samples(case.config, case.moving, ROWS[case.row], onset, duration_s)
+    run = samples(case.config, case.moving, case.row, onset, duration_s)
     peak_v = change_v = dev_m = error_m = 0.0
     saturated = faults = state = 0
-    without = undisturbed(case.config, case.moving)[onset:]
-    for got, was in zip(islice(run, onset, onset + WATCHED_TICKS), without, strict=False):
-        state = got.state
+    without = undisturbed(case.config, case.moving)
+    for got in islice(run, onset, onset + WATCHED_TICKS):
+        was, state = without[got.number], got.state
         faults |= got.faults
         if state == State.FAULT:
             break
@@ -360,7 +382,7 @@ def chance(config: str) -> dict[str, Any]:
     rate = rate_hz(config)
     count = total_sq = changes = worst = faults = 0.0
     bits, state, volts = 0, 0, math.nan
-    run = samples(config, True, now_and_then, ARMED_TICKS, RANDOM_S + 10.0)
+    run = samples(config, True, RANDOM, ARMED_TICKS, RANDOM_S + 10.0)
     for got in islice(run, ARMED_TICKS, ARMED_TICKS + round(RANDOM_S * rate)):
         bits, state = bits | got.faults, got.state
         faults += state == State.FAULT

@@ -404,7 +404,7 @@ def information() -> ModuleType:
         "late valve status only", "late set 5x in a row", "late by 3 periods, 1x", "duplicated set",
         "set swapped with the next one", "order within the set reversed", "lost set 1x",
         "SYNC skipped by all nodes", "SYNC skipped by encoder", "3 SYNCs skipped by all nodes",
-        "slip pressure only", "slip valve status only",
+        "slip pressure only", "slip valve status only", "2 ticks skipped",
     ],
 )  # fmt: skip
 def test_bad_information_does_little(information: ModuleType, row: str, moving: bool) -> None:
