@@ -203,6 +203,14 @@ def test_a_source_that_may_not_be_silent_for_long_is_believed_sooner() -> None:
     assert found == [0, 0, 0, 1, 1], "before its time-out"
 
 
+def test_one_late_frame_behind_a_long_silence_is_late() -> None:
+    talk = learned()
+    talk.ticks(40, ("lost", 0))
+    talk.tick(("before", 1))
+    assert talk.tick(("lost", 0)).fresh == 0
+    assert talk.right(talk.tick())
+
+
 def test_a_source_that_falls_behind_in_motion_stays_late_until_it_is_a_fault() -> None:
     talk = learned(step_m=1.5e-4)
     found = [m.fresh for m in talk.ticks(120, ("before", 1))]

@@ -10,8 +10,8 @@ two holds until something decides:
 
 * a frame comes that does not lag: the node has caught up, and the distance stands;
 * the encoder's values lie where the load was, or where it is, as far as that differs;
-* nothing does in `AGREE` frames, or while the source's time-out is running out: then the load has as good as
-  stood still, or it is a source that may be so old, and the new distance is the node's own.
+* nothing does in `AGREE` frames, or in `FEW` while the source's time-out is running out: then the load has as
+  good as stood still, or it is a source that may be so old, and the new distance is the node's own.
 
 One that was found late stays so for long enough to be named as a fault; then its distance is learned as well.
 A counter that is ahead, or further behind than a node may be late, is no late one: the node has started anew,
@@ -26,7 +26,7 @@ import math
 from typing import NamedTuple
 
 MOST = 8  # periods that a frame is late
-AGREE = 8  # frames in a row
+AGREE, FEW = 8, 3  # frames in a row; where time is running out
 PROMPT, UNTOLD, LATE = 1, 0, -1  # what a frame that lags says of itself
 VERDICT = 2  # so much of it, added up, decides
 PATIENCE, NAMED = 0.7, 2.0  # time-outs: until a source that lags is believed, and one that was found late
@@ -35,7 +35,6 @@ TELLING_M = 30e-6  # from where the load was to where it is: encoder's steps and
 TIMES = 4.0  # and so many times what a straight line may be off
 ACCELERATION_M_S2 = 2.0  # that two speeds need not show
 _NEAR = 0.3  # of the way between the two places
-
 
 Reading = tuple[int, float]
 """When the load was where: SYNC [ns], position [m]."""
@@ -127,7 +126,8 @@ class Lag:
         if found:
             over = waited_ns > self._named_ns
         else:
-            over = self._votes >= VERDICT or self._run >= AGREE or waited_ns > self._patience_ns
+            enough = FEW if waited_ns > self._patience_ns else AGREE
+            over = self._votes >= VERDICT or self._run >= enough
         if over:
             self.offset = (self.offset - lag) & self._mask
             self._shift = 0
