@@ -12,7 +12,7 @@ DEBIAN_PYTHON := /usr/bin/python3
 PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 
 .DEFAULT_GOAL := help
-.PHONY: help virtual test lint types contracts ci-tests coverage mutation lowest vm systemd install-service campaign campaign-vm soak clean
+.PHONY: help virtual test lint types contracts ci-tests coverage mutation lowest vm systemd install-service campaign campaign-vm information soak clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 17
@@ -67,6 +67,9 @@ campaign: $(DEV) ## fault scenarios in real time: build/campaign/matrix.html (se
 campaign-vm: $(DEV) ## the same over real SocketCAN, in a virtual machine
 	@mkdir -p build/campaign-vm
 	@exec hil/vm/run -t 2400 -w build/campaign-vm -- $(BIN)/python hil/campaign.py --bus vcan0 -o build/campaign-vm $(ARGS)
+
+information: $(DEV) ## what late, lost and odd frames do to the command, in simulated time (see docs/hil.md)
+	@exec $(BIN)/python -m hil.information $(ARGS)
 
 soak: $(DEV) ## the tests that take hours, with their figures (see docs/hil.md)
 	@exec $(BIN)/python -m pytest -m soak $(ARGS)
