@@ -28,6 +28,8 @@ class Defect(IntFlag):
     CORRUPT = 1  # wrong CRC or length
     FROZEN = 2  # the counter stands still
     LATE = 4  # sampled before this tick's SYNC
+    ODD = 16  # beyond what physics explains: held back until the next one confirms it
+    CONFIRMED = 32  # says what the one before said, which was held back: both count
 
 
 class Host(IntFlag):

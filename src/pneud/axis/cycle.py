@@ -6,10 +6,11 @@ function, and its whole state is one record.
 
 from __future__ import annotations
 
+from pneud.axis.doubt import listen
 from pneud.axis.guidance import NO_REFERENCE, Course, guide, redirect
 from pneud.axis.requests import ARM, BLOCKED, HOME, NOTHING, TAKEN, Asked, ask
 from pneud.axis.sensing import NAN, NO_ESTIMATE, Belief, Driven, drive, sense
-from pneud.axis.state import AxisParameters, AxisState, configured, switched_on
+from pneud.axis.state import AxisParameters, AxisState, Doubt, configured, switched_on
 from pneud.control import homing
 from pneud.control.plan import FOLLOWING, IDLE, NONE
 from pneud.control.step import Controller
@@ -41,10 +42,12 @@ def cycle(
     before = state.supervisor
     if p.homing.incremental:
         m = homing.placed(m, state.zero_m, state.referenced)
+    heard = listen(state, m, t_ns, p)
     arming = request is not None and request.kind in (ARM, HOME) and before.state == DISARMED
-    belief, seen, lasting, present = sense(state, m, arming, t_ns, p)
+    belief, seen, lasting, present = sense(state, heard.m, arming, t_ns, p)
     watch, lasted = remember(state.watch, seen, lasting, m.t_ns, p.limits)
-    course = guide(state, belief, m, present | lasted | checks.of_host(m.host), p)
+    present |= lasted | heard.present | checks.of_host(m.host)
+    course = guide(state, belief, heard.m, present, p)
     if course.found:
         watch = forget_position(watch)
     asked = NOTHING
@@ -69,7 +72,7 @@ def cycle(
     driven = Driven(course.controller, CENTRED_COMMAND, 0)
     if is_engaged(after.state):
         course = redirect(course, asked, after.state, state, belief, p)
-        driven = actuate(course, after.state, m, belief.estimate, state.last_v, law, p)
+        driven = actuate(course, after.state, heard.m, belief.estimate, state.last_v, law, p)
         if driven.faults:
             after = trip(after, driven.faults)
     present = course.present | asked.faults | driven.faults
@@ -79,7 +82,9 @@ def cycle(
         driven = driven._replace(controller=None)  # it would remember
     tick = Tick(
         t_ns=t_ns,
-        measurement=m,
+        measurement=m._replace(
+            encoder_defects=heard.m.encoder_defects, pressure_defects=heard.m.pressure_defects
+        ),
         request=request,
         estimate=belief.estimate,
         reference=course.reference,
@@ -89,7 +94,7 @@ def cycle(
         latched=after.latched,
         answer=asked.answer,
     )
-    return put_away(state, t_ns, belief, watch, course, asked, law, after, driven), tick
+    return put_away(state, t_ns, heard.doubt, belief, watch, course, asked, law, after, driven), tick
 
 
 def actuate(
@@ -119,6 +124,7 @@ def actuate(
 def put_away(
     state: AxisState,
     t_ns: int,
+    doubt: Doubt,
     belief: Belief,
     watch: Watch,
     course: Course,
@@ -132,6 +138,7 @@ def put_away(
     Args:
         state: after the last tick.
         t_ns: instant of this tick's SYNC.
+        doubt: of readings.
         belief: what is known of the load.
         watch: what the checks remember.
         course: where the axis is led.
@@ -164,6 +171,7 @@ def put_away(
         referenced=course.referenced,
         homing=course.homing,
         reference=reference,
+        doubt=doubt,
     )
 
 

@@ -83,6 +83,8 @@ class F(IntEnum):
     OPERATOR_LOST = 57
     HOMING_FAILED = 58
     CONSOLE_LOST = 59
+    ENCODER_DOUBTFUL = 60
+    PRESSURE_DOUBTFUL = 61
 
 
 class Fault(NamedTuple):
@@ -485,6 +487,23 @@ TABLE: tuple[Fault, ...] = (
         "none but to clear and arm: the console is started again by itself; where nobody answers, restart the"
         " daemon; where it repeats itself, see pneud doctor for what takes this machine's time",
         clears="when the axis is no longer engaged, or the console is back",
+    ),
+    Fault(
+        F.ENCODER_DOUBTFUL,
+        Reaction.STOP,
+        "three in ten of the encoder's readings are further from where the load can be than noise and forces"
+        " explain, and the next one does not confirm them",
+        "check the encoder's shielding, head and scale; check that its node answers SYNC with what it has"
+        " sampled then",
+        clears="when fewer have been odd for some 40 ms",
+    ),
+    Fault(
+        F.PRESSURE_DOUBTFUL,
+        Reaction.STOP,
+        "three in ten of the pressure readings have changed by more than valve and piston can change them, or"
+        " crossed a limit, and the next one does not confirm them",
+        "check the sensors' shielding, wiring and supply",
+        clears="when fewer have been odd for some 40 ms",
     ),
 )
 
