@@ -137,7 +137,7 @@ class Answer(IntEnum):
 
 
 class Measurement(NamedTuple):
-    """The newest valid values, and how good they are.
+    """The newest valid values, and how good they are; in a tick, those that the axis believed.
 
     `fresh` has a bit of `Source` for each source whose valid frame belongs to this tick; `age_ns` counts from
     the instant a source's last valid value was sampled to this tick's SYNC (0 when fresh); `defects` tells

@@ -42,12 +42,12 @@ def cycle(
     before = state.supervisor
     if p.homing.incremental:
         m = homing.placed(m, state.zero_m, state.referenced)
-    heard = listen(state, m, t_ns, p)
+    m, doubt, doubtful = listen(state, m, t_ns, p)
     arming = request is not None and request.kind in (ARM, HOME) and before.state == DISARMED
-    belief, seen, lasting, present = sense(state, heard.m, arming, t_ns, p)
+    belief, seen, lasting, present = sense(state, m, arming, t_ns, p)
     watch, lasted = remember(state.watch, seen, lasting, m.t_ns, p.limits)
-    present |= lasted | heard.present | checks.of_host(m.host)
-    course = guide(state, belief, heard.m, present, p)
+    present |= lasted | doubtful | checks.of_host(m.host)
+    course = guide(state, belief, m, present, p)
     if course.found:
         watch = forget_position(watch)
     asked = NOTHING
@@ -72,7 +72,7 @@ def cycle(
     driven = Driven(course.controller, CENTRED_COMMAND, 0)
     if is_engaged(after.state):
         course = redirect(course, asked, after.state, state, belief, p)
-        driven = actuate(course, after.state, heard.m, belief.estimate, state.last_v, law, p)
+        driven = actuate(course, after.state, m, belief.estimate, state.last_v, law, p)
         if driven.faults:
             after = trip(after, driven.faults)
     present = course.present | asked.faults | driven.faults
@@ -82,9 +82,7 @@ def cycle(
         driven = driven._replace(controller=None)  # it would remember
     tick = Tick(
         t_ns=t_ns,
-        measurement=m._replace(
-            encoder_defects=heard.m.encoder_defects, pressure_defects=heard.m.pressure_defects
-        ),
+        measurement=m,
         request=request,
         estimate=belief.estimate,
         reference=course.reference,
@@ -94,7 +92,7 @@ def cycle(
         latched=after.latched,
         answer=asked.answer,
     )
-    return put_away(state, t_ns, heard.doubt, belief, watch, course, asked, law, after, driven), tick
+    return put_away(state, t_ns, belief, watch, course, asked, law, after, driven, doubt), tick
 
 
 def actuate(
@@ -124,7 +122,6 @@ def actuate(
 def put_away(
     state: AxisState,
     t_ns: int,
-    doubt: Doubt,
     belief: Belief,
     watch: Watch,
     course: Course,
@@ -132,13 +129,13 @@ def put_away(
     law: Controller,
     after: Supervisor,
     driven: Driven,
+    doubt: Doubt,
 ) -> AxisState:
     """All that has to be remembered of this tick.
 
     Args:
         state: after the last tick.
         t_ns: instant of this tick's SYNC.
-        doubt: of readings.
         belief: what is known of the load.
         watch: what the checks remember.
         course: where the axis is led.
@@ -146,6 +143,7 @@ def put_away(
         law: with its gains from now on.
         after: the state of the state machine.
         driven: what leaves for the valve.
+        doubt: of readings.
     """
     plan, profile, reference = course.plan, state.profile, state.reference
     if plan.phase != NONE and not is_engaged(after.state):

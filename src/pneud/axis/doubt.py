@@ -23,6 +23,7 @@ ODD, CONFIRMED = int(Defect.ODD), int(Defect.CONFIRMED)
 ENCODER_DOUBTFUL, PRESSURE_DOUBTFUL = 1 << F.ENCODER_DOUBTFUL, 1 << F.PRESSURE_DOUBTFUL
 SPREADS = 3.0  # so many times their usual size are innovations still usual
 LEAST_SHARE = 0.5  # of its size that a confirmed innovation still has a reading later
+SAME_SUPPLY_PA = 1e5  # a supply pressure that is confirmed is no further from the one before
 DIGESTING = 1.5  # times a confirmed innovation may the filter be off while it follows
 DIGESTED = 0.9  # part of that which is left after another reading
 
@@ -74,12 +75,17 @@ def hear_pressures(
     # what is held back tells nothing of how far the pressures may have gone since they were believed
     odd = is_odd_pressure(w._replace(pressure_ns=d.pressure_ns) if waiting else w, d, m, limits)
     held = w._replace(p1_pa=d.p1_pa, p2_pa=d.p2_pa, pressure_ns=d.pressure_ns)
-    if odd and (not waiting or pressure_jump(held, m, limits)):
+    same = abs(m.supply_pa - d.supply_pa) <= SAME_SUPPLY_PA and not pressure_jump(held, m, limits)
+    if odd and not (waiting and same):
         share = d.pressure_share
         if waiting:  # and the one before is not confirmed
             share += gate.rate * (1.0 - share)
         d = d._replace(
-            p1_pa=m.p1_pa, p2_pa=m.p2_pa, pressure_ns=m.t_ns, pressure_share=share
+            p1_pa=m.p1_pa,
+            p2_pa=m.p2_pa,
+            supply_pa=m.supply_pa,
+            pressure_ns=m.t_ns,
+            pressure_share=share,
         )
         return _without_pressures(m, w, d, m.pressure_defects | ODD), d, 0
     jump = 0
@@ -89,7 +95,7 @@ def hear_pressures(
         m = m._replace(pressure_defects=m.pressure_defects | CONFIRMED)
     glitch = 1.0 if waiting and not odd else 0.0
     share = d.pressure_share + gate.rate * (glitch - d.pressure_share)
-    return m, d._replace(supply_pa=m.supply_pa, pressure_ns=-1, pressure_share=share), jump
+    return m, d._replace(known_supply_pa=m.supply_pa, pressure_ns=-1, pressure_share=share), jump
 
 
 def is_odd_pressure(w: Seen, d: Doubt, m: Measurement, p: Limits) -> bool:
@@ -97,11 +103,11 @@ def is_odd_pressure(w: Seen, d: Doubt, m: Measurement, p: Limits) -> bool:
 
     The first ones are taken as they are, and so is what is not finite, which is another fault.
     """
-    if not math.isfinite(m.p1_pa + m.p2_pa + m.supply_pa + w.p1_pa + w.p2_pa + d.supply_pa):
+    if not math.isfinite(m.p1_pa + m.p2_pa + m.supply_pa + w.p1_pa + w.p2_pa + d.known_supply_pa):
         return False
     if pressure_jump(w, m, p):
         return True
-    inside = _is_within(w.p1_pa, w.p2_pa, d.supply_pa, p)
+    inside = _is_within(w.p1_pa, w.p2_pa, d.known_supply_pa, p)
     return inside and not _is_within(m.p1_pa, m.p2_pa, m.supply_pa, p)
 
 
@@ -118,7 +124,7 @@ def _without_pressures(m: Measurement, w: Seen, d: Doubt, defects: int) -> Measu
         fresh=m.fresh & ~PRESSURE,
         p1_pa=w.p1_pa,
         p2_pa=w.p2_pa,
-        supply_pa=d.supply_pa,
+        supply_pa=d.known_supply_pa,
         pressure_age_ns=max(0, m.t_ns - w.pressure_ns),
         pressure_defects=defects,
     )

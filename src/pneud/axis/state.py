@@ -36,8 +36,9 @@ class Doubt(NamedTuple):
     encoder_share: float = 0.0  # of odd readings, lately
     p1_pa: float = 0.0  # pressures that are held back
     p2_pa: float = 0.0
+    supply_pa: float = 0.0
     pressure_ns: int = -1  # when they were read, −1 for none
-    supply_pa: float = NAN  # believed last
+    known_supply_pa: float = NAN  # believed last
     pressure_share: float = 0.0
 
 
