@@ -10,7 +10,7 @@ import pytest
 
 from axis_rig import ARM, CLEAR, DISARM, PERIOD_NS, SHUTDOWN, Rig, assert_smooth, ready, twin
 from pneud.axis.cycle import Axis
-from pneud.axis.requests import soft_limits
+from pneud.axis.stops import soft_limits
 from pneud.console import profiles
 from pneud.control.plan import FOLLOWING, RESTING
 from pneud.control.profile import MOST_PIECES

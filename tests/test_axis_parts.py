@@ -332,7 +332,7 @@ def kept(state: AxisState, m: Measurement, after: State, **asked: Any) -> AxisSt
     driven = Driven(course.controller, CENTRED_COMMAND._replace(voltage_v=1.5, saturated=1), 0)
     supervisor = state.supervisor._replace(state=int(after))
     law = state.law._replace(h=0.002)
-    return put_away(state, m.t_ns, belief, state.watch, course, Asked(1, **asked), law, supervisor, driven, DOUBT)
+    return put_away(state, m.t_ns, belief, state.watch, course, Asked(1, **asked), law, supervisor, driven, DOUBT, 0.001)
 
 
 def test_all_of_a_tick_is_remembered() -> None:
@@ -344,7 +344,7 @@ def test_all_of_a_tick_is_remembered() -> None:
     assert (after.last_v, after.limited, after.law.h) == (1.5, 1, 0.002)
     assert (after.plan, after.controller, after.plan.phase) == (course.plan, course.controller, JOINING)
     assert (after.profile, after.reference, after.watch) == (state.profile, state.reference, state.watch)
-    assert after.doubt == DOUBT
+    assert (after.doubt, after.outside_m) == (DOUBT, 0.001)
 
 
 def test_an_axis_that_is_not_engaged_keeps_no_plan() -> None:

@@ -11,6 +11,7 @@ from pneud.axis.guidance import NO_REFERENCE, Course, guide, redirect
 from pneud.axis.requests import ARM, BLOCKED, HOME, NOTHING, TAKEN, Asked, ask
 from pneud.axis.sensing import NAN, NO_ESTIMATE, Belief, Driven, drive, sense
 from pneud.axis.state import AxisParameters, AxisState, Doubt, configured, switched_on
+from pneud.axis.stops import HELD, excused, outside
 from pneud.control import homing
 from pneud.control.plan import FOLLOWING, IDLE, NONE
 from pneud.control.step import Controller
@@ -45,8 +46,10 @@ def cycle(
     m, doubt, doubtful = listen(state, m, t_ns, p)
     arming = request is not None and request.kind in (ARM, HOME) and before.state == DISARMED
     belief, seen, lasting, present = sense(state, m, arming, t_ns, p)
-    watch, lasted = remember(state.watch, seen, lasting, m.t_ns, p.limits)
-    present |= lasted | doubtful | checks.of_host(m.host)
+    outside_m = outside(state.outside_m, m.position_m, is_engaged(before.state), p.limits)
+    spared = excused(outside_m, m.position_m, belief.estimate, p.limits)
+    watch, lasted = remember(state.watch, seen, lasting & ~HELD if spared else lasting, m.t_ns, p.limits)
+    present = present & ~spared | lasted | doubtful | checks.of_host(m.host)
     course = guide(state, belief, m, present, p)
     if course.found:
         watch = forget_position(watch)
@@ -92,7 +95,7 @@ def cycle(
         latched=after.latched,
         answer=asked.answer,
     )
-    return put_away(state, t_ns, belief, watch, course, asked, law, after, driven, doubt), tick
+    return put_away(state, t_ns, belief, watch, course, asked, law, after, driven, doubt, outside_m), tick
 
 
 def actuate(
@@ -130,6 +133,7 @@ def put_away(
     after: Supervisor,
     driven: Driven,
     doubt: Doubt,
+    outside_m: float,
 ) -> AxisState:
     """All that has to be remembered of this tick.
 
@@ -144,6 +148,7 @@ def put_away(
         after: the state of the state machine.
         driven: what leaves for the valve.
         doubt: of readings.
+        outside_m: where it lies outside, from `stops.outside`.
     """
     plan, profile, reference = course.plan, state.profile, state.reference
     if plan.phase != NONE and not is_engaged(after.state):
@@ -170,6 +175,7 @@ def put_away(
         homing=course.homing,
         reference=reference,
         doubt=doubt,
+        outside_m=outside_m,
     )
 
 

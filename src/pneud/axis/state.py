@@ -78,6 +78,7 @@ class AxisState(NamedTuple):
     homing: Homing
     reference: Sine | None = None  # the configured one, where it has been changed
     doubt: Doubt = Doubt()
+    outside_m: float = NAN  # innermost position since it has been armed outside its travel, NaN inside
 
     @property
     def phase(self) -> int:
