@@ -6,12 +6,14 @@ function, and its whole state is one record.
 
 from __future__ import annotations
 
+import math
+
 from pneud.axis.doubt import listen
 from pneud.axis.guidance import NO_REFERENCE, Course, guide, redirect
 from pneud.axis.requests import ARM, BLOCKED, HOME, NOTHING, TAKEN, Asked, ask
 from pneud.axis.sensing import NAN, NO_ESTIMATE, Belief, Driven, drive, sense
 from pneud.axis.state import AxisParameters, AxisState, Doubt, configured, switched_on
-from pneud.axis.stops import HELD, excused, outside
+from pneud.axis.stops import HELD, excused, gentle, outside
 from pneud.control import homing
 from pneud.control.plan import FOLLOWING, IDLE, NONE
 from pneud.control.step import Controller
@@ -75,7 +77,8 @@ def cycle(
     driven = Driven(course.controller, CENTRED_COMMAND, 0)
     if is_engaged(after.state):
         course = redirect(course, asked, after.state, state, belief, p)
-        driven = actuate(course, after.state, m, belief.estimate, state.last_v, law, p)
+        bounded = gentle(p) if math.isfinite(outside_m) else p
+        driven = actuate(course, after.state, m, belief.estimate, state.last_v, law, bounded)
         if driven.faults:
             after = trip(after, driven.faults)
     present = course.present | asked.faults | driven.faults

@@ -13,13 +13,15 @@ from pneud.axis.state import AxisParameters
 from pneud.control.reference import Bounds, Septic, move, rest
 from pneud.safety.checks import MOVING_M_S, Limits
 from pneud.safety.faults import F
+from pneud.safety.output import OutputLimits
 from pneud.signals import Estimate, Reference
 
 NAN = float("nan")
 NEAR_M = 0.5e-3  # so close to a stop a load may rest on it
 BEYOND_M = 2e-3  # an encoder may show so much behind a stop, which gives, and is not where it is drawn
 SLIP_M = 1e-3  # no further out may a load go that is led inside
-AWAY = Bounds(0.03, 0.5, 10.0)  # m/s, m/s², m/s³ of the way inside
+AWAY = Bounds(0.03, 0.05, 0.5)  # m/s, m/s², m/s³ of the way inside: force has time to change sides
+GENTLE = 0.4  # part of the valve's range that may lead away from a stop
 TRAVEL, BRAKING_DISTANCE = 1 << F.TRAVEL, 1 << F.BRAKING_DISTANCE
 # what a force of the stop looks like
 HELD = 1 << F.ENCODER_STUCK | 1 << F.FORCE_DISAGREES
@@ -69,6 +71,12 @@ def excused(outside_m: float, position_m: float, e: Estimate, p: Limits) -> int:
     if outwards * (position_m - outside_m) > SLIP_M:
         return 0
     return TRAVEL if outwards * e.velocity_m_s > MOVING_M_S else TRAVEL | BRAKING_DISTANCE
+
+
+def gentle(p: AxisParameters) -> AxisParameters:
+    """With a command so bounded that what the stop carries is no blow when it lets go."""
+    output = OutputLimits(GENTLE * p.output.u_max_v, p.output.slew_v_s, p.output.lsb_v)
+    return p._replace(output=output)
 
 
 def way_inside(now: Reference, p: AxisParameters) -> tuple[tuple[Septic, ...], Reference]:
