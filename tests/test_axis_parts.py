@@ -332,7 +332,9 @@ def kept(state: AxisState, m: Measurement, after: State, **asked: Any) -> AxisSt
     driven = Driven(course.controller, CENTRED_COMMAND._replace(voltage_v=1.5, saturated=1), 0)
     supervisor = state.supervisor._replace(state=int(after))
     law = state.law._replace(h=0.002)
-    return put_away(state, m.t_ns, belief, state.watch, course, Asked(1, **asked), law, supervisor, driven, DOUBT, 0.001)
+    return put_away(
+        state, m.t_ns, belief, state.watch, course, Asked(1, **asked), law, supervisor, driven, DOUBT, 0.001
+    )
 
 
 def test_all_of_a_tick_is_remembered() -> None:

@@ -113,9 +113,7 @@ def is_odd_pressure(w: Seen, d: Doubt, m: Measurement, p: Limits) -> bool:
 
 def _is_within(p1_pa: float, p2_pa: float, supply_pa: float, p: Limits) -> bool:
     low, high = p.chamber_min_pa, p.chamber_max_pa
-    return (
-        low <= p1_pa <= high and low <= p2_pa <= high and p.supply_min_pa <= supply_pa <= p.supply_max_pa
-    )
+    return low <= p1_pa <= high and low <= p2_pa <= high and p.supply_min_pa <= supply_pa <= p.supply_max_pa
 
 
 def _without_pressures(m: Measurement, w: Seen, d: Doubt, defects: int) -> Measurement:
