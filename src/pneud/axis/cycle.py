@@ -6,14 +6,12 @@ function, and its whole state is one record.
 
 from __future__ import annotations
 
-import math
-
 from pneud.axis.doubt import listen
 from pneud.axis.guidance import NO_REFERENCE, Course, guide, redirect
 from pneud.axis.requests import ARM, BLOCKED, HOME, NOTHING, TAKEN, Asked, ask
 from pneud.axis.sensing import NAN, NO_ESTIMATE, Belief, Driven, drive, sense
-from pneud.axis.state import AxisParameters, AxisState, Doubt, configured, switched_on
-from pneud.axis.stops import HELD, excused, gentle, outside
+from pneud.axis.state import INSIDE, AxisParameters, AxisState, Doubt, configured, switched_on
+from pneud.axis.stops import UNHELD, excused, gentle, outside
 from pneud.control import homing
 from pneud.control.plan import FOLLOWING, IDLE, NONE
 from pneud.control.step import Controller
@@ -50,8 +48,9 @@ def cycle(
     belief, seen, lasting, present = sense(state, m, arming, t_ns, p)
     outside_m = outside(state.outside_m, m.position_m, is_engaged(before.state), p.limits)
     spared = excused(outside_m, m.position_m, belief.estimate, p.limits)
-    watch, lasted = remember(state.watch, seen, lasting & ~HELD if spared else lasting, m.t_ns, p.limits)
-    present = present & ~spared | lasted | doubtful | checks.of_host(m.host)
+    watch, lasted = remember(state.watch, seen, lasting & UNHELD if spared else lasting, m.t_ns, p.limits)
+    present -= present & spared
+    present |= lasted | doubtful | checks.of_host(m.host)
     course = guide(state, belief, m, present, p)
     if course.found:
         watch = forget_position(watch)
@@ -77,7 +76,7 @@ def cycle(
     driven = Driven(course.controller, CENTRED_COMMAND, 0)
     if is_engaged(after.state):
         course = redirect(course, asked, after.state, state, belief, p)
-        bounded = gentle(p) if math.isfinite(outside_m) else p
+        bounded = p if outside_m == INSIDE else gentle(p)
         driven = actuate(course, after.state, m, belief.estimate, state.last_v, law, bounded)
         if driven.faults:
             after = trip(after, driven.faults)

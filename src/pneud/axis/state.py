@@ -14,6 +14,7 @@ from pneud.safety.checks import Limits
 from pneud.safety.output import OutputLimits
 
 NAN = float("nan")
+INSIDE = -1.0  # stands for no position outside: no load is ever so far out [m]
 
 
 class Gate(NamedTuple):
@@ -78,7 +79,7 @@ class AxisState(NamedTuple):
     homing: Homing
     reference: Sine | None = None  # the configured one, where it has been changed
     doubt: Doubt = Doubt()
-    outside_m: float = NAN  # innermost position since it has been armed outside its travel, NaN inside
+    outside_m: float = INSIDE  # innermost position since it has been armed outside its travel
 
     @property
     def phase(self) -> int:

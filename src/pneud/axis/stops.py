@@ -7,24 +7,20 @@ then the stop may carry force, and the load may not go further out than it has b
 
 from __future__ import annotations
 
-import math
-
-from pneud.axis.state import AxisParameters
+from pneud.axis.state import INSIDE, AxisParameters
 from pneud.control.reference import Bounds, Septic, move, rest
 from pneud.safety.checks import MOVING_M_S, Limits
 from pneud.safety.faults import F
 from pneud.safety.output import OutputLimits
 from pneud.signals import Estimate, Reference
 
-NAN = float("nan")
 NEAR_M = 0.5e-3  # so close to a stop a load may rest on it
 BEYOND_M = 2e-3  # an encoder may show so much behind a stop, which gives, and is not where it is drawn
 SLIP_M = 1e-3  # no further out may a load go that is led inside
 AWAY = Bounds(0.03, 0.05, 0.5)  # m/s, m/s², m/s³ of the way inside: force has time to change sides
 GENTLE = 0.4  # part of the valve's range that may lead away from a stop
 TRAVEL, BRAKING_DISTANCE = 1 << F.TRAVEL, 1 << F.BRAKING_DISTANCE
-# what a force of the stop looks like
-HELD = 1 << F.ENCODER_STUCK | 1 << F.FORCE_DISAGREES
+UNHELD = ~(1 << F.ENCODER_STUCK | 1 << F.FORCE_DISAGREES)  # all but what a force of the stop looks like
 
 
 def inside(p: Limits) -> tuple[float, float]:
@@ -40,7 +36,7 @@ def soft_limits(p: AxisParameters) -> tuple[float, float]:
 
 
 def outside(before_m: float, position_m: float, engaged: bool, p: Limits) -> float:
-    """The innermost position since the axis has been armed outside [m]; NaN where it is inside, or was.
+    """The innermost position since the axis has been armed outside [m]; `INSIDE` where it is, or was.
 
     Args:
         before_m: a tick before.
@@ -50,9 +46,11 @@ def outside(before_m: float, position_m: float, engaged: bool, p: Limits) -> flo
     """
     low_m, high_m = inside(p)
     if low_m <= position_m <= high_m or not -BEYOND_M <= position_m <= p.stroke_m + BEYOND_M:
-        return NAN
+        return INSIDE
     if not engaged:
         return position_m
+    if before_m == INSIDE:
+        return INSIDE
     return max(before_m, position_m) if position_m < low_m else min(before_m, position_m)
 
 
@@ -65,7 +63,7 @@ def excused(outside_m: float, position_m: float, e: Estimate, p: Limits) -> int:
         e: the estimate.
         p: limits.
     """
-    if not math.isfinite(outside_m):
+    if outside_m == INSIDE:
         return 0
     outwards = -1.0 if outside_m < inside(p)[0] else 1.0
     if outwards * (position_m - outside_m) > SLIP_M:
