@@ -38,7 +38,7 @@ def to_and_fro(field: str, by: float, beside: float) -> Change:
     return lambda m, n: m._replace(**{field: getattr(m, field) + (beside if n % 2 else by)})
 
 
-def lost(bit: int, **before: float) -> Change:
+def lost(bit: int, **before: Any) -> Change:
     """The first reading is lost, and its values are those before."""
 
     def change(m: Measurement, n: int) -> Measurement:
@@ -224,7 +224,8 @@ def test_of_an_axis_without_estimates_nothing_is_held_back() -> None:
 @pytest.mark.parametrize("field", ["position_m", "p1_pa", "supply_pa"])
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_what_is_not_finite_is_another_fault(field: str, value: float) -> None:
-    found, _ = run(_at_rest, lambda m, _: m._replace(**{field: value}), 1)
+    changes: dict[str, Any] = {field: value}
+    found, _ = run(_at_rest, lambda m, _: m._replace(**changes), 1)
     assert found[0].latched >> F.NOT_FINITE & 1
     assert found[0].measurement.encoder_defects == found[0].measurement.pressure_defects == 0
 

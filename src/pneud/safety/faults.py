@@ -119,7 +119,13 @@ _NODE = "power-cycle the node; it repeats itself"
 _TIMING = "check the node's configuration (it has to answer SYNC) and the bus load"
 
 TABLE: tuple[Fault, ...] = (
-    Fault(F.ENCODER_MISSING, Reaction.CENTRE, "no encoder frame", _WIRING, "sensor_timeout_ns"),
+    Fault(
+        F.ENCODER_MISSING,
+        Reaction.CENTRE,
+        "no encoder frame, or none that could be believed",
+        _WIRING,
+        "sensor_timeout_ns",
+    ),
     Fault(
         F.ENCODER_CORRUPT,
         Reaction.CENTRE,
@@ -147,7 +153,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(
         F.PRESSURE_MISSING,
         Reaction.CENTRE,
-        "no pressure frame",
+        "no pressure frame, or none that could be believed",
         _WIRING,
         "sensor_timeout_ns",
     ),
@@ -225,8 +231,8 @@ TABLE: tuple[Fault, ...] = (
     Fault(
         F.TRAVEL,
         Reaction.CENTRE,
-        "the position lies outside limits.travel",
-        "move the load back by hand with the supply shut, then clear",
+        "the position of an engaged axis has left limits.travel, or lies outside the cylinder",
+        "clear, arm, and lead it back",
     ),
     Fault(F.OVERSPEED, Reaction.CENTRE, "faster than limits.speed_m_s", "check the gains and the load"),
     Fault(
