@@ -280,3 +280,10 @@ def test_a_request_beside_an_odd_reading_is_taken() -> None:
     rig.measurement = lambda m: m._replace(position_m=m.position_m + 0.01)
     request = Request(RequestKind.GOTO, (0.5, 0.0, 0.0, 0.0))
     assert rig.tick(request.kind, *request.values).state == State.MOVING
+
+
+@pytest.mark.parametrize("wait", [0, 3, 7, 11])
+def test_an_encoder_that_slips_for_good_at_rest_is_caught(wait: int) -> None:
+    found, _ = run(_at_rest, lambda m, n: m._replace(position_m=m.position_m + 1e-3) if n >= wait else m, 20)
+    assert "encoder_stuck" in names(found[-1].latched)
+    assert found[wait].latched == 0
