@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pneud.axis.state import AxisParameters
+from pneud.axis.state import AxisParameters, Gate
 from pneud.config.models import BusConfig, Config, ControlConfig, FrictionConfig, RealtimeConfig
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.homing import HomingParameters
@@ -26,6 +26,9 @@ COMPUTING_S = 80e-6  # from the last sensor frame to the command's place on the 
 FRAME_BITS, STUFFING = 47, 1.1
 LONGEST_SHARE, LONGEST_S = 2.0, 10.0  # a stroke of homing may take so much longer than at its speed
 LEAST_STILL_M, STILL_STEPS = 5e-5, 10.0  # travel that a reading cannot hide: at least, and in encoder steps
+NOISES, LEAST_STEPS = 4.0, 4.0  # within so many standard deviations, and steps, nearly all readings lie
+UNKNOWN_SHARE = 0.1  # of the piston's greatest force that nobody may know of without being doubted
+DOUBT_S, DOUBT_SHARE = 0.04, 0.3  # more odd readings in such a time are a fault
 BLEND_S = 0.1  # in which one set of gains gives way to another
 
 
@@ -220,6 +223,20 @@ def limits_of(c: Config) -> Limits:
     )
 
 
+def gate_of(c: Config) -> Gate:
+    """How far readings may lie from what was expected, and how many of them may."""
+    m, h = c.control.motion, 1.0 / c.loop.rate_hz
+    quiet_m = NOISES * m.encoder_noise_m if m.encoder_noise_m is not None else m.push_beyond_m
+    return Gate(
+        noise_m=max(m.encoder_resolution_m + quiet_m, LEAST_STEPS * m.encoder_resolution_m),
+        acceleration_m_s2=UNKNOWN_SHARE
+        * (c.gas.supply_pa * c.cylinder.piston_area_1_m2 / c.cylinder.moving_mass_kg),
+        speed_m_s=c.limits.speed_m_s,
+        rate=1.0 - math.exp(-h / DOUBT_S),
+        share=DOUBT_SHARE,
+    )
+
+
 def _swings_pa_m_s(c: Config) -> tuple[float, float]:
     """Fastest change of each chamber's pressure by valve and piston together, times the chamber's length."""
     g, k = gas_of(c), cylinder_of(c)
@@ -274,6 +291,7 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
         controller=controller_of(c),
         output=OutputLimits(c.valve.u_max_v, limits.slew_v_s, command_lsb_v),
         limits=limits_of(c),
+        gate=gate_of(c),
         reference=reference_of(c),
         transfer=Bounds(
             limits.transfer.speed_m_s, limits.transfer.acceleration_m_s2, limits.transfer.jerk_m_s3

@@ -72,8 +72,8 @@ class AxisDesk:
         limits = self._run.config.limits
         motion = limits.motion
         found = {
-            "min_mm": limits.travel_min_m + motion.margin_m,
-            "max_mm": limits.travel_max_m - motion.margin_m,
+            "min_mm": max(limits.travel_min_m, 0.0) + motion.margin_m,
+            "max_mm": min(limits.travel_max_m, self._run.config.cylinder.stroke_m) - motion.margin_m,
             "speed_mm_s": motion.speed_m_s,
             "acceleration_mm_s2": motion.acceleration_m_s2,
             "jerk_mm_s3": motion.jerk_m_s3,
