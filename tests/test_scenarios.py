@@ -42,8 +42,6 @@ FROM_WITHIN = {
     "operator_lost": "takes an operator who jogs and goes away: the tests of the console have one",
     "homing_failed": "takes an operator who homes: the tests of the axis have one",
     "console_lost": "takes an operator who arms: the tests of the console have one, and hil/console_kills.py",
-    "encoder_doubtful": "takes readings that are right and wrong by turns: the tests of doubt have them",
-    "pressure_doubtful": "takes readings that are right and wrong by turns: the tests of doubt have them",
     "disk_full": "takes a file system of its own: the campaign has a case for it",
 }
 

@@ -27,7 +27,7 @@ class Defect(IntFlag):
 
     CORRUPT = 1  # wrong CRC or length
     FROZEN = 2  # the counter stands still
-    LATE = 4  # sampled before this tick's SYNC
+    LATE = 4  # answers an earlier SYNC than this tick's
     ODD = 16  # beyond what physics explains: held back until the next one confirms it
     CONFIRMED = 32  # says what the one before said, which was held back: both count
 

@@ -139,7 +139,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(
         F.ENCODER_LATE,
         Reaction.CENTRE,
-        "only encoder frames sampled before SYNC",
+        "only encoder frames come that answer an earlier SYNC",
         _TIMING,
         "sensor_timeout_ns",
     ),
@@ -174,7 +174,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(
         F.PRESSURE_LATE,
         Reaction.CENTRE,
-        "only pressure frames sampled before SYNC",
+        "only pressure frames come that answer an earlier SYNC",
         _TIMING,
         "sensor_timeout_ns",
     ),
@@ -204,7 +204,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(
         F.VALVE_LATE,
         Reaction.CENTRE,
-        "only valve status frames sampled before SYNC",
+        "only valve status frames come that answer an earlier SYNC",
         _TIMING,
         "sensor_timeout_ns",
     ),
