@@ -18,6 +18,7 @@ from axis_rig import loaded
 from commands import children, eventually
 from pneud import crew
 from pneud.console import handoff
+from pneud.console import keeper as keeping
 from pneud.console.client import Client
 from pneud.console.facts import RunFacts
 from pneud.console.keeper import fork_console
@@ -44,6 +45,13 @@ class Kept(NamedTuple):
 
     def said(self) -> str:
         return "\n".join(message.words for message in self.words.poll())
+
+
+@pytest.fixture
+def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The keeper's patience is a quarter of what it is; ask for it before `kept`."""
+    monkeypatch.setattr(keeping, "_APART_S", 0.25)
+    monkeypatch.setattr(keeping, "_FARTHEST_S", 2.0)
 
 
 @pytest.fixture
@@ -123,7 +131,9 @@ def test_a_console_that_dies_or_stands_still_is_followed_by_another(kept: Kept, 
     assert "the console was started again" in said
 
 
-def test_consoles_that_die_at_once_are_started_less_and_less_often_which_is_said_once(kept: Kept) -> None:
+def test_consoles_that_die_at_once_are_started_less_and_less_often_which_is_said_once(
+    hasty: None, kept: Kept
+) -> None:
     eventually(kept.lives)
     began, killed = time.monotonic(), list[float]()
     while len(killed) < 4:
@@ -134,10 +144,12 @@ def test_consoles_that_die_at_once_are_started_less_and_less_often_which_is_said
         time.sleep(0.01)
         assert time.monotonic() < began + 20.0
     apart_s = [b - a for a, b in pairwise(killed)]
-    assert all(least < s < least + 1.0 for s, least in zip(apart_s, (0.0, 1.9, 3.9), strict=True)), apart_s
+    # the first may die as late as a start is due; what follows is due so long after the start before
+    assert all(due - 0.1 < s < due + 1.0 for s, due in zip(apart_s[1:], (0.5, 1.0), strict=True)), apart_s
+    assert apart_s[0] < 0.25 + 1.0
     said = kept.said()
     assert said.count("was killed") == 2
-    assert said.count("again and again, and is started every 8 s at most") == 1
+    assert said.count("again and again, and is started every 2 s at most") == 1
 
 
 def replied(client: Client) -> bool:
@@ -165,7 +177,7 @@ def test_a_keeper_and_a_console_that_have_nothing_to_do_wake_a_few_times_a_secon
     assert console <= 40
 
 
-def test_half_of_an_upload_goes_with_its_console_and_a_whole_one_stays(kept: Kept) -> None:
+def test_half_of_an_upload_goes_with_its_console_and_a_whole_one_stays(hasty: None, kept: Kept) -> None:
     eventually(kept.lives)
     piece = [0.5, 0.1, *[0.0] * 7]
     for whole in (True, False):
@@ -186,7 +198,6 @@ def test_half_of_an_upload_goes_with_its_console_and_a_whole_one_stays(kept: Kep
                 kinds = [request(kept)]
                 taken(kept)
             assert kinds[0].kind == RequestKind.ARM
-        time.sleep(2.1)  # it has not died at once
 
 
 def test_a_console_dies_with_its_keeper_and_falls_silent(kept: Kept) -> None:

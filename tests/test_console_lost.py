@@ -19,7 +19,7 @@ from running import Running, running
 
 REST_S = 1.0
 ACTIVITIES = ("tracking", "jogging", "moving", "homing")
-QUICK = {("tracking", signal.SIGSTOP), ("jogging", signal.SIGKILL)}
+QUICK = {("tracking", signal.SIGSTOP)}
 
 
 def begin(client: Client, activity: str) -> None:
