@@ -39,7 +39,8 @@ contracts: $(DEV) ## who may import whom
 	@exec $(BIN)/lint-imports --no-logo
 
 ci-tests: $(DEV) ## the tests that take longer
-	@exec $(BIN)/python -m pytest -m slow $(ARGS)
+	@$(BIN)/python -m pytest -n 2 -m 'slow and not realtime' $(ARGS); others=$$?; \
+	  $(BIN)/python -m pytest -m 'slow and realtime' $(ARGS) && exit $$others
 
 coverage: $(DEV) ## every branch of safety/ and control/ is taken by a test
 	@$(BIN)/python -m pytest -q -n 2 --cov=src/pneud/safety --cov=src/pneud/control --cov-branch \

@@ -22,6 +22,8 @@ from pneud.service import machine
 from pneud.study import paper
 from pneud.verbs import bench, track
 
+pytestmark = pytest.mark.realtime
+
 LIMIT_S = 20.0  # of a command, most of which take milliseconds
 DIGITS = "9" * 5000
 BRACKETS = "[" * 2000

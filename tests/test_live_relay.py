@@ -19,6 +19,8 @@ from pneud.log.files.reader import read_log
 from pneud.view import relay
 from pneud.view.admission import Admission, is_origin
 
+pytestmark = pytest.mark.realtime
+
 KEY = "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
 UPGRADE = f"Host: axis\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n{KEY}"
 ASKS = f"{UPGRADE}Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n"

@@ -9,6 +9,8 @@ import pytest
 
 from commands import PNEUD, background, children, eventually
 
+pytestmark = pytest.mark.realtime
+
 LIMIT_S = 60.0
 
 
