@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pneud.axis.state import AxisParameters
+from pneud.axis.state import AxisParameters, Gate
 from pneud.config.models import BusConfig, Config, ControlConfig, FrictionConfig, RealtimeConfig
 from pneud.control.adaptation import Adaptation, Rate
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
@@ -34,6 +34,9 @@ SMOOTH_S = 0.02  # of force and speed of a standing load
 GRACE_S = 0.08  # that a load has to come to rest when the valve is closed
 RESTLESS_V = 0.03  # mean step of the command that is hunting
 MOST_EDGE = 0.08  # part of the greatest opening that an edge of the dead zone may be learnt to be
+NOISES, LEAST_STEPS = 4.0, 4.0  # within so many standard deviations, and steps, nearly all readings lie
+UNKNOWN_SHARE = 0.1  # of the piston's greatest force that nobody may know of without being doubted
+DOUBT_S, DOUBT_SHARE = 0.04, 0.3  # more odd readings in such a time are a fault
 BLEND_S = 0.1  # in which one set of gains gives way to another
 
 
@@ -291,6 +294,20 @@ def limits_of(c: Config) -> Limits:
     )
 
 
+def gate_of(c: Config) -> Gate:
+    """How far readings may lie from what was expected, and how many of them may."""
+    m, h = c.control.motion, 1.0 / c.loop.rate_hz
+    quiet_m = NOISES * m.encoder_noise_m if m.encoder_noise_m is not None else m.push_beyond_m
+    return Gate(
+        noise_m=max(m.encoder_resolution_m + quiet_m, LEAST_STEPS * m.encoder_resolution_m),
+        acceleration_m_s2=UNKNOWN_SHARE
+        * (c.gas.supply_pa * c.cylinder.piston_area_1_m2 / c.cylinder.moving_mass_kg),
+        speed_m_s=c.limits.speed_m_s,
+        rate=1.0 - math.exp(-h / DOUBT_S),
+        share=DOUBT_SHARE,
+    )
+
+
 def _swings_pa_m_s(c: Config) -> tuple[float, float]:
     """Fastest change of each chamber's pressure by valve and piston together, times the chamber's length."""
     g, k = gas_of(c), cylinder_of(c)
@@ -345,6 +362,7 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
         controller=controller_of(c),
         output=OutputLimits(c.valve.u_max_v, limits.slew_v_s, command_lsb_v),
         limits=limits_of(c),
+        gate=gate_of(c),
         reference=reference_of(c),
         transfer=Bounds(
             limits.transfer.speed_m_s, limits.transfer.acceleration_m_s2, limits.transfer.jerk_m_s3

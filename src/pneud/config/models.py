@@ -21,6 +21,8 @@ Pressure = Annotated[float, Field(gt=0, le=2.0e6)]
 Resolution = Annotated[float, Field(ge=0, le=1e-3)]
 MaybeInfinite = Annotated[float, Field(gt=0, allow_inf_nan=True)]
 
+STOP_M = 0.01  # limits.travel may reach so far behind the end stops
+
 
 class ConfigError(Exception):
     """A configuration cannot be used; the text is one line for a person."""
@@ -487,10 +489,10 @@ class Config(Section):
     @model_validator(mode="after")
     def _fits_together(self) -> Config:
         stroke = self.cylinder.stroke_m
-        if self.limits.travel_min_m < 0 or self.limits.travel_max_m > stroke:
+        if self.limits.travel_min_m < -STOP_M or self.limits.travel_max_m > stroke + STOP_M:
             raise ValueError(
                 f"limits.travel {self.limits.travel_min_m:g} … {self.limits.travel_max_m:g} m"
-                f" must lie within the stroke 0 … {stroke:g} m"
+                f" must lie within {STOP_M:g} m of the stroke 0 … {stroke:g} m"
             )
         if self.limits.tracking_error_m > 0.5 * stroke:
             raise ValueError(

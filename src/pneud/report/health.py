@@ -1,6 +1,7 @@
 """What a log says about its bus: frames by identifier, what was wrong with them, and when they came.
 
-It judges frames as the inbox does, a block at a time; a test holds the two together.
+It judges frames as the inbox does, a block at a time; a test holds the two together. Only what the inbox
+knows of the SYNC that a frame answers is not known here: late is what was sampled before its tick's SYNC.
 """
 
 from __future__ import annotations
