@@ -223,7 +223,7 @@ CENTRING = [
     Case(F.ENCODER_JUMP, moved(position_m=-0.0025), 2),
     Case(F.ENCODER_LOST_REFERENCE, value(encoder_status=0), lasting=False),
     Case(F.FORCE_DISAGREES, limit(disagreement_n=-1.0), 21, lasting=False),
-    Case(F.VALVE_DISAGREES, moved(applied_v=0.2), 51, lasting=False),
+    Case(F.VALVE_DISAGREES, moved(applied_v=0.6), 51, lasting=False),
     Case(F.ENCODER_STUCK, together(limit(stuck_force_n=1e-9), still("position_m", 0.0)), 52, lasting=False),
     Case(F.PRESSURE_STUCK, together(limit(stuck_travel_m=-1.0), still("p1_pa", 20.0)), 2, lasting=False),
     Case(F.PRESSURE_STUCK, together(limit(stuck_travel_m=-1.0), still("p2_pa", 20.0)), 2, lasting=False),
