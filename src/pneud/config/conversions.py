@@ -255,7 +255,7 @@ def adaptation_of(c: Config) -> Adaptation:
         flow=Rate(1.0 * a.flow, 0.5, 2.0),
         lag=Rate(20.0 * a.lag, 1.0, 4.0),
         friction=Rate(3.0 * (a.friction and force), 0.3, 3.0),
-        stiffness=Rate(0.0 * (a.friction and force), 1.0, 20.0),
+        stiffness=Rate(150.0 * (a.stiffness and force), 1.0, 20.0),
         load=Rate(1.0 * (a.load and force), -load_n, load_n),
         mass=Rate(3.0 * a.mass, 0.4, 2.5),
     )

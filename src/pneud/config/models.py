@@ -281,7 +281,8 @@ class AdaptationConfig(Section):
     dead_zone: bool = True  # both edges: 0 to 8 % of valve.u_max_v, or to what is configured
     flow: bool = True  # gain of the valve: 0.5 to 2 times
     lag: bool = True  # of the spool: 1 to 4 times
-    friction: bool = True  # fed forward: its level, 0.3 to 3 times, and stiffness, 1 to 20 times
+    friction: bool = True  # level of what is fed forward: 0.3 to 3 times
+    stiffness: bool = False  # of its bristles, 1 to 20 times; not where loads change, which look alike
     load: bool = True  # force that is no friction, up to what the supply can push
     mass: bool = True  # from a load that shakes: 0.4 to 2.5 times
 

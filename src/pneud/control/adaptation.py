@@ -119,11 +119,11 @@ def friction_learnt(f: Friction, so_far: Learnt) -> Friction:
 def learn_valve(
     so_far: Learnt,
     fresh: bool,
-    residual_n: float,
-    f1: float,
+    missing_v: float,
     u_v: float,
     spool: Spool,
     v: float,
+    dt: float,
     valve: Valve,
     p: Adaptation,
 ) -> Learnt:
@@ -132,18 +132,18 @@ def learn_valve(
     Args:
         so_far: as learnt.
         fresh: whether all sensors have been read, one sample after the last.
-        residual_n: what x3 gained beyond its model since the last sample [N].
-        f1: of that model [N/(s V)].
+        missing_v: opening that explains what x3 gained beyond its model since the last sample.
         u_v: mean opening meanwhile, as believed.
         spool: as believed now.
         v: velocity [m/s].
+        dt: time since the last sample [s].
         valve: as configured.
         p: rates and bounds.
     """
     plus, minus, flow, lag = so_far.edge_plus_v, so_far.edge_minus_v, so_far.flow, so_far.lag
     usable = fresh and abs(v) >= MOVING_M_S and abs(spool.position_v) < SATURATED * valve.u_max_v
     if usable and so_far.moving and u_v != 0.0:
-        missing = residual_n / f1  # opening that the model lacks, times the time [V s]
+        missing = dt * max(-valve.u_max_v, min(valve.u_max_v, missing_v))  # one odd reading is no valve
         prior = valve.dead_zone_v
         if u_v > 0.0:
             plus = within(prior + plus - p.edges.per_s * missing, p.edges) - prior

@@ -223,10 +223,8 @@ def observe(
     learnt = state.learnt
     if p.adaptation.enabled:
         fresh = measured and dt < 1.5 * p.h
-        residual_n = x3 - state.motion.x3 - dt * f_mean
-        learnt = learn_valve(
-            learnt, fresh, residual_n, 0.5 * f1_sum, u_mean, spool, motion.v, prior.valve, p.adaptation
-        )
+        missing_v = 2.0 * ((x3 - state.motion.x3) / dt - f_mean) / f1_sum
+        learnt = learn_valve(learnt, fresh, missing_v, u_mean, spool, motion.v, dt, prior.valve, p.adaptation)
     observer = observe_disturbance(state.observer, x3, f_mean, dt, p.observer)
     found = (motion.F - state.motion.F - state.force_step_n) / dt
     force_rate = state.force_rate + p.force_rate_gain * (found - state.force_rate)
