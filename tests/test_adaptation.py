@@ -1,4 +1,4 @@
-"""What is learnt in motion: it finds what differs, stays in its bounds, and waits where nothing is to be had."""
+"""What is learnt in motion: it finds what differs, stays in bounds, and waits where nothing is to be had."""
 
 from __future__ import annotations
 
