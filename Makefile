@@ -12,7 +12,7 @@ DEBIAN_PYTHON := /usr/bin/python3
 PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 
 .DEFAULT_GOAL := help
-.PHONY: help virtual test lint types contracts ci-tests coverage mutation lowest vm systemd install-service campaign campaign-vm soak clean
+.PHONY: help virtual test lint types contracts ci-tests coverage mutation lowest vm systemd install-service campaign campaign-vm information soak clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 17
@@ -22,6 +22,9 @@ virtual: $(RUNTIME) ## close the loop on the software rig
 
 install-service: $(if $(PNEUD),,$(RUNTIME)) ## the systemd units of the installed pneud; DESTDIR= writes them below a folder
 	@exec $(or $(PNEUD),$(BIN)/pneud) install-service $(if $(DESTDIR),--destdir '$(DESTDIR)') $(ARGS)
+
+# Tests start many processes: each would compile all over again where the environment forbids to keep that.
+test ci-tests coverage lowest: export PYTHONDONTWRITEBYTECODE :=
 
 test: $(DEV) ## the quick tests
 	@exec $(BIN)/python -m pytest -n 2 $(ARGS)
@@ -36,7 +39,8 @@ contracts: $(DEV) ## who may import whom
 	@exec $(BIN)/lint-imports --no-logo
 
 ci-tests: $(DEV) ## the tests that take longer
-	@exec $(BIN)/python -m pytest -m slow $(ARGS)
+	@$(BIN)/python -m pytest -n 2 -m 'slow and not realtime' $(ARGS); others=$$?; \
+	  $(BIN)/python -m pytest -m 'slow and realtime' $(ARGS) && exit $$others
 
 coverage: $(DEV) ## every branch of safety/ and control/ is taken by a test
 	@$(BIN)/python -m pytest -q -n 2 --cov=src/pneud/safety --cov=src/pneud/control --cov-branch \
@@ -64,6 +68,9 @@ campaign: $(DEV) ## fault scenarios in real time: build/campaign/matrix.html (se
 campaign-vm: $(DEV) ## the same over real SocketCAN, in a virtual machine
 	@mkdir -p build/campaign-vm
 	@exec hil/vm/run -t 2400 -w build/campaign-vm -- $(BIN)/python hil/campaign.py --bus vcan0 -o build/campaign-vm $(ARGS)
+
+information: $(DEV) ## what late, lost and odd frames do to the command, in simulated time (see docs/hil.md)
+	@exec $(BIN)/python -m hil.information $(ARGS)
 
 soak: $(DEV) ## the tests that take hours, with their figures (see docs/hil.md)
 	@exec $(BIN)/python -m pytest -m soak $(ARGS)

@@ -15,7 +15,9 @@ import contextlib
 import json
 import os
 import random
+import shutil
 import signal
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -61,17 +63,17 @@ def until(holds: Callable[[], Any], what: str) -> None:
     """Wait until something holds.
 
     Raises:
-        TimeoutError: it never did.
+        TimeoutError: it never did; why is told.
     """
-    deadline = time.monotonic() + PATIENCE_S
+    deadline, why = time.monotonic() + PATIENCE_S, ""
     while time.monotonic() < deadline:
         try:
             if holds():
                 return
-        except (PlaceError, RefusedError):
-            pass
+        except (PlaceError, RefusedError) as e:
+            why = f"; {e}"
         time.sleep(0.05)
-    raise TimeoutError(what)
+    raise TimeoutError(what + why)
 
 
 def ask(socket: str, verb: str, **fields: Any) -> dict[str, Any]:
@@ -199,11 +201,15 @@ def main() -> int:
         again = json.loads(done.stdout)
         if not again["identical"]:
             problems.append(f"the replay is not identical: {again}")
+        if problems:
+            kept = Path(tempfile.gettempdir(), f"console-kills-{os.getpid()}.mcap")
+            print(f"the log is kept: {shutil.copy(log, kept)}")
     for problem in problems:
         print(f"PROBLEM {problem}")
     replayed = "identical" if again["identical"] else "differs"
     print(
         f"{count} consoles taken away, {len(problems)} problems; at rest after"
+        f" {statistics.median(rests or [0.0]):.3f} s in the middle,"
         f" {max(rests, default=0.0):.3f} s at the latest; replay of {again['ticks']} ticks {replayed};"
         f" {time.monotonic() - began:.0f} s"
     )

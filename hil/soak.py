@@ -50,6 +50,8 @@ def faults(duration_s: float, chance: random.Random) -> list[dict[str, Any]]:
         {"kind": "reorder", "frames": ["encoder"]},
         {"kind": "duplicate", "frames": ["pressure"]},
         {"kind": "delay", "frames": ["valve_status"], "delay_ms": 0.5},
+        {"kind": "delay", "frames": frame[3], "delay_periods": 1.0, "after_sync": 0.1, "every": 7},
+        {"kind": "skip", "nodes": ["encoder", "pressure", "valve"], "every": 20},
         {"kind": "babble", "can_id": 1, "load": 1.0},
         {"kind": "babble", "can_id": 1, "load": 0.3},
         {"kind": "bus_off", "of": "controller"},

@@ -16,7 +16,7 @@ from pneud.console import handoff
 from pneud.console.commands import AxisDesk
 from pneud.console.facts import RunFacts
 from pneud.console.server import BOUNDS, ClientBounds, Server
-from pneud.console.status import StatusWatch
+from pneud.console.status_reply import StatusWatch
 from pneud.log.live.ring import Ring
 from pneud.signals import Answer, Request, State
 

@@ -10,7 +10,7 @@ import pytest
 
 from axis_rig import ARM, CLEAR, DISARM, PERIOD_NS, SHUTDOWN, Rig, assert_smooth, ready, twin
 from pneud.axis.cycle import Axis
-from pneud.axis.requests import soft_limits
+from pneud.axis.stops import soft_limits
 from pneud.console import profiles
 from pneud.control.plan import FOLLOWING, RESTING
 from pneud.control.profile import MOST_PIECES
@@ -227,7 +227,7 @@ def test_a_stop_fault_stops_under_control_centres_and_latches(monkeypatch: pytes
         patch.setattr(supervisor, "STOPS", bit)
         patch.setattr(supervisor, "CENTRES", CENTRES & ~bit)
         rig.measurement = lambda m: m._replace(supply_pa=1e5)
-        first = rig.tick()
+        first = rig.ticks(2)[-1]
         assert (first.state, first.command.enable) == (State.STOPPING, 1)
         last = rig.until(State.FAULT)
     assert last.latched == bit
@@ -372,6 +372,7 @@ def test_while_stopping_nothing_else_is_taken() -> None:
 def test_a_fault_in_the_same_tick_wins() -> None:
     rig = holding()
     rig.measurement = lambda m: m._replace(supply_pa=1e5)
+    rig.tick()  # one reading is no fact
     tick = rig.tick(GOTO, 0.5)
     assert (tick.state, tick.answer) == (State.FAULT, Answer.BLOCKED)
     assert rig.tick(CLEAR).answer == Answer.BLOCKED

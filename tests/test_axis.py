@@ -359,7 +359,7 @@ def test_a_stop_near_the_end_of_the_travel_stays_within_it() -> None:
 def test_faults_of_both_kinds_of_watch_are_latched_together() -> None:
     rig = tracking()
     rig.measurement = lambda m: m._replace(supply_pa=1e5, p1_pa=1e4)
-    found = rig.tick().latched
+    found = rig.ticks(2)[-1].latched
     assert names(found) == ["chamber_pressure", "supply_pressure", "pressure_jump"]
 
 
@@ -370,7 +370,7 @@ def test_after_a_gap_the_encoder_may_have_gone_further(gap: int, fault: list[str
     rig.ticks(gap)
     rig.frame = lambda frame: frame
     rig.measurement = lambda m: m._replace(position_m=m.position_m + 0.005)
-    found = names(rig.tick().present)
+    found = names(rig.ticks(2)[-1].present)
     assert [name for name in found if name == "encoder_jump"] == fault
 
 

@@ -12,13 +12,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+from matplotlib.figure import Figure
 
-from commands import PNEUD, pneud, pneud_here
+from commands import PNEUD, pneud, pneud_forked, pneud_here
 from mangled import simulated
 from pneud import resources
 from pneud.log.files.naming import LogError
+from pneud.service import machine
 from pneud.study import paper
 from pneud.verbs import bench, track
+
+pytestmark = pytest.mark.realtime
 
 LIMIT_S = 20.0  # of a command, most of which take milliseconds
 DIGITS = "9" * 5000
@@ -139,8 +143,14 @@ class Daemon:
         return {"limits": {**bounds, "min_mm": 0.0, "max_mm": 100.0}, "position_mm": 1.0}
 
 
+@pytest.fixture(scope="module")
+def cache() -> Path:
+    """The usual one: nothing is to be compiled anew for every test."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
 @pytest.fixture(autouse=True)
-def in_hand(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+def in_hand(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, cache: Path) -> Iterator[None]:
     """No command of these goes on for long, or out of the test's folder."""
 
     def nothing(*_: object) -> None:
@@ -148,7 +158,10 @@ def in_hand(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
 
     monkeypatch.setattr(paper, "reproduce", nothing)
     monkeypatch.setattr(bench, "_take_turns", nothing)
-    for name in ("HOME", "XDG_CACHE_HOME", "XDG_RUNTIME_DIR", "STATE_DIRECTORY", "TMPDIR"):
+    monkeypatch.setattr(machine, "attempt", lambda *_: [])
+    monkeypatch.setattr(Figure, "savefig", lambda _, path, **__: Path(path).write_bytes(b"picture"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+    for name in ("HOME", "XDG_RUNTIME_DIR", "STATE_DIRECTORY", "TMPDIR"):
         (tmp_path / name).mkdir(mode=0o700)
         monkeypatch.setenv(name, str(tmp_path / name))
     monkeypatch.delenv("PNEUD_SOCKET", raising=False)
@@ -190,9 +203,7 @@ def run(taken: Taken, name: str, good: dict[str, str], out: Path) -> subprocess.
 def contents(folder: Path) -> set[str]:
     """What lies in a folder, apart from what is kept for later runs."""
     found = {path.relative_to(folder) for path in folder.rglob("*")}
-    return {
-        str(p) for p in found if p.parts[0] not in ("XDG_CACHE_HOME", "TMPDIR") and "pneud" not in p.parts
-    }
+    return {str(p) for p in found if p.parts[0] != "TMPDIR" and "pneud" not in p.parts}
 
 
 def ids(taken: Taken) -> str:
@@ -221,7 +232,7 @@ def test_what_cannot_be_written(taken: Taken, good: dict[str, str], tmp_path: Pa
         if kind == "no UTF-8":  # names it when it has written it, which takes real streams
             if taken.words.startswith(("bench", "reproduce")):
                 continue
-            done = pneud(*words_of(taken, name, good, tmp_path / "out"))
+            done = pneud_forked(*words_of(taken, name, good, tmp_path / "out"))
         else:
             done = run(taken, name, good, tmp_path / "out")
         if done.returncode in (0, 1):

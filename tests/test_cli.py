@@ -155,6 +155,7 @@ def test_sim_object_is_the_documented_one() -> None:
         "command_v",
         "saturated_ticks",
         "frames",
+        "odd_readings",
         "log",
         "log_dropped",
         "faults",

@@ -22,7 +22,7 @@ from log_samples import tick_at
 from pneud import crew, resources
 from pneud.console import handoff, server
 from pneud.console.lease import Lease
-from pneud.console.lines import MAX_LINE
+from pneud.console.line_stream import MAX_LINE
 from pneud.console.peer import Peer, may_command
 from pneud.console.protocol import VERBS, Error, parse
 from pneud.console.server import BOUNDS

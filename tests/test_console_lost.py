@@ -17,9 +17,11 @@ from pneud.safety.supervisor import is_engaged
 from pneud.signals import Answer, RequestKind, State
 from running import Running, running
 
+pytestmark = pytest.mark.realtime
+
 REST_S = 1.0
 ACTIVITIES = ("tracking", "jogging", "moving", "homing")
-QUICK = {("tracking", signal.SIGSTOP), ("jogging", signal.SIGKILL)}
+QUICK = {("tracking", signal.SIGSTOP)}
 
 
 def begin(client: Client, activity: str) -> None:

@@ -26,6 +26,8 @@ from pneud.safety.faults import F
 from pneud.signals import RequestKind, State
 from running import Running, running
 
+pytestmark = pytest.mark.realtime
+
 CROWD = 100  # connections
 AT_A_TIME = 150  # messages of one client; 200 are taken without delay
 QUIET_S = 3.0

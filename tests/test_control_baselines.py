@@ -110,7 +110,7 @@ def test_the_integral_does_not_wind_up_where_the_valve_saturates() -> None:
 
 
 def test_the_integral_has_a_bound() -> None:
-    assert asked(pid(), 0.0, integral_n=1e3)[0].own.pid.integral_n == 200.0
+    assert asked(pid(), 2e-3, integral_n=1e3)[0].own.pid.integral_n == 200.0
 
 
 def test_pid_without_the_estimated_force_sees_the_force_of_the_pressures() -> None:

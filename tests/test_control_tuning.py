@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from axis_rig import ARM, ready
 from pneud.config.conversions import axis_of
+from pneud.control.adaptation import Learnt, Shake
 from pneud.control.disturbance import ObserverState
 from pneud.control.laws.adrc import AdrcState
 from pneud.control.laws.pid import PidState
@@ -128,6 +129,18 @@ states = st.builds(
         SlotState,
         pid=st.builds(PidState, real(200.0)),
         adrc=st.builds(AdrcState, st.floats(0.1, 0.9), real(0.5), real(5.0), real(100.0)),
+    ),
+    learnt=st.builds(
+        Learnt,
+        edge_plus_v=real(0.1),
+        edge_minus_v=real(0.1),
+        flow=st.floats(0.5, 2.0),
+        lag=st.floats(1.0, 4.0),
+        friction=st.floats(0.3, 3.0),
+        stiffness=st.floats(1.0, 20.0),
+        load_n=real(500.0),
+        mass=st.floats(0.4, 2.5),
+        shake=st.just(Shake()),
     ),
 )
 sliding = st.builds(

@@ -18,7 +18,7 @@ from pneud.control import homing
 from pneud.control.homing import AWAY, BACK, HALT, TOWARDS, Homing
 from pneud.rig.node import PlantNode
 from pneud.safety.faults import F, names
-from pneud.signals import Answer, Estimate, Measurement, RequestKind, State, Tick
+from pneud.signals import Answer, Estimate, Host, Measurement, RequestKind, State, Tick
 
 HOME, GOTO, JOG, STOP = RequestKind.HOME, RequestKind.GOTO, RequestKind.JOG, RequestKind.STOP
 
@@ -122,6 +122,7 @@ def test_before_homing_nothing_else_moves() -> None:
         tick = rig.tick(kind, *values)
         assert (tick.state, tick.answer) == (State.DISARMED, Answer.NOT_REFERENCED)
     rig.measurement = lambda m: m._replace(supply_pa=1e5)
+    rig.tick()  # one reading is no fact
     assert rig.tick(ARM).answer == Answer.BLOCKED
     assert rig.tick(HOME).answer == Answer.BLOCKED
 
@@ -151,6 +152,22 @@ def test_stopped_while_homing_the_valve_is_centred_at_once(kind: RequestKind) ->
     assert not known(rig)
 
 
+def test_cut_behind_the_stop_it_can_be_cleared_and_homed_again() -> None:
+    rig = unhomed(0.01, speed_m_s=0.05)
+    rig.tick(HOME)
+    while not known(rig):
+        rig.tick()
+        assert rig.count < 60_000
+    rig.ticks(5)
+    rig.host = int(Host.CONSOLE_LOST)
+    lost = rig.tick()
+    rig.host = 0
+    assert (lost.state, names(lost.latched)) == (State.FAULT, ["console_lost"])
+    assert names(rig.tick().present) == ["encoder_unreferenced"], "at the stop, which lies beyond the travel"
+    assert rig.tick(CLEAR).state == State.DISARMED
+    assert homed(rig)[-1].state == State.HOLDING
+
+
 @pytest.mark.slow
 def test_a_load_that_is_stuck_is_not_taken_for_homed() -> None:
     rig = unhomed()
@@ -175,7 +192,7 @@ def test_a_dead_zone_that_is_not_as_identified_does_not_matter(dead_zone_v: floa
 def test_a_jump_of_the_encoder_loses_the_reference() -> None:
     rig = holding()
     rig.measurement = lambda m: m._replace(position_m=m.position_m + 0.01)
-    tick = rig.tick()
+    tick = rig.ticks(2)[-1]
     assert tick.state == State.FAULT
     assert "encoder_jump" in names(tick.latched)
     assert not known(rig)

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import stat
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from pneud.rt.outputs import replacing, write_whole
+from commands import pneud_here
+from pneud.replay import sidecar
+from pneud.replay.lockstep import Simulation
+from pneud.rt.outputs import replacing, replacing_all, write_whole
+from pneud.signals import Record
 
 
 def test_a_file_is_replaced_whole_and_keeps_its_mode(tmp_path: Path) -> None:
@@ -59,3 +65,84 @@ def test_a_device_is_written_to_as_it_is() -> None:
 def test_a_folder_that_is_not_there_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         write_whole(tmp_path / "absent" / "x", "x")
+
+
+@pytest.mark.parametrize("there", [True, False])
+@pytest.mark.parametrize("links", [True, False])
+def test_files_that_belong_together_are_replaced_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there: bool, links: bool
+) -> None:
+    one, other = tmp_path / "run.log", tmp_path / "run.log.json"
+    if there:
+        one.write_text("old")
+        other.write_text("old")
+    if not links:
+        monkeypatch.setattr("os.link", refusing)
+    before = contents(tmp_path)
+    for failure in ("in the block", "of the first", "of the second"):
+        with monkeypatch.context() as m, pytest.raises(OSError, match="full"):
+            if failure != "in the block":
+                m.setattr(Path, "replace", failing_replace(of_the_second=failure == "of the second"))
+            with replacing_all(one, other) as (first, second):
+                first.write_text("new")
+                second.write_text("new")
+                if failure == "in the block":
+                    raise OSError(28, "the disk is full")
+        if links or not there or failure != "of the second":
+            assert contents(tmp_path) == before, failure
+        else:  # what was there cannot come back: the first is whole and new, the other one whole and old
+            assert contents(tmp_path) == {"run.log": "new", "run.log.json": "old"}
+    with replacing_all(one, other) as (first, second):
+        first.write_text("newer")
+        second.write_text("newer")
+    assert contents(tmp_path) == {"run.log": "newer", "run.log.json": "newer"}
+
+
+def contents(folder: Path) -> dict[str, str]:
+    return {path.name: path.read_text() for path in folder.iterdir()}
+
+
+def refusing(*_: object) -> None:
+    raise PermissionError(1, "this disk knows no links")
+
+
+def failing_replace(*, of_the_second: bool) -> Callable[[Path, Path], Path]:
+    """`Path.replace` which refuses one of two files; what puts things back is let through."""
+    usual, calls = Path.replace, iter((False, True) if of_the_second else (True,))
+
+    def replace(path: Path, target: Path) -> Path:
+        if next(calls, False):
+            raise OSError(28, "the disk is full")
+        return usual(path, target)
+
+    return replace
+
+
+def test_a_simulation_that_is_broken_off_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = Simulation.records
+
+    def records(simulation: Simulation) -> Iterator[Record]:
+        yield from itertools.islice(usual(simulation), 500)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Simulation, "records", records)
+    done = pneud_here("sim", "--duration", 1, "-o", tmp_path / "x.mcap")
+    assert done.returncode == 130
+    assert not contents(tmp_path)
+
+
+def test_an_export_whose_second_file_fails_leaves_both_as_they_were(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "out").mkdir()
+    log, recording = tmp_path / "logs" / "x.mcap", tmp_path / "out" / "x.log"
+    assert pneud_here("sim", "--duration", 0.1, "-o", log).returncode in (0, 1)
+    assert pneud_here("export", log, "-o", recording).returncode == 0
+    before = contents(recording.parent)
+    assert set(before) == {"x.log", "x.log.json"}
+    monkeypatch.setattr(sidecar, "write", refusing)
+    assert pneud_here("export", log, "-o", recording).returncode in (2, 3)
+    assert contents(recording.parent) == before

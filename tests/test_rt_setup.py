@@ -5,6 +5,8 @@ from __future__ import annotations
 import gc
 import os
 import resource
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -50,8 +52,10 @@ def drop_all_rights() -> None:
 
 
 def test_every_attempt_is_reported_in_one_line_with_a_reason() -> None:
-    cpu = min(os.sched_getaffinity(0))
-    reports = reports_in_child(lambda: setup.apply(80, cpu, True))
+    """In a small process: to lock the memory of one with all that tests load takes seconds."""
+    told = "import os; from pneud.rt import setup; print(setup.apply(80, min(os.sched_getaffinity(0)), True))"
+    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
+    reports = {report.name: report for report in eval(done.stdout, {"Report": Report})}
     assert list(reports) == NAMES
     for r in reports.values():
         assert r.asked
@@ -59,26 +63,28 @@ def test_every_attempt_is_reported_in_one_line_with_a_reason() -> None:
         assert "\n" not in r.reason
 
 
+def in_force() -> list[bool]:
+    """Apply everything, and see whether each report tells what is so."""
+    cpu = min(os.sched_getaffinity(0))
+    reports = {r.name: r.ok for r in setup.apply(10, cpu, True)}
+    lines = Path("/proc/self/status").read_text().splitlines()
+    locked_kib = next(int(line.split()[1]) for line in lines if line.startswith("VmLck"))
+    slack_ns = int(Path("/proc/self/timerslack_ns").read_text()) or 1  # a FIFO thread has none at all
+    return [
+        reports["fifo"] == (os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO),
+        reports["affinity"] and os.sched_getaffinity(0) == {cpu},
+        reports["gc"] and not gc.isenabled() and gc.get_freeze_count() > 0,
+        reports["memory"] == (locked_kib > 0),
+        reports["timer_slack"] == (slack_ns == 1),
+    ]
+
+
 def test_what_is_reported_as_in_force_really_is() -> None:
-    def apply_and_look() -> list[object]:
-        cpu = min(os.sched_getaffinity(0))
-        reports = {r.name: r.ok for r in setup.apply(10, cpu, True)}
-        return [
-            reports["fifo"] == (os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO),
-            reports["affinity"] and os.sched_getaffinity(0) == {cpu},
-            reports["gc"] and not gc.isenabled() and gc.get_freeze_count() > 0,
-            reports["memory"] == (locked_kib() > 0),
-            reports["timer_slack"] == (slack_ns() == 1),
-        ]
-
-    def locked_kib() -> int:
-        lines = Path("/proc/self/status").read_text().splitlines()
-        return next(int(line.split()[1]) for line in lines if line.startswith("VmLck"))
-
-    def slack_ns() -> int:
-        return int(Path("/proc/self/timerslack_ns").read_text()) or 1  # a FIFO thread has none at all
-
-    assert in_child(apply_and_look) == "[True, True, True, True, True]"
+    told = "import test_rt_setup; print(test_rt_setup.in_force())"
+    done = subprocess.run(
+        [sys.executable, "-c", told], cwd=Path(__file__).parent, capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "[True, True, True, True, True]\n"
 
 
 def test_refusals_say_what_helps_and_raise_nothing() -> None:

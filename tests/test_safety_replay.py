@@ -25,12 +25,14 @@ from pneud.safety.faults import F, names
 from pneud.safety.output import CENTRED, emit
 from pneud.safety.supervisor import INITIAL, Supervisor, advance, is_engaged, trip
 from pneud.safety.watch import INITIAL as WATCHFUL
-from pneud.signals import Answer, Host, RequestKind, Source, State, Tick, ValveState
+from pneud.signals import Answer, Defect, Host, RequestKind, Source, State, Tick, ValveState
 from watching import watch
 
 GOLDEN = sorted((Path(__file__).parent / "golden").glob("**/*.mcap"))
+DOUBTS = 1 << F.ENCODER_DOUBTFUL | 1 << F.PRESSURE_DOUBTFUL  # by a share over many readings
+PRESSURE_JUMP = 1 << F.PRESSURE_JUMP
 # found by what is not run here: the law's request, the controller's state, the cycle's exceptions
-ELSEWHERE = 1 << F.UNREACHABLE | 1 << F.INTERNAL | 1 << F.UNSETTLED | 1 << F.OPERATOR_LOST
+ELSEWHERE = 1 << F.UNREACHABLE | 1 << F.INTERNAL | 1 << F.UNSETTLED | 1 << F.OPERATOR_LOST | DOUBTS
 ENCODER = int(Source.ENCODER)
 
 
@@ -54,7 +56,7 @@ def judge(ticks: Iterable[Tick], p: AxisParameters) -> Iterator[tuple[Tick, Verd
         m, e = tick.measurement, tick.estimate
         engaged = is_engaged(s.state)
         read_before = read_ns
-        if m.fresh & ENCODER:
+        if m.fresh & ENCODER and not m.encoder_defects & Defect.ODD:
             sampled_ns = read_ns = tick.t_ns + m.encoder_offset_ns
         else:
             sampled_ns += tick.t_ns - t_before
@@ -63,6 +65,8 @@ def judge(ticks: Iterable[Tick], p: AxisParameters) -> Iterator[tuple[Tick, Verd
         present = checks.lacking(m, limits) | checks.measured(m, limits) | checks.of_host(m.host)
         w, found = watch(w, m, e, s.state, engaged, last_v, limited, limits)
         present |= found
+        if m.pressure_defects & Defect.CONFIRMED:  # the jump lies a reading back, which is not in the log
+            present |= tick.present & PRESSURE_JUMP
         known = math.isfinite(e.position_m) or tick.present >> F.NOT_FINITE & 1
         if known:
             present |= checks.believed(e, (read_ns - read_before) * 1e-9, limits)

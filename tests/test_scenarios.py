@@ -115,6 +115,10 @@ def scenario(fault: dict[str, Any], **expect: Any) -> Scenario:
         ({"expect": {"reaction": "centre"}}, "names no fault"),
         ({"expect": {"reaction": "none", "travel_mm": 30.0}}, "needs a reason"),
         ({"fault": [{"kind": "babble", "can_id": 1}]}, "either load or per_period"),
+        (
+            {"fault": [{"kind": "drift", "signal": "p1_pa", "alternate": True}]},
+            "only an offset can alternate",
+        ),
     ],
 )
 def test_what_is_wrong_in_a_file_is_said_in_one_line(
@@ -270,6 +274,35 @@ def test_values_are_misreported_with_a_valid_checksum() -> None:
     assert positions(kind="set", value=1e6) == []
     _, ticks = after({"kind": "set", "signal": "encoder_status", "value": 5.0})
     assert {CODECS.encoder.decode(frame.data)[1] for frame in of(0x181, ticks)} == {5}
+
+
+def test_some_values_are_misreported_and_one_way_or_the_other() -> None:
+    def positions(**fault: Any) -> list[float]:
+        offset = {"kind": "offset", "signal": "position_m", "value": 1e-3}
+        return [CODECS.encoder.decode(f.data)[0] for f in of(0x181, after(offset | fault)[1])]
+
+    true = positions(value=0.0)
+    off = [round(1e3 * (x - y)) for x, y in zip(positions(alternate=True), true, strict=True)]
+    assert off == [1, -1] * 5
+    off = [round(1e3 * (x - y)) for x, y in zip(positions(every=4, phase=1), true, strict=True)]
+    assert off == [0, 1, 0, 0] * 2 + [0, 1]
+
+
+def test_sets_come_late_by_whole_periods_and_all_at_once() -> None:
+    late = {"kind": "delay", "frames": ["encoder", "valve_status"], "delay_periods": 2.0, "after_sync": 0.5}
+    _, ticks = after(late | {"for_s": 0.001})
+    assert [len(frames) for frames in ticks[:4]] == [1, 3, 5, 3]
+    assert [f.stamp_ns for f in ticks[2] if f.stamp_ns % MS == MS // 2] == [12 * MS + MS // 2] * 2
+
+
+def test_nodes_that_skip_a_sync_do_not_count_it() -> None:
+    _, ticks = after({"kind": "skip", "nodes": ["encoder", "valve"], "every": 4})
+    counters = {
+        can_id: [codec.counter(frame.data) for frame in of(can_id, ticks)]
+        for can_id, codec in ((0x181, CODECS.encoder), (0x182, CODECS.pressure), (0x183, CODECS.valve_status))
+    }
+    assert [0x181 in ids(frames) for frames in ticks] == [False, True, True, True] * 2 + [False, True]
+    assert counters == {0x181: list(range(10, 17)), 0x182: list(range(10, 20)), 0x183: list(range(10, 17))}
 
 
 def test_a_value_that_is_stuck_stays_while_its_counter_goes_on() -> None:

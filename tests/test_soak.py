@@ -36,11 +36,13 @@ def test_random_faults_in_simulated_time_leave_nothing_stuck(count: int, figures
     figures(run("soak.py", "--sim", count, timeout_s=60 + 2 * count))
 
 
+@pytest.mark.realtime
 @sizes(20, 600)
 def test_random_faults_in_real_time_leave_nothing_stuck(count: int, figures: Figures) -> None:
     figures(run("soak.py", "--real", count, timeout_s=120 + 2 * count))
 
 
+@pytest.mark.realtime
 @sizes(2, 200)
 def test_kills_in_motion_are_survived(count: int, figures: Figures) -> None:
     words = run("kills.py", count, timeout_s=120 + 20 * count)
@@ -48,6 +50,7 @@ def test_kills_in_motion_are_survived(count: int, figures: Figures) -> None:
     figures(words)
 
 
+@pytest.mark.realtime
 @sizes(4, 100)
 def test_consoles_taken_away_leave_an_axis_at_rest(count: int, figures: Figures) -> None:
     words = run("console_kills.py", count, timeout_s=180 + 30 * count)

@@ -14,6 +14,8 @@ from commands import PNEUD, Figures, object_of, pneud
 from pneud.log.files.reader import read_log
 from running import patient_axis
 
+pytestmark = pytest.mark.realtime
+
 BETWEEN_MB = 0.5  # what a part may have beyond its size: as much as comes between two snapshots
 
 

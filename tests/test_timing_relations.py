@@ -15,7 +15,7 @@ from pneud.log.files.reader import read_log
 from pneud.report.gather import gather
 from pneud.signals import ALL_SOURCES
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 PERIOD_NS = 1_000_000
 CLOCKS_NS = 100_000  # kernel stamps and the loop's clock agree to so much

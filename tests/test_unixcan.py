@@ -24,6 +24,8 @@ from pneud.rt import folders
 from pneud.signals import Frame
 from unixcan_tools import python, said, short_folder, until
 
+pytestmark = pytest.mark.realtime
+
 FRAME = (0x123, b"\x01\x02")
 PACKET = wire.PACKET.pack(0x123, 2, b"\x01\x02")
 

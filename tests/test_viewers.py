@@ -29,6 +29,8 @@ from pneud.log.format.schema import tick_fields, topics
 from pneud.resources import configs
 from pneud.view.viewers import Listener, flat
 
+pytestmark = pytest.mark.realtime
+
 CLIENTS = Path(__file__).parent / "clients"
 VIEWERS = configs() / "viewers"
 

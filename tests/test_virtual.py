@@ -24,7 +24,7 @@ from pneud.log.files.naming import open_log
 from pneud.log.files.reader import read_log
 from pneud.signals import Frame, State, ValveState
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 COMMAND, SYNC, ENCODER, PRESSURE, STATUS = 0x203, 0x080, 0x181, 0x182, 0x183
 
 

@@ -155,7 +155,19 @@ are in `configs/viewers`: `foxglove.json` for the first two (import it as a layo
 
 `pneud --virtual --live` (or the daemon on a rig; `pip install 'pneud[live]'`) serves the run as it goes at
 ws://127.0.0.1:8765 to viewers that speak `foxglove.sdk.v1`: `/axis/tick`, `/can/frames` and `/events`, with the configuration as
-parameters that cannot be changed. `--live-at ADDRESS:PORT` serves elsewhere; whoever reaches it can look. The server is a
+parameters that cannot be changed. Viewers look; nothing that they say reaches the axis. `--live-at ADDRESS:PORT` serves
+elsewhere, over IPv6 too (`[::1]:8765`). Who may look:
+
+- On a loopback address: whoever has an account on this machine, without a token.
+- On any other address: whoever has the token, which is made at each start. pneud tells the URL to open in one line on standard
+  error and on its screen, `ws://axis:8765/?token=…`; `Authorization: Bearer …` does as well. The way is not encrypted.
+- Of web pages: those of this machine (`localhost`, `127.0.0.1`, `[::1]`, any port), `https://app.foxglove.dev` and
+  `https://studio.foxglove.dev`; further ones with `--live-origin https://viewer.example`, once for each. Applications
+  that are no web pages say no origin, or `file://`, and are taken.
+
+Others get an HTTP status (401, 403, …) with one line that says why. Behind that door the server listens on a loopback network
+of its own, which nothing else reaches. Where the machine gives it none, which is said on standard error, it is a port of
+127.0.0.1 that users of this machine can look at without being asked. The server is a
 process of its own, which the loop does not wait for.
 
 ## There and back: `pneud export` and `pneud import`

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pneud.axis.stops import AWAY, GENTLE, SLIP_M
 from pneud.safety.checks import (
     LEAVING_TICKS,
     MOVING_M_S,
@@ -133,6 +134,27 @@ reference that is tracked, one within `limits.motion` to a position or to rest. 
 `limits.travel` is not begun; asked for when arming, that is `unreachable`. A stop that would leave it is
 made harder than `limits.motion` instead. A jog brakes in time to rest at the end of the travel.
 
+## One reading is no fact
+
+A position further from where the load should be than encoder step, noise, a force of a tenth of the
+piston's and what is usual lately explain, and pressures that have jumped or crossed a limit, are held
+back: the tick goes on as if they had been lost. If the next reading says the same, both count, and are
+whatever fault they are; so what is named below as a jump, a position or a pressure beyond a limit takes
+two readings. If it does not, the first was odd. Odd readings are counted; more than three in ten of the
+last 40 ms or so are `encoder_doubtful` or `pressure_doubtful`. Where no reading is believed for
+`bus.sensor_timeout_ms`, it is as if none came. The log's ticks hold what was believed, with a bit for
+what was held back and what confirmed it; the frames beside them hold what was said.
+
+## On an end stop
+
+An axis that lies on an end stop, or between it and `limits.travel`, can be armed: `travel` does not
+show there. It then holds still where it lies. The first motion, whatever it is, begins with a way of at
+most {away:g} mm/s to the nearest position that may be asked for; until the load is inside, the command
+keeps within {gentle:g} % of its range, and force on the stop is no sign of a stuck encoder. A load that
+gets further out by {slip:g} mm, or that moves outwards, is a fault as everywhere else, and one that is
+inside and leaves its travel is `travel`. `limits.travel` may reach up to 10 mm behind the stops;
+positions behind a stop cannot be asked for.
+
 ## Reactions
 
 {reactions}
@@ -191,6 +213,9 @@ def text() -> str:
         leaving=LEAVING_TICKS,
         ceiling=CEILING_V,
         chamber_kpa=CHAMBER_PA * 1e-3,
+        away=AWAY.speed_m_s * 1e3,
+        gentle=GENTLE * 1e2,
+        slip=SLIP_M * 1e3,
     )
 
 

@@ -156,6 +156,10 @@ def daemon(
     live_at: Annotated[
         str | None, typer.Option("--live-at", metavar="ADDRESS:PORT", help="Where; default 127.0.0.1:8765.")
     ] = None,
+    live_origin: Annotated[
+        list[str] | None,
+        typer.Option("--live-origin", metavar="URL", help="A web page elsewhere that may look."),
+    ] = None,
     version: Annotated[  # noqa: ARG001
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
@@ -196,7 +200,8 @@ def daemon(
             scenario=scenario,
             seed=seed,
             socket=socket,
-            live=live_at or ("127.0.0.1:8765" if live else None),
+            live=live_at or ("127.0.0.1:8765" if live or live_origin else None),
+            live_origins=tuple(live_origin or ()),
         ),
     )
 

@@ -55,7 +55,8 @@ def fork(
         terminal: it needs standard input and output; else they are /dev/null.
         orphaned: the signal that it gets when its parent dies. None for a child that sees by itself when it
             is to go: it ignores SIGTERM, too.
-        known: errors whose text is all that a person needs; others leave a traceback.
+        known: errors whose text is all that a person needs; others leave a traceback, but for what the
+            machine refuses, which is one line.
 
     Returns:
         The child's process id.
@@ -78,6 +79,9 @@ def fork(
         status = main() or 0
     except known as e:
         print(f"pneud: {e}", file=sys.stderr)
+    except OSError as e:  # what the machine refuses is no mistake of the program
+        place = "" if e.filename is None else f"{os.fsdecode(e.filename)}: "
+        print(f"pneud: {main.__module__.rpartition('.')[2]}: {place}{e.strerror or e}", file=sys.stderr)
     except Exception:
         traceback.print_exc()
     finally:

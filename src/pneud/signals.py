@@ -27,7 +27,9 @@ class Defect(IntFlag):
 
     CORRUPT = 1  # wrong CRC or length
     FROZEN = 2  # the counter stands still
-    LATE = 4  # sampled before this tick's SYNC
+    LATE = 4  # answers an earlier SYNC than this tick's
+    ODD = 16  # beyond what physics explains: held back until the next one confirms it
+    CONFIRMED = 32  # says what the one before said, which was held back: both count
 
 
 class Host(IntFlag):
@@ -135,7 +137,7 @@ class Answer(IntEnum):
 
 
 class Measurement(NamedTuple):
-    """The newest valid values, and how good they are.
+    """The newest valid values, and how good they are; in a tick, those that the axis believed.
 
     `fresh` has a bit of `Source` for each source whose valid frame belongs to this tick; `age_ns` counts from
     the instant a source's last valid value was sampled to this tick's SYNC (0 when fresh); `defects` tells

@@ -6,10 +6,12 @@ function, and its whole state is one record.
 
 from __future__ import annotations
 
+from pneud.axis.doubt import listen
 from pneud.axis.guidance import NO_REFERENCE, Course, guide, redirect
 from pneud.axis.requests import ARM, BLOCKED, HOME, NOTHING, TAKEN, Asked, ask
 from pneud.axis.sensing import NAN, NO_ESTIMATE, Belief, Driven, drive, sense
-from pneud.axis.state import AxisParameters, AxisState, configured, switched_on
+from pneud.axis.state import INSIDE, AxisParameters, AxisState, Doubt, configured, switched_on
+from pneud.axis.stops import UNHELD, excused, gentle, outside
 from pneud.control import homing
 from pneud.control.plan import FOLLOWING, IDLE, NONE
 from pneud.control.step import Controller
@@ -41,10 +43,15 @@ def cycle(
     before = state.supervisor
     if p.homing.incremental:
         m = homing.placed(m, state.zero_m, state.referenced)
+    m, doubt, doubtful = listen(state, m, t_ns, p)
     arming = request is not None and request.kind in (ARM, HOME) and before.state == DISARMED
     belief, seen, lasting, present = sense(state, m, arming, t_ns, p)
-    watch, lasted = remember(state.watch, seen, lasting, m.t_ns, p.limits)
-    course = guide(state, belief, m, present | lasted | checks.of_host(m.host), p)
+    outside_m = outside(state.outside_m, m.position_m, is_engaged(before.state), p.limits)
+    spared = excused(outside_m, m.position_m, belief.estimate, p.limits)
+    watch, lasted = remember(state.watch, seen, lasting & UNHELD if spared else lasting, m.t_ns, p.limits)
+    present -= present & spared
+    present |= lasted | doubtful | checks.of_host(m.host)
+    course = guide(state, belief, m, present, p)
     if course.found:
         watch = forget_position(watch)
     asked = NOTHING
@@ -69,7 +76,8 @@ def cycle(
     driven = Driven(course.controller, CENTRED_COMMAND, 0)
     if is_engaged(after.state):
         course = redirect(course, asked, after.state, state, belief, p)
-        driven = actuate(course, after.state, m, belief.estimate, state.last_v, law, p)
+        bounded = p if outside_m == INSIDE else gentle(p)
+        driven = actuate(course, after.state, m, belief.estimate, state.last_v, law, bounded)
         if driven.faults:
             after = trip(after, driven.faults)
     present = course.present | asked.faults | driven.faults
@@ -89,7 +97,7 @@ def cycle(
         latched=after.latched,
         answer=asked.answer,
     )
-    return put_away(state, t_ns, belief, watch, course, asked, law, after, driven), tick
+    return put_away(state, t_ns, belief, watch, course, asked, law, after, driven, doubt, outside_m), tick
 
 
 def actuate(
@@ -126,6 +134,8 @@ def put_away(
     law: Controller,
     after: Supervisor,
     driven: Driven,
+    doubt: Doubt,
+    outside_m: float,
 ) -> AxisState:
     """All that has to be remembered of this tick.
 
@@ -139,6 +149,8 @@ def put_away(
         law: with its gains from now on.
         after: the state of the state machine.
         driven: what leaves for the valve.
+        doubt: of readings.
+        outside_m: where it lies outside, from `stops.outside`.
     """
     plan, profile, reference = course.plan, state.profile, state.reference
     if plan.phase != NONE and not is_engaged(after.state):
@@ -147,6 +159,8 @@ def put_away(
         profile = asked.profile
     if asked.reference is not None:
         reference = asked.reference
+    # a homing that is cut may leave the load at the stop, beyond the travel: the axis can be homed again
+    cut = state.supervisor.state == HOMING and not is_engaged(after.state)
     return AxisState(
         supervisor=after,
         controller=driven.controller,
@@ -161,9 +175,11 @@ def put_away(
         watch=watch,
         law=law,
         zero_m=course.zero_m,
-        referenced=course.referenced,
+        referenced=course.referenced and not cut,
         homing=course.homing,
         reference=reference,
+        doubt=doubt,
+        outside_m=outside_m,
     )
 
 

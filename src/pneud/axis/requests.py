@@ -11,6 +11,7 @@ from operator import gt, lt
 from typing import NamedTuple
 
 from pneud.axis.state import AxisParameters
+from pneud.axis.stops import soft_limits, way_inside
 from pneud.control.plan import COMING_TO_REST, FOLLOWING, GOING, JOINING, Plan, halting, resting
 from pneud.control.profile import (
     LONGEST_S,
@@ -77,11 +78,6 @@ COUNTS = {
     GAINS: tuple({len(names_of(law)) + more for law in LAWS for more in (0, len(Sine._fields))}),
     HOME: (0,),
 }
-
-
-def soft_limits(p: AxisParameters) -> tuple[float, float]:
-    """Least and greatest position that may be asked for [m]."""
-    return p.limits.travel_min_m + p.travel_margin_m, p.limits.travel_max_m - p.travel_margin_m
 
 
 class Asked(NamedTuple):
@@ -236,12 +232,12 @@ def _bounds(wanted: tuple[float, ...], most: Bounds) -> Bounds | int:
 
 def _within(bounds: Bounds, now: Reference, end_m: float, p: AxisParameters) -> Way | None:
     """The way to a position, braked harder where it would leave the travel; None if that is not enough."""
-    limits = p.limits
-    low_m, high_m = limits.travel_min_m, limits.travel_max_m
+    low_m, high_m = p.limits.travel_min_m, p.limits.travel_max_m
+    first, now = way_inside(now, p)
     for _ in range(HARDENINGS):
         path = move(now, end_m, bounds)
         if stays(way(*path.pieces[:2]), low_m, high_m):  # beyond these it does not turn
-            return path
+            return way(*first, *path.pieces)
         bounds = Bounds(bounds.speed_m_s, 2.0 * bounds.acceleration_m_s2, 4.0 * bounds.jerk_m_s3)
     return None
 
@@ -291,8 +287,11 @@ def _track(
 
 def _join(first: Reference, now: Reference, now_ns: int, p: AxisParameters) -> Plan | None:
     """The way in motion to where a reference begins; None where it would leave the travel."""
+    before, now = way_inside(now, p)
     path = transfer(now, first, p.transfer)
-    return Plan(JOINING, now_ns, path) if stays(path, p.limits.travel_min_m, p.limits.travel_max_m) else None
+    if not stays(path, p.limits.travel_min_m, p.limits.travel_max_m):
+        return None
+    return Plan(JOINING, now_ns, way(*before, *path.pieces))
 
 
 def _piece(values: tuple[float, ...], plan: Plan, profile: Profile, p: AxisParameters) -> Asked:

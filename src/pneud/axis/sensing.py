@@ -14,11 +14,11 @@ from pneud.safety.faults import NO_SENSORS, F
 from pneud.safety.output import OutputLimits, emit
 from pneud.safety.supervisor import is_engaged
 from pneud.safety.watch import Seen, is_disagreeing, look
-from pneud.signals import ALL_SOURCES, Command, Estimate, Measurement, Reference, Source
+from pneud.signals import ALL_SOURCES, Command, Defect, Estimate, Measurement, Reference, Source
 
 NAN = float("nan")
 NO_ESTIMATE = Estimate(NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN)
-ENCODER, VALVE = int(Source.ENCODER), int(Source.VALVE)
+ENCODER, VALVE, ODD = int(Source.ENCODER), int(Source.VALVE), int(Defect.ODD)
 UNSETTLED, MOVING, ENCODER_JUMP = 1 << F.UNSETTLED, 1 << F.MOVING, 1 << F.ENCODER_JUMP
 
 
@@ -108,7 +108,7 @@ def believe(
         lacking: bits of faults; of sources that have been silent for too long nothing is believed.
         timeout_ns: nor is, after so long without a tick, what a disengaged axis knew.
     """
-    measured = m.fresh & ENCODER != 0
+    measured = m.fresh & ENCODER != 0 and not m.encoder_defects & ODD
     # without a reading the offset belongs to an old one
     sampled_ns = t_ns + m.encoder_offset_ns if measured else state.sampled_ns + t_ns - state.t_ns
     elapsed_ns = sampled_ns - state.sampled_ns

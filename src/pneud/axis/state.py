@@ -13,6 +13,35 @@ from pneud.safety import supervisor, watch
 from pneud.safety.checks import Limits
 from pneud.safety.output import OutputLimits
 
+NAN = float("nan")
+INSIDE = -1.0  # stands for no position outside: no load is ever so far out [m]
+
+
+class Gate(NamedTuple):
+    """How far readings may lie from what was expected, and how many of them may."""
+
+    noise_m: float  # encoder step and noise
+    acceleration_m_s2: float  # of a force that nobody knows of, since the last reading
+    speed_m_s: float  # the most that such a force changes at once
+    rate: float  # part that a reading has in shares and usual sizes
+    share: float  # more odd readings are a fault
+
+
+class Doubt(NamedTuple):
+    """What is held back, and how often readings were odd."""
+
+    innovation_m: float = 0.0  # of an encoder reading that is held back, 0 for none
+    encoder_ns: int = 0  # when it was taken
+    slack_m: float = 0.0  # that a confirmed one has left for those behind it
+    spread_m: float = 0.0  # usual size of an innovation
+    encoder_share: float = 0.0  # of odd readings, lately
+    p1_pa: float = 0.0  # pressures that are held back
+    p2_pa: float = 0.0
+    supply_pa: float = 0.0
+    pressure_ns: int = -1  # when they were read, −1 for none
+    known_supply_pa: float = NAN  # believed last
+    pressure_share: float = 0.0
+
 
 class AxisParameters(NamedTuple):
     """All parameters of an axis."""
@@ -20,6 +49,7 @@ class AxisParameters(NamedTuple):
     controller: Controller
     output: OutputLimits
     limits: Limits
+    gate: Gate
     reference: Sine
     transfer: Bounds  # of ways that join a reference
     motion: Bounds  # of all other ways
@@ -48,6 +78,8 @@ class AxisState(NamedTuple):
     referenced: bool  # whether that is known
     homing: Homing
     reference: Sine | None = None  # the configured one, where it has been changed
+    doubt: Doubt = Doubt()
+    outside_m: float = INSIDE  # innermost position since it has been armed outside its travel
 
     @property
     def phase(self) -> int:

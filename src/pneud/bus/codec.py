@@ -14,7 +14,7 @@ from typing import Any
 
 from pneud.bus import database
 from pneud.bus.database import MessageSpec, Signal
-from pneud.bus.layout import SignalField, bit_range, compile_functions
+from pneud.bus.dbc_layout import SignalField, bit_range, compile_functions
 from pneud.config.models import BusConfig, FrameConfig
 from pneud.rt.inputs import read_whole
 

@@ -1,8 +1,11 @@
 """The inbox: frames in, one `Measurement` a tick out.
 
-It judges every frame by its length, checksum, counter and age. It reads no clock and does no I/O, so that a
-replay that feeds it the logged frames in the logged order, and says when the commands were sent, gets the
-same measurements to the bit.
+It judges every frame by its length, checksum, counter and age. Where frames answer SYNC, the counters also
+say which one (`lag`): what answers an earlier one is late whatever its stamp, and an older frame behind a
+newer one takes nothing back. Without SYNC, and of sources without a counter, stamp and age say all there is.
+
+It reads no clock and does no I/O, so that a replay that feeds it the logged frames in the logged order, and
+says when the commands were sent, gets the same measurements to the bit.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ import math
 from typing import Any, NamedTuple
 
 from pneud.bus.codec import Codec, Codecs
+from pneud.bus.lag import UNREAD, UNTOLD, Lag, LagState, Reading, told_by
 from pneud.bus.wire import (
     CAN_ERR_FLAG,
     ERR_BUS_OFF,
@@ -48,7 +52,7 @@ class Counts(NamedTuple):
     lost: int  # missing according to the counters; corrupt ones are not, nor where two nodes clash
     crc: int  # wrong checksum or length
     stale: int  # counter standing still
-    late: int  # sampled before this tick's SYNC, or older than can be told
+    late: int  # answers an earlier SYNC than this tick's, or older than can be told
     foreign: int  # the controller's own frames, sent by someone else
     error_frames: int
     emcy: tuple[tuple[int, int], ...]
@@ -62,6 +66,7 @@ class OriginState(NamedTuple):
     defects: int
     sample_ns: int
     values: tuple[float, ...]
+    lag: LagState = LagState()
 
 
 class InboxState(NamedTuple):
@@ -71,21 +76,28 @@ class InboxState(NamedTuple):
     pressure: OriginState
     valve: OriginState
     commanded_ns: int = -NEVER_NS
+    syncs: int = 0
+    t_ns: int = 0
+    readings: tuple[Reading, Reading, Reading] = UNREAD
 
 
 class _Origin:
     """What is known of one source."""
 
     __slots__ = (
-        *("bit", "codec", "corrupt", "counter", "defects", "doubted", "has_age", "lost", "sample_ns"),
-        *("surplus", "values"),
+        *("bit", "codec", "corrupt", "counter", "defects", "doubted", "has_age", "lag", "lost"),
+        *("sample_ns", "surplus", "values"),
     )
 
-    def __init__(self, bit: int, codec: Codec, unknown: tuple[float, ...], *, has_age: bool = False) -> None:
+    def __init__(
+        self, bit: int, codec: Codec, unknown: tuple[float, ...], bus: BusConfig, *, has_age: bool = False
+    ) -> None:
         self.bit = bit
         self.codec = codec
         self.has_age = has_age
-        self.counter = -1  # the last one seen
+        counts = bus.sync and codec.counter_mask
+        self.lag = Lag(counts, round(bus.sensor_timeout_ms * 1e6)) if counts else None
+        self.counter = -1  # the newest one seen
         self.corrupt = 0  # frames since then whose counter could not be believed
         self.defects = 0
         self.surplus = 0  # frames beyond those that SYNC asked for
@@ -100,11 +112,33 @@ class _Origin:
             self.lost += self.doubted
         self.doubted = 0
 
+    def miss(self, counter: int) -> None:
+        """What is missing before a frame with this counter may be lost."""
+        if self.counter >= 0:
+            missing = (counter - self.counter - 1) & self.codec.counter_mask
+            self.doubted += max(0, missing - self.corrupt)
+
+    def found(self) -> None:
+        """A frame has come after a newer one, before which it was missing."""
+        if self.doubted:
+            self.doubted -= 1
+        elif self.lost:
+            self.lost -= 1
+
     def freeze(self) -> OriginState:
-        return OriginState(self.counter, self.corrupt, self.defects, self.sample_ns, self.values)
+        return OriginState(
+            self.counter,
+            self.corrupt,
+            self.defects,
+            self.sample_ns,
+            self.values,
+            self.lag.freeze() if self.lag is not None else LagState(),
+        )
 
     def thaw(self, state: OriginState) -> None:
-        self.counter, self.corrupt, self.defects, self.sample_ns, self.values = state
+        self.counter, self.corrupt, self.defects, self.sample_ns, self.values, lag = state
+        if self.lag is not None:
+            self.lag.thaw(lag)
 
     def age_ns(self, t_ns: int, fresh: int) -> int:
         if fresh & self.bit:
@@ -118,15 +152,15 @@ class Inbox:
     """Collects the frames of each tick.
 
     In every tick: `feed` what was left over, `begin`, `feed` what answers, `measurement`; then set
-    `commanded_ns`. With SYNC (`bus.sync`) a frame counts only if it was sampled after this tick's SYNC and
-    arrives before `measurement`; without, the newest one counts.
+    `commanded_ns`. With SYNC (`bus.sync`) a frame counts only if it was sampled after this tick's SYNC, does
+    not answer an earlier one, and arrives before `measurement`; without, the newest one counts.
     """
 
     def __init__(self, codecs: Codecs, bus: BusConfig) -> None:
         nan = math.nan
-        self._encoder = _Origin(int(Source.ENCODER), codecs.encoder, (nan, 0, 0.0), has_age=True)
-        self._pressure = _Origin(int(Source.PRESSURE), codecs.pressure, (nan, nan, nan))
-        self._valve = _Origin(int(Source.VALVE), codecs.valve_status, (nan, 0))
+        self._encoder = _Origin(int(Source.ENCODER), codecs.encoder, (nan, 0, 0.0), bus, has_age=True)
+        self._pressure = _Origin(int(Source.PRESSURE), codecs.pressure, (nan, nan, nan), bus)
+        self._valve = _Origin(int(Source.VALVE), codecs.valve_status, (nan, 0), bus)
         self._sources = (self._encoder, self._pressure, self._valve)
         self._origins = {o.codec.can_id: o for o in self._sources}
         self._own = frozenset((codecs.sync.can_id, codecs.valve_command.can_id))
@@ -142,6 +176,8 @@ class Inbox:
         self.commanded_ns = -NEVER_NS
         """When the last command was sent, to be set after `measurement`; −1 where it could not be."""
         self._syncs = 0
+        self._before_ns = 0  # the last tick's SYNC
+        self._readings = UNREAD  # the last three positions that were fresh
         self._fresh = 0
         self._rx = self._crc = self._stale = self._late = self._foreign = self._errors = 0
         self._emcy: dict[int, int] = {}
@@ -167,7 +203,7 @@ class Inbox:
 
     def begin(self, t_ns: int) -> None:
         """This tick's SYNC left at `t_ns`."""
-        self._t_ns = t_ns
+        self._before_ns, self._t_ns = self._t_ns, t_ns
         if self.sync:
             self._not_before_ns = t_ns
             # behind a late command SYNC waits for its end; one that has yet to be sent, it goes before
@@ -208,17 +244,11 @@ class Inbox:
             origin.corrupt += 1
             origin.defects |= _CORRUPT
             return
-        if codec.counter_mask:
-            if origin.counter >= 0:
-                step = (counter - origin.counter) & codec.counter_mask
-                if step == 0:
-                    self._stale += 1
-                    origin.defects |= _FROZEN
-                    return
-                if step != 1:
-                    origin.doubted += max(0, step - 1 - origin.corrupt)
-            origin.counter = counter
-            origin.corrupt = 0
+        mask = codec.counter_mask
+        if mask and counter == origin.counter:
+            self._stale += 1
+            origin.defects |= _FROZEN
+            return
         values = codec.decode(data)
         sample_ns = stamp_ns
         if origin.has_age:
@@ -227,7 +257,23 @@ class Inbox:
                 sample_ns = -NEVER_NS
             else:
                 sample_ns -= round(age_s * 1e9)
-        if sample_ns < self._not_before_ns or sample_ns == -NEVER_NS:
+        late = sample_ns < self._not_before_ns or sample_ns == -NEVER_NS
+        if mask:
+            lag, older = origin.lag, False
+            if (
+                lag is not None
+                and (lag.open or counter != (lag.offset + self._syncs) & mask)
+                and self._lags(origin, lag, counter, values[0], late)
+            ):
+                late, older = True, lag.older(counter, origin.counter)
+            if older:
+                origin.found()
+            else:
+                if counter != (origin.counter + 1) & mask:
+                    origin.miss(counter)
+                origin.counter = counter
+                origin.corrupt = 0
+        if late:
             self._late += 1
             origin.defects |= _LATE
             return
@@ -235,6 +281,26 @@ class Inbox:
         origin.sample_ns = sample_ns
         origin.defects = 0
         self._fresh |= origin.bit
+
+    def _lags(self, origin: _Origin, lag: Lag, counter: int, value: Any, late: bool) -> bool:
+        """Whether a frame whose counter is not the expected one answers an earlier SYNC.
+
+        Args:
+            origin: its source.
+            lag: of that.
+            counter: of the frame.
+            value: its first one.
+            late: it is late by stamp or age.
+        """
+        behind = lag.behind(counter, self._syncs)
+        if not behind:
+            return False
+        if late:  # it came between two ticks, or so nearly: it may well answer the last SYNC
+            return True
+        says = UNTOLD
+        if origin is self._encoder:
+            says = told_by(self._readings, value, self._t_ns, self._before_ns)
+        return lag.late(behind, says, self._t_ns - origin.sample_ns)
 
     def measurement(self, skipped: int, host: int) -> Measurement:
         """The newest valid values; ends this tick.
@@ -256,6 +322,9 @@ class Inbox:
         else:
             offset_ns = encoder.sample_ns - self._encoder_wire_ns - t_ns
         self._fresh = 0
+        if fresh & encoder.bit and self.sync:
+            readings = self._readings
+            self._readings = (readings[1], readings[2], (t_ns, position_m))
         encoder_ns = pressure_ns = valve_ns = 0
         if fresh != ALL_SOURCES:
             encoder_ns, pressure_ns, valve_ns = (o.age_ns(t_ns, fresh) for o in self._sources)
@@ -283,7 +352,13 @@ class Inbox:
     def freeze(self) -> InboxState:
         """The state after `measurement`, to be logged."""
         return InboxState(
-            self._encoder.freeze(), self._pressure.freeze(), self._valve.freeze(), self.commanded_ns
+            self._encoder.freeze(),
+            self._pressure.freeze(),
+            self._valve.freeze(),
+            self.commanded_ns,
+            self._syncs,
+            self._t_ns,
+            self._readings,
         )
 
     def thaw(self, state: InboxState) -> None:
@@ -291,6 +366,7 @@ class Inbox:
         for origin, known in zip(self._sources, state[:3], strict=True):
             origin.thaw(known)
         self.commanded_ns = state.commanded_ns
+        self._syncs, self._t_ns, self._readings = state.syncs, state.t_ns, state.readings
 
     def counts(self) -> Counts:
         """What has come in since the start."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
-from pneud.axis.state import AxisParameters
+from pneud.axis.state import AxisParameters, Gate
 from pneud.config.models import BusConfig, Config, ControlConfig, FrictionConfig, RealtimeConfig
+from pneud.control.adaptation import Adaptation, Rate
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.homing import HomingParameters
 from pneud.control.homogeneous import Feedback, feedback
@@ -13,6 +14,7 @@ from pneud.control.laws.sliding import Sliding
 from pneud.control.laws.slot import IN_SLOT, SLIDING, Slot
 from pneud.control.motion import MotionFilter, kalman, quickened, triple_pole
 from pneud.control.reference import Bounds, Sine
+from pneud.control.standstill import Standstill
 from pneud.control.step import Controller
 from pneud.physics import cylinder as cyl
 from pneud.physics import gas as gas_
@@ -26,6 +28,15 @@ COMPUTING_S = 80e-6  # from the last sensor frame to the command's place on the 
 FRAME_BITS, STUFFING = 47, 1.1
 LONGEST_SHARE, LONGEST_S = 2.0, 10.0  # a stroke of homing may take so much longer than at its speed
 LEAST_STILL_M, STILL_STEPS = 5e-5, 10.0  # travel that a reading cannot hide: at least, and in encoder steps
+LEAST_HELD_M = 5e-6  # error that may be left rather than cross the dead zone, at least
+BALANCE = 0.03  # of dry friction that may be out of balance while a load counts as held by it
+SMOOTH_S = 0.02  # of force and speed of a standing load
+GRACE_S = 0.08  # that a load has to come to rest when the valve is closed
+RESTLESS_V = 0.03  # mean step of the command that is hunting
+MOST_EDGE = 0.08  # part of the greatest opening that an edge of the dead zone may be learnt to be
+NOISES, LEAST_STEPS = 4.0, 4.0  # within so many standard deviations, and steps, nearly all readings lie
+UNKNOWN_SHARE = 0.1  # of the piston's greatest force that nobody may know of without being doubted
+DOUBT_S, DOUBT_SHARE = 0.04, 0.3  # more odd readings in such a time are a fault
 BLEND_S = 0.1  # in which one set of gains gives way to another
 
 
@@ -177,13 +188,76 @@ def controller_of(c: Config) -> Controller:
             compensate_d=law.law == "composite",
             M=c.cylinder.moving_mass_kg,
             invert_dead_zone=law.compensate_dead_zone,
-            hold_v=law.dead_zone_hold_v,
+            hold_v=hold_v(c, cylinder),
         ),
         use_x3_hat=law.smooth_x3,
         use_force=law.estimate_force,
         force_rate_gain=1.0 - math.exp(-law.force_rate_bandwidth_rad_s * h),
         blend_kept=math.exp(-h / BLEND_S),
         slot=slot_of(law, h),
+        standstill=standstill_of(c),
+        adaptation=adaptation_of(c),
+    )
+
+
+def hold_v(c: Config, k: cyl.Cylinder) -> float:
+    """Opening [V] that is not worth a way across the dead zone: the configured one at most.
+
+    Nor more than what the law asks for where the load is off by half a step of the encoder: on a small axis,
+    whose law asks for little, it would stand beside its target.
+    """
+    error_m = max(LEAST_HELD_M, 0.5 * c.control.motion.encoder_resolution_m)
+    return min(c.control.dead_zone_hold_v, k.M * c.control.k1 * error_m / k.F1_nominal)
+
+
+def standstill_of(c: Config) -> Standstill:
+    """When a load counts as standing still: from mass, friction and the encoder's step."""
+    f, step_m, M = c.control.friction, c.control.motion.encoder_resolution_m, c.cylinder.moving_mass_kg
+    if not c.control.standstill or f.bristle_stiffness_n_m <= 0.0 or f.coulomb_n <= 0.0:
+        return Standstill()
+    h, stiffness = 1.0 / c.loop.rate_hz, f.bristle_stiffness_n_m
+    omega = math.sqrt(stiffness / M)
+    enter_m, stick_m = max(6e-6, 0.8 * step_m), max(0.6e-6, 1.1 * step_m)
+    # a force that friction does not hold would have moved the load by more than that in this time
+    stick = max(8, math.ceil(math.sqrt(2.0 * M * stick_m / (BALANCE * f.coulomb_n)) / h))
+    swing_s = 2.0 * math.pi / omega
+    return Standstill(
+        enter_m=enter_m,
+        leave_m=max(11e-6, 1.3 * step_m),
+        near_m=1e-4,
+        far_m=3e-4,
+        leave_m_s=4e-3 + 50.0 * step_m,
+        omega_rad_s=omega,
+        stiffness_n_m=stiffness,
+        static_n=f.static_n,
+        swing=max(1, round(max(0.02, swing_s) / h)),
+        smooth=1.0 - math.exp(-h / SMOOTH_S),
+        stuck=max(round(1.5 * stick), round(0.6 * swing_s / h)),
+        patience=round(0.1 / h),
+        grace=round(GRACE_S / h),
+        restless=1.0 - math.exp(-h / 0.05),
+        restless_v=RESTLESS_V,
+        nudge_v=0.1 * c.valve.u_max_v,
+        stick_m=stick_m,
+        stick=stick,
+        held=1.0 - math.exp(-h / 0.01),
+    )
+
+
+def adaptation_of(c: Config) -> Adaptation:
+    """What is learnt, how fast, and within which bounds."""
+    a, u_max_v, dead_zone_v = c.control.adaptation, c.valve.u_max_v, c.valve.dead_zone_v
+    force = c.control.estimate_force
+    load_n = (c.gas.supply_pa - c.gas.atmosphere_pa) * c.cylinder.piston_area_1_m2
+    return Adaptation(
+        enabled=a.enabled,
+        edges=Rate(1.0 * a.dead_zone, 0.0, max(MOST_EDGE * u_max_v, dead_zone_v)),
+        flow=Rate(1.0 * a.flow, 0.5, 2.0),
+        lag=Rate(20.0 * a.lag, 1.0, 4.0),
+        friction=Rate(3.0 * (a.friction and force), 0.3, 3.0),
+        stiffness=Rate(150.0 * (a.stiffness and force), 1.0, 20.0),
+        load=Rate(1.0 * (a.load and force), -load_n, load_n),
+        mass=Rate(3.0 * a.mass, 0.4, 2.5),
     )
 
 
@@ -217,6 +291,20 @@ def limits_of(c: Config) -> Limits:
         dead_length_2_m=k.dead_length_2_m,
         swing_1_pa_m_s=swing_1_pa_m_s,
         swing_2_pa_m_s=swing_2_pa_m_s,
+    )
+
+
+def gate_of(c: Config) -> Gate:
+    """How far readings may lie from what was expected, and how many of them may."""
+    m, h = c.control.motion, 1.0 / c.loop.rate_hz
+    quiet_m = NOISES * m.encoder_noise_m if m.encoder_noise_m is not None else m.push_beyond_m
+    return Gate(
+        noise_m=max(m.encoder_resolution_m + quiet_m, LEAST_STEPS * m.encoder_resolution_m),
+        acceleration_m_s2=UNKNOWN_SHARE
+        * (c.gas.supply_pa * c.cylinder.piston_area_1_m2 / c.cylinder.moving_mass_kg),
+        speed_m_s=c.limits.speed_m_s,
+        rate=1.0 - math.exp(-h / DOUBT_S),
+        share=DOUBT_SHARE,
     )
 
 
@@ -274,6 +362,7 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
         controller=controller_of(c),
         output=OutputLimits(c.valve.u_max_v, limits.slew_v_s, command_lsb_v),
         limits=limits_of(c),
+        gate=gate_of(c),
         reference=reference_of(c),
         transfer=Bounds(
             limits.transfer.speed_m_s, limits.transfer.acceleration_m_s2, limits.transfer.jerk_m_s3

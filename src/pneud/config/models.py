@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from pneud.control.laws import adrc, pid
-from pneud.control.laws.loop import OpenLoop
+from pneud.control.laws.open_loop import OpenLoop
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -20,6 +20,8 @@ Fraction = Annotated[float, Field(gt=0, lt=1)]
 Pressure = Annotated[float, Field(gt=0, le=2.0e6)]
 Resolution = Annotated[float, Field(ge=0, le=1e-3)]
 MaybeInfinite = Annotated[float, Field(gt=0, allow_inf_nan=True)]
+
+STOP_M = 0.01  # limits.travel may reach so far behind the end stops
 
 
 class ConfigError(Exception):
@@ -272,6 +274,19 @@ def _check_hurwitz(loop: OpenLoop) -> None:
         raise ValueError(f"gains are not Hurwitz: needs {loop.criterion}")
 
 
+class AdaptationConfig(Section):
+    """What is learnt in motion, slowly and within bounds, from its configured value on."""
+
+    enabled: bool = True
+    dead_zone: bool = True  # both edges: 0 to 8 % of valve.u_max_v, or to what is configured
+    flow: bool = True  # gain of the valve: 0.5 to 2 times
+    lag: bool = True  # of the spool: 1 to 4 times
+    friction: bool = True  # level of what is fed forward: 0.3 to 3 times
+    stiffness: bool = False  # of its bristles, 1 to 20 times; not where loads change, which look alike
+    load: bool = True  # force that is no friction, up to what the supply can push
+    mass: bool = True  # from a load that shakes: 0.4 to 2.5 times
+
+
 class ControlConfig(Section):
     """The law, and the gains of all: of composite and ISMC here, of the others in their tables."""
 
@@ -289,12 +304,14 @@ class ControlConfig(Section):
     force_rate_bandwidth_rad_s: Annotated[float, Field(ge=0, le=5_000)] = 0.0  # fed forward; 0: not
     predict: bool = True  # over transport delay and valve lag
     compensate_dead_zone: bool = False
-    dead_zone_hold_v: Annotated[float, Field(ge=0, le=1)] = 0.02  # opening not worth crossing it
+    dead_zone_hold_v: Annotated[float, Field(ge=0, le=1)] = 0.02  # opening not worth crossing it, at most
+    standstill: bool = True  # a load at rest where it should be is left alone, the valve closed
     observer: ObserverConfig
     motion: MotionConfig
     friction: FrictionConfig = FrictionConfig()  # as identified; fed forward along the reference
     pid: PidConfig = PidConfig()
     adrc: AdrcConfig = AdrcConfig()
+    adaptation: AdaptationConfig = AdaptationConfig()
 
     @model_validator(mode="after")
     def _force_is_used(self) -> ControlConfig:
@@ -473,10 +490,10 @@ class Config(Section):
     @model_validator(mode="after")
     def _fits_together(self) -> Config:
         stroke = self.cylinder.stroke_m
-        if self.limits.travel_min_m < 0 or self.limits.travel_max_m > stroke:
+        if self.limits.travel_min_m < -STOP_M or self.limits.travel_max_m > stroke + STOP_M:
             raise ValueError(
                 f"limits.travel {self.limits.travel_min_m:g} … {self.limits.travel_max_m:g} m"
-                f" must lie within the stroke 0 … {stroke:g} m"
+                f" must lie within {STOP_M:g} m of the stroke 0 … {stroke:g} m"
             )
         if self.limits.tracking_error_m > 0.5 * stroke:
             raise ValueError(

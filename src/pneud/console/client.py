@@ -11,7 +11,7 @@ import socket
 from typing import Any
 
 from pneud.console.endpoint import PlaceError, find
-from pneud.console.lines import VERSION, line
+from pneud.console.line_stream import VERSION, line
 
 _PATIENCE_S = 5.0
 

@@ -10,7 +10,7 @@ from pneud.console.handoff import RequestOutcome
 from pneud.console.memory import Memory
 from pneud.console.protocol import Error, ProtocolError
 from pneud.console.server import Orders
-from pneud.console.status import StatusWatch, faults
+from pneud.console.status_reply import StatusWatch, faults
 from pneud.console.tuning import Tuning
 from pneud.log.live.ring import Ring
 from pneud.safety.faults import CENTRES, FAULT_CURES, FAULT_NAMES, STOPS
@@ -25,6 +25,7 @@ _SIMPLE = {
     protocol.Home: RequestKind.HOME,
 }
 _BLOCKS = {"arm": BLOCKS[RequestKind.ARM], "home": BLOCKS[RequestKind.HOME]}  # faults, by what they forbid
+_EMPTY = Request(RequestKind.PIECE)  # the profile
 _URGENT = {protocol.Disarm: RequestKind.DISARM, protocol.Stop: RequestKind.STOP}
 
 
@@ -44,6 +45,7 @@ class AxisDesk:
         self._run = run
         self._ring = ring
         self._watch = watch
+        self._memory = memory
         self._tuning = Tuning(run.config, run.path, run.text, memory)
 
     def status(self) -> dict[str, Any]:
@@ -70,8 +72,8 @@ class AxisDesk:
         limits = self._run.config.limits
         motion = limits.motion
         found = {
-            "min_mm": limits.travel_min_m + motion.margin_m,
-            "max_mm": limits.travel_max_m - motion.margin_m,
+            "min_mm": max(limits.travel_min_m, 0.0) + motion.margin_m,
+            "max_mm": min(limits.travel_max_m, self._run.config.cylinder.stroke_m) - motion.margin_m,
             "speed_mm_s": motion.speed_m_s,
             "acceleration_mm_s2": motion.acceleration_m_s2,
             "jerk_mm_s3": motion.jerk_m_s3,
@@ -123,11 +125,10 @@ class AxisDesk:
             case protocol.Track(what=what):
                 return Orders(f"track {what}", (Request(RequestKind.TRACK, (float(what == "profile"),)),))
             case protocol.Upload(first=first, last=last, pieces=pieces):
-                empty = Request(RequestKind.PIECE)
-                requests = [empty] if first else []
+                requests = [_EMPTY] if first else []
                 requests += [Request(RequestKind.PIECE, tuple(piece)) for piece in pieces]
                 words = f"upload of {len(pieces)} pieces"
-                return Orders(words, tuple(requests), undo=empty, unfinished=not last)
+                return Orders(words, tuple(requests), undo=_EMPTY, unfinished=not last)
             case protocol.TuneSet(gains=values):
                 return self._tuning.set(values)
             case protocol.TuneReload():
@@ -203,3 +204,14 @@ class AxisDesk:
             case _:
                 text = f"{words}: {kind.name.lower()}"
         return ProtocolError(kind.name.lower(), text, **more)
+
+    def half_done(self, half: bool) -> None:
+        """An upload has begun, or is whole or undone."""
+        if self._memory is not None:
+            self._memory.uploading = half
+
+    def left_half_done(self) -> Orders | None:
+        """What undoes the upload in which the console before this one has ended."""
+        if self._memory is None or not self._memory.uploading:
+            return None
+        return Orders("upload of a console that is gone", (_EMPTY,), undo=_EMPTY)

@@ -19,11 +19,16 @@ from pneud.console.worker import Post, load, serve
 from pneud.log.live.notes import Teller
 from pneud.log.live.ring import CONSOLE_GONE, Ring
 
-_LOOK_S = 0.02
+_LOOK_S = 0.25  # how often a console that may stand still is looked at; an end is told by a signal
 _STANDS_NS = 2_000_000_000  # a console that has been silent for longer is killed
 _LOADING_NS = 20_000_000_000  # one that has not begun, after so long
-_APART_NS = 1_000_000_000  # from one start to the next
+_APART_S = 1.0  # from one start to the next; twice as long after each that died at once
+_FARTHEST_S = 8.0
+_AT_ONCE_NS = 2_000_000_000  # one that has lived for less has died at once
 _LEAVE_S = 0.8
+_SOON_S = 0.02  # for what is about to happen: a console's beginning, the run's end that it has seen earlier
+_PARENT_DIED = signal.SIGUSR1
+_WAKE = (signal.SIGCHLD, signal.SIGHUP, _PARENT_DIED)
 _WARNING, _ERROR = 3, 4  # levels of the log's events; their module is heavy to load
 
 
@@ -62,12 +67,14 @@ class _Keeper:
         self._console = 0
         self._begun_ns = 0
         self._before = 0  # consoles that have been started
+        self._at_once = 0  # of them the last ones that died at once
 
     def _over(self) -> bool:
         return self._post.ring.closed or os.getppid() != self._daemon
 
     def run(self) -> None:
-        signal.signal(signal.SIGHUP, lambda *_: self._hang_up())
+        signal.pthread_sigmask(signal.SIG_BLOCK, _WAKE)
+        crew.die_with_parent(self._daemon, _PARENT_DIED)
         while not self._over():
             self._begun_ns = time.monotonic_ns()
             try:
@@ -75,23 +82,32 @@ class _Keeper:
                 why = self._watch()
             except OSError as e:
                 why = f"cannot be started: {e.strerror}"
+            lived_ns = self._post.ring.console_ns - self._begun_ns
             self._post.ring.set_console(CONSOLE_GONE)
-            time.sleep(_LOOK_S)  # it may have seen the daemon's end a little earlier
+            time.sleep(_SOON_S)
             if not self._over():
-                self._say(_ERROR, f"the console {why}; what an operator had engaged comes to rest")
-            while not self._over() and time.monotonic_ns() < self._begun_ns + _APART_NS:
-                time.sleep(_LOOK_S)
+                self._mourn(why, lived_ns)
+            apart_s = min(_APART_S * 2 ** max(0, self._at_once - 1), _FARTHEST_S)
+            while not self._over() and time.monotonic_ns() < self._begun_ns + apart_s * 1e9:
+                self._sleep(_LOOK_S)
         if self._console and not crew.wait(self._console, _LEAVE_S):
             crew.kill(self._console)
 
-    def _hang_up(self) -> None:
-        if self._console:
+    def _sleep(self, longest_s: float) -> None:
+        """Until something happens, or for so long; a SIGHUP is passed on."""
+        happened = signal.sigtimedwait(_WAKE, longest_s)
+        if happened is not None and happened.si_signo == signal.SIGHUP and self._console:
             with suppress(ProcessLookupError):
                 os.kill(self._console, signal.SIGHUP)
 
     def _start(self) -> None:
         keeper, post, place = os.getpid(), self._post, self._before
-        self._console = crew.fork(lambda: serve(post, keeper, place), keep=post.descriptors, orphaned=None)
+
+        def console() -> None:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, _WAKE)
+            serve(post, keeper, place)
+
+        self._console = crew.fork(console, keep=post.descriptors, orphaned=None)
         self._before += 1
 
     def _watch(self) -> str:
@@ -111,17 +127,24 @@ class _Keeper:
             if begins and beat_ns > self._begun_ns:
                 begins = False
                 load()  # beside the loop, so that the next one begins at once
-                if self._before > 1:
+                if self._before > 1 and self._at_once < 2:
                     self._say(_WARNING, "the console was started again")
             if now_ns > (self._begun_ns + _LOADING_NS if begins else beat_ns + _STANDS_NS):
-                ring.set_console(CONSOLE_GONE)
                 crew.kill(self._console)
                 self._console = 0
                 return (
                     "did not begin" if begins else f"stood still for {_STANDS_NS * 1e-9:g} s and was killed"
                 )
-            time.sleep(_LOOK_S)
+            self._sleep(_SOON_S if begins else _LOOK_S)
         return "is gone"
+
+    def _mourn(self, why: str, lived_ns: int) -> None:
+        """Say what has become of a console; of those that die at once in a row, twice."""
+        self._at_once = self._at_once + 1 if lived_ns < _AT_ONCE_NS else 0
+        if self._at_once <= 2:
+            often = f"; it dies at once again and again, and is started every {_FARTHEST_S:g} s at most"
+            words = f"the console {why}; what an operator had engaged comes to rest"
+            self._say(_ERROR, words + (often if self._at_once == 2 else ""))
 
     def _say(self, level: int, words: str) -> None:
         self._teller.say(level, words)

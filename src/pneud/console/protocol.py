@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import from_json
 
-from pneud.console.lines import VERSION, line
+from pneud.console.line_stream import VERSION, line
 
 MAX_PIECES = 32  # of a profile in one line
 

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Protocol
 
 from pneud.console import handoff, protocol
 from pneud.console.lease import LEASE_S, Lease
-from pneud.console.lines import MAX_LINE
+from pneud.console.line_stream import MAX_LINE
 from pneud.console.peer import GROUP, Peer, commanding_group, may_command, peer_of
 from pneud.console.protocol import Error, ProtocolError
 from pneud.signals import Answer, Request, RequestKind, State
@@ -85,6 +85,12 @@ class Desk(Protocol):
 
     def refused(self, answer: int, words: str, outcome: handoff.RequestOutcome) -> ProtocolError:
         """What to tell a client about the axis's refusal."""
+
+    def half_done(self, half: bool) -> None:
+        """What must be undone where all ends here has begun, or is whole or undone."""
+
+    def left_half_done(self) -> Orders | None:
+        """What undoes what the console before this one has left half done."""
 
 
 class _Client:
@@ -184,6 +190,9 @@ class Server:
         loop.setblocking(False)
         self._selector.register(listener, selectors.EVENT_READ)
         self._selector.register(loop, selectors.EVENT_READ)
+        left = desk.left_half_done()
+        if left is not None:
+            self._undo(left, "the console")
 
     def step(self, timeout_s: float) -> None:
         """Wait for something to do, for so long at most, and do it."""
@@ -479,8 +488,21 @@ class Server:
     def _undo(self, plan: Orders, label: str) -> None:
         """What is not done whole is not done in part."""
         self._unfinished = None
-        if plan.undo is not None:
-            self._jobs.append(_Job(None, None, Orders(f"undo {plan.words}", (plan.undo,)), label))
+        if plan.undo is None:
+            return
+
+        def undone() -> dict[str, Any]:
+            self._desk.half_done(False)
+            return {}
+
+        def refused(error: ProtocolError) -> None:
+            if error.kind == Error.LATE:
+                self._undo(plan, label)
+            else:
+                undone()
+
+        orders = Orders(f"undo {plan.words}", (plan.undo,), done=undone)
+        self._jobs.append(_Job(None, None, orders, label, refused))
 
     def _stop_jog(self, label: str) -> None:
         self._jogging = None
@@ -496,6 +518,8 @@ class Server:
             job = self._jobs[0]
             self._number = (self._number + 1) & 0xFFFF_FFFF
             self._flight = (self._number, job, self._clock() + self._bounds.silent_s)
+            if job.plan.undo is not None:
+                self._desk.half_done(True)
             if not handoff.send(self._loop, self._number, job.plan.requests[job.next]):
                 self._give_up(job)
 
@@ -538,6 +562,8 @@ class Server:
         kind = job.plan.requests[0].kind
         if job.plan.undo is not None:
             self._unfinished = (job.client, job.plan) if job.plan.unfinished else None
+            if not job.plan.unfinished:
+                self._desk.half_done(False)
             if job.plan.unfinished and job.client is None:
                 self._undo(job.plan, job.label)
         if kind != RequestKind.JOG or job.plan.words != self._jog_words:

@@ -18,8 +18,7 @@ from pneud.log.live.ring import Ring
 if TYPE_CHECKING:
     from pneud.console.protocol import ProtocolError
 
-_STEP_S = 0.02
-_WATCH_S = 0.1  # the ring keeps some seconds
+_STEP_S = 0.1  # a fraction of the silence that `loop.console_watch` bears; the ring keeps some seconds
 _NUMBERS = 1 << 24  # requests that one console may number before it comes to the next one's
 
 
@@ -41,7 +40,7 @@ class Post(NamedTuple):
 
 def load() -> None:
     """Load what a console needs and the loop does not."""
-    from pneud.console import commands, protocol, server, status  # noqa: F401, PLC0415
+    from pneud.console import commands, protocol, server, status_reply  # noqa: F401, PLC0415
 
 
 def serve(post: Post, keeper: int, place: int) -> None:
@@ -64,7 +63,7 @@ def serve(post: Post, keeper: int, place: int) -> None:
     from pneud.console import protocol  # noqa: PLC0415
     from pneud.console.commands import AxisDesk  # noqa: PLC0415
     from pneud.console.server import Server  # noqa: PLC0415
-    from pneud.console.status import StatusWatch  # noqa: PLC0415
+    from pneud.console.status_reply import StatusWatch  # noqa: PLC0415
 
     def refused(error: ProtocolError) -> None:
         print(f"pneud: {error}", file=sys.stderr, flush=True)
@@ -75,13 +74,9 @@ def serve(post: Post, keeper: int, place: int) -> None:
     server = Server(post.listener, post.loop, desk, teller.say, first=place * _NUMBERS)
     if place:
         _pass_over(post.loop)
-    due_s = 0.0
     while not (ring.closed or server.over):
         ring.set_console(time.monotonic_ns())
-        now_s = time.monotonic()
-        if now_s >= due_s:
-            watch.poll()
-            due_s = now_s + _WATCH_S
+        watch.poll()
         if reload:
             reload = False
             server.ask(protocol.TuneReload(v=1, id=0, verb="tune_reload"), "SIGHUP", refused)

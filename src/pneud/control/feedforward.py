@@ -80,3 +80,35 @@ def friction_ahead(
         gained1 += f.sigma0_n_m * z1 + f.sigma1_n_s_m * (v1 - a1 * z1)
         gained2 += f.sigma0_n_m * z2 + f.sigma1_n_s_m * zdot
     return FrictionAhead(z1, gained1, gained2, rate, force)
+
+
+def friction_felt(z: float, v: float, h: float, lead_s: float, f: Friction) -> FrictionAhead:
+    """The friction of a load that moves though its reference stands still, until the next sample and beyond.
+
+    Its rate is left out: fed forward, it would take from the bristles what they hold the load with.
+
+    Args:
+        z: deflection now [m].
+        v: velocity of the load [m/s].
+        h: sample time [s].
+        lead_s: time until the command has its effect [s].
+        f: the friction as identified.
+    """
+    at = Reference(0.0, v, 0.0, 0.0)
+    felt = friction_ahead(z, at, at, h, lead_s, f)
+    return FrictionAhead(felt.bristles_m, felt.step_n, felt.ahead_n, 0.0, felt.now_n)
+
+
+def recalled(z: float, force_n: float, share: float, f: Friction) -> float:
+    """Deflection [m] of the bristles of a standing load, drawn towards what a force on them says.
+
+    Args:
+        z: deflection as believed [m].
+        force_n: that the bristles hold against [N].
+        share: of the difference.
+        f: the friction as identified.
+    """
+    if f.sigma0_n_m <= 0.0:
+        return z
+    held_m = max(-f.static_n, min(f.static_n, force_n)) / f.sigma0_n_m
+    return z + share * (held_m - z)

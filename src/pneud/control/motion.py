@@ -152,6 +152,24 @@ def correct(state: MotionState, position_m: float, M: float, h: float, p: Motion
     )
 
 
+def held(state: MotionState, rod_force_n: float, share: float) -> MotionState:
+    """The state of a load that friction holds: what moves it dies away, and no force is out of balance.
+
+    Args:
+        state: after a reading.
+        rod_force_n: of the atmosphere on the rod's side.
+        share: of what is left to go in a tick.
+    """
+    return MotionState(
+        state.x,
+        state.v * (1.0 - share),
+        state.F + share * (state.x3 - rod_force_n - state.F),
+        state.x3,
+        state.innovation,
+        state.unread_s,
+    )
+
+
 def beyond(innovation_m: float, p: MotionFilter) -> tuple[float, float]:
     """What an innovation has beyond the blind band, and of that beyond the noise [m]."""
     r = innovation_m - max(-p.blind_m, min(p.blind_m, innovation_m))

@@ -8,21 +8,49 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from pneud.control.adaptation import (
+    Adaptation,
+    Learnt,
+    cylinder_learnt,
+    friction_learnt,
+    learn_force,
+    learn_valve,
+    valve_learnt,
+)
 from pneud.control.disturbance import Observer, ObserverState
 from pneud.control.disturbance import observe as observe_disturbance
-from pneud.control.feedforward import bristles_under, friction_ahead, held_by_bristles
+from pneud.control.feedforward import (
+    bristles_under,
+    friction_ahead,
+    friction_felt,
+    held_by_bristles,
+    recalled,
+)
 from pneud.control.laws.situation import LawOutput, Situation, errors
 from pneud.control.laws.sliding import Sliding, SlidingState, command, engage, law, resistance
 from pneud.control.laws.slot import SLIDING, Slot, SlotState, afterwards, demand, joined, taken_over
-from pneud.control.motion import MotionFilter, MotionState, at_rest, correct, predict
+from pneud.control.motion import MotionFilter, MotionState, at_rest, correct, held, predict
 from pneud.control.prediction import Motion, Rates, Spool, ahead, follow, later
+from pneud.control.standstill import (
+    LAW,
+    Standstill,
+    StandstillState,
+    is_held,
+    is_still,
+    nudge,
+    read,
+    stand,
+    stirred,
+)
 from pneud.physics.cylinder import F0, Cylinder, F1_exhaust, F1_fill, x3_of
 from pneud.physics.friction import Friction
 from pneud.physics.gas import Gas
-from pneud.physics.valve import SpoolTransition, Valve, opening, spool_transition
+from pneud.physics.valve import SpoolTransition, Valve, dead_zone_inverse, opening, spool_transition
 from pneud.signals import Estimate, Reference
 
 NAN = float("nan")
+STILL_RATE = 0.5  # of the rate of F̂ that is fed forward at rest, where much of it answers the law itself
+RECALL = 0.05  # share of what F̂ says of the bristles of a standing load that is believed in a tick
 X1_MARGIN = 1e-3  # least chamber length the model is evaluated at [m]
 
 
@@ -46,6 +74,8 @@ class Controller(NamedTuple):
     force_rate_gain: float  # of the low-pass for the rate of F̂ in Z; 0 leaves it out
     blend_kept: float = 0.0  # part of the blend that is left a sample later
     slot: Slot = Slot()  # which law runs
+    standstill: Standstill = Standstill()
+    adaptation: Adaptation = Adaptation()
 
 
 class ControllerState(NamedTuple):
@@ -64,6 +94,8 @@ class ControllerState(NamedTuple):
     force_step_n: float  # that friction's gain until the next sample
     blend: float = 0.0  # leads from one law or set of gains to another [m/s³]
     own: SlotState = SlotState()
+    standstill: StandstillState = StandstillState()
+    learnt: Learnt = Learnt()
 
 
 def start(position_m: float, p1_pa: float, p2_pa: float, supply_pa: float, p: Controller) -> ControllerState:
@@ -82,6 +114,50 @@ def start(position_m: float, p1_pa: float, p2_pa: float, supply_pa: float, p: Co
         force_rate=0.0,
         bristles_m=0.0,
         force_step_n=0.0,
+    )
+
+
+def as_learnt(p: Controller, learnt: Learnt) -> Controller:
+    """The controller with what has been learnt in place of what is configured."""
+    if not p.adaptation.enabled:
+        return p
+    valve, cylinder, g = valve_learnt(p.valve, learnt), cylinder_learnt(p.cylinder, learnt), p.sliding
+    lead_s, spool_before, spool_ahead = p.lead_s, p.spool_before, p.spool_ahead
+    if learnt.lag != 1.0:
+        if lead_s > 0.0:
+            lead_s += 2.0 * p.valve.zeta / p.valve.omega_rad_s * (learnt.lag - 1.0)
+        spool_before = spool_transition(p.delay_s, valve)
+        spool_ahead = spool_transition(0.5 * lead_s, valve)
+    sliding = Sliding(
+        g.gains,
+        g.eta,
+        g.implicit,
+        g.horizon_s + (lead_s - p.lead_s),
+        g.compensate_d,
+        cylinder.M,
+        g.invert_dead_zone,
+        g.hold_v,
+    )
+    return Controller(
+        p.h,
+        p.delay_s,
+        spool_before,
+        lead_s,
+        spool_ahead,
+        p.gas,
+        cylinder,
+        valve,
+        friction_learnt(p.friction, learnt),
+        p.motion,
+        p.observer,
+        sliding,
+        p.use_x3_hat,
+        p.use_force,
+        p.force_rate_gain,
+        p.blend_kept,
+        p.slot,
+        p.standstill,
+        p.adaptation,
     )
 
 
@@ -117,11 +193,15 @@ def observe(
     Returns:
         The state after this sample, and what is believed.
     """
-    c = p.cylinder
+    prior, p = p, as_learnt(p, state.learnt)
+    c, standstill = p.cylinder, state.standstill
     x3 = x3_of(p1_pa, p2_pa, c)
     motion = predict(state.motion, x3, state.force_step_n, c.rod_force_n, c.M, dt)
     if measured:
         motion = correct(motion, position_m, c.M, p.h, p.motion)
+        standstill = read(standstill, position_m, p.standstill)
+        if is_held(standstill, p.standstill):
+            motion = held(motion, c.rod_force_n, p.standstill.held)
     x1 = chamber_length(motion.x, c)
     f0 = F0(x1, p1_pa, p2_pa, c, p.gas)
     f1_fill = F1_fill(x1, p1_pa, p2_pa, supply_pa, c, p.gas)
@@ -140,6 +220,11 @@ def observe(
 
     f1_sum = state.f1_fill + f1_fill if u_mean >= 0.0 else state.f1_exhaust + f1_exhaust
     f_mean = 0.5 * (state.f0 * state.motion.v + f0 * motion.v + f1_sum * u_mean)
+    learnt = state.learnt
+    if p.adaptation.enabled:
+        fresh = measured and dt < 1.5 * p.h
+        missing_v = 2.0 * ((x3 - state.motion.x3) / dt - f_mean) / f1_sum
+        learnt = learn_valve(learnt, fresh, missing_v, u_mean, spool, motion.v, dt, prior.valve, p.adaptation)
     observer = observe_disturbance(state.observer, x3, f_mean, dt, p.observer)
     found = (motion.F - state.motion.F - state.force_step_n) / dt
     force_rate = state.force_rate + p.force_rate_gain * (found - state.force_rate)
@@ -158,6 +243,8 @@ def observe(
             0.0,  # until `act` knows better
             state.blend,
             state.own,
+            standstill,
+            learnt,
         ),
         Estimate(motion.x, motion.v, motion.F, x3, observer.x_hat, observer.d_hat, motion.innovation, u_mean),
     )
@@ -186,7 +273,12 @@ def situation(state: ControllerState, e: Estimate, r: Reference, p: Controller) 
     """What a law is asked about, for an estimate and a reference of the same instant."""
     M = p.cylinder.M
     goal = later(r, p.lead_s)
-    friction = friction_ahead(state.bristles_m, r, goal, p.h, p.lead_s, p.friction)
+    force_rate = state.force_rate
+    if p.standstill.enter_m > 0.0 and is_still(r, goal):
+        friction = friction_felt(state.bristles_m, e.velocity_m_s, p.h, p.lead_s, p.friction)
+        force_rate *= STILL_RATE
+    else:
+        friction = friction_ahead(state.bristles_m, r, goal, p.h, p.lead_s, p.friction)
     motion = at_effect(state, e, friction.ahead_n + p.lead_s * state.force_rate, p)
     w1, w2, w3 = errors(motion, goal, M)
     return Situation(
@@ -199,7 +291,7 @@ def situation(state: ControllerState, e: Estimate, r: Reference, p: Controller) 
         w3,
         motion.force_n + (e.force_n if p.use_force else 0.0),
         friction,
-        state.force_rate,
+        force_rate,
         state.f0,
         state.f1_fill,
         state.f1_exhaust,
@@ -216,10 +308,11 @@ def situation(state: ControllerState, e: Estimate, r: Reference, p: Controller) 
 
 def join(state: ControllerState, e: Estimate, r: Reference, p: Controller) -> ControllerState:
     """The state with s(0) = 0 for a law that takes over now; the bristles take what force they can."""
-    bristles_m = bristles_under(e.force_n, p.friction)
+    p, force_n = as_learnt(p, state.learnt), e.force_n - state.learnt.load_n
+    bristles_m = bristles_under(force_n, p.friction)
     state = carried(state, state.sliding, bristles_m, 0.0, 0.0, state.own)
     s = situation(state, e, r, p)
-    own = joined(s, e.force_n - held_by_bristles(e.force_n, p.friction), p.slot)
+    own = joined(s, e.force_n - held_by_bristles(force_n, p.friction), p.slot)
     return carried(state, engage(s.w3), bristles_m, 0.0, 0.0, own)
 
 
@@ -227,6 +320,7 @@ def change(
     state: ControllerState, e: Estimate, r: Reference, before: Controller, after: Controller
 ) -> ControllerState:
     """The state with which the next command under another law or other gains is that of the one before."""
+    before, after = as_learnt(before, state.learnt), as_learnt(after, state.learnt)
     s = situation(state, e, r, after)
     sliding, own = state.sliding, taken_over(state.own, s, before.slot, after.slot)
     if before.slot.kind != SLIDING:
@@ -249,8 +343,72 @@ def _resistance(state: ControllerState, e: Estimate, r: Reference, p: Controller
 def act(
     state: ControllerState, e: Estimate, r: Reference, p: Controller
 ) -> tuple[ControllerState, LawOutput]:
-    """The law's command for an estimate and a reference of the same instant."""
+    """The command for an estimate and a reference of one instant: the law's, or that of a standing load."""
+    prior, p = p, as_learnt(p, state.learnt)
     s = situation(state, e, r, p)
+    state = taught(state, s, r, prior, p)
+    if p.standstill.enter_m <= 0.0:
+        return tracked(state, s, p)
+    still, friction_n = is_still(r, s.goal), e.force_n - state.learnt.load_n
+    standstill = stand(
+        state.standstill,
+        s.goal.position_m - e.position_m,
+        e.velocity_m_s,
+        s.now.force_n,
+        e.x3_hat_n,
+        friction_n,
+        still,
+        p.standstill,
+    )
+    bristles_m = s.friction.bristles_m
+    if still:
+        bristles_m = recalled(bristles_m, friction_n, RECALL, p.friction)
+    if standstill.mode != LAW:
+        return left_alone(stood(state, standstill, bristles_m), s, p)
+    state, out = tracked(state, s, p)
+    if still:
+        u_max = p.valve.u_max_v
+        step_v = abs(max(-u_max, min(u_max, out.u_v)) - state.applied_v)
+        standstill = stirred(standstill, step_v, p.standstill)
+    return stood(state, standstill, bristles_m), out
+
+
+def taught(
+    state: ControllerState, s: Situation, r: Reference, prior: Controller, p: Controller
+) -> ControllerState:
+    """The state with what the force has taught, the parameters as configured and as learnt."""
+    if not p.adaptation.enabled:
+        return state
+    learnt = learn_force(
+        state.learnt,
+        s.e.force_n,
+        s.friction.now_n,
+        s.e.velocity_m_s,
+        r.velocity_m_s,
+        s.e.x3_n - p.cylinder.rod_force_n,
+        s.e.innovation_m,
+        p.h,
+        p.cylinder.M,
+        prior.friction,
+        p.motion,
+        p.adaptation,
+    )
+    return with_learnt(state, learnt)
+
+
+def left_alone(state: ControllerState, s: Situation, p: Controller) -> tuple[ControllerState, LawOutput]:
+    """A load that stands: the valve closed or nudging, and the law ready to take over with s = 0."""
+    u_v = nudge(state.standstill, s.e.x3_hat_n, p.h, s.f1_fill, s.f1_exhaust, p.standstill)
+    if p.sliding.invert_dead_zone:
+        u_v = dead_zone_inverse(u_v, p.valve, 0.0)
+    held_n = held_by_bristles(s.e.force_n - state.learnt.load_n, p.friction)
+    own = joined(s, s.e.force_n - held_n, p.slot)
+    state = carried(state, engage(s.w3), state.bristles_m, 0.0, state.blend * p.blend_kept, own)
+    return state, LawOutput(u_v, 0.0, 0.0)
+
+
+def tracked(state: ControllerState, s: Situation, p: Controller) -> tuple[ControllerState, LawOutput]:
+    """The law's command in a situation."""
     friction, blend = s.friction, state.blend * p.blend_kept
     if p.slot.kind != SLIDING:
         own, Z = demand(state.own, s, p.slot)
@@ -267,8 +425,8 @@ def act(
         s.w3,
         s.goal.jerk_m_s3,
         state.f0 * s.motion.v,
-        e.d_hat_n_s,
-        friction.rate_n_s + state.force_rate,
+        s.e.d_hat_n_s,
+        friction.rate_n_s + s.force_rate,
         state.f1_fill,
         state.f1_exhaust,
         p.h,
@@ -303,4 +461,48 @@ def carried(
         force_step_n,
         blend,
         own,
+        s.standstill,
+        s.learnt,
+    )
+
+
+def stood(s: ControllerState, standstill: StandstillState, bristles_m: float) -> ControllerState:
+    """The state with what is known of the standstill."""
+    return ControllerState(
+        s.motion,
+        s.observer,
+        s.sliding,
+        s.spool,
+        s.applied_v,
+        s.f0,
+        s.f1_fill,
+        s.f1_exhaust,
+        s.force_rate,
+        bristles_m,
+        s.force_step_n,
+        s.blend,
+        s.own,
+        standstill,
+        s.learnt,
+    )
+
+
+def with_learnt(s: ControllerState, learnt: Learnt) -> ControllerState:
+    """The state with what has been learnt."""
+    return ControllerState(
+        s.motion,
+        s.observer,
+        s.sliding,
+        s.spool,
+        s.applied_v,
+        s.f0,
+        s.f1_fill,
+        s.f1_exhaust,
+        s.force_rate,
+        s.bristles_m,
+        s.force_step_n,
+        s.blend,
+        s.own,
+        s.standstill,
+        learnt,
     )

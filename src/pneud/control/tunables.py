@@ -7,8 +7,8 @@ protects the axis is not for tuning.
 from __future__ import annotations
 
 from pneud.control.homogeneous import Feedback, feedback
-from pneud.control.laws.loop import OpenLoop
-from pneud.control.laws.loop import delay_margin as margin_of
+from pneud.control.laws.open_loop import OpenLoop
+from pneud.control.laws.open_loop import delay_margin as margin_of
 from pneud.control.laws.slot import IN_SLOT, SLIDING, Entry, Slot
 from pneud.control.step import Controller
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
-import socket as socket_
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,6 +22,7 @@ from pneud.scenario import verdict
 from pneud.scenario.files import load_axis, load_scenario
 
 if TYPE_CHECKING:
+    from pneud.daemon.places import ViewersPlace
     from pneud.scenario.format import Scenario
 
 
@@ -44,6 +43,7 @@ class RunOptions:
     seed: int
     socket: str | None
     live: str | None  # ADDRESS:PORT to serve viewers at
+    live_origins: tuple[str, ...] = ()  # of pages elsewhere that may look
 
 
 class Ready(NamedTuple):
@@ -58,7 +58,7 @@ class Ready(NamedTuple):
     socket: endpoint.Endpoint
     log_file: Path
     descriptor: int  # of the log file
-    viewers: tuple[str, int] | None  # address and port to serve them at
+    viewers: ViewersPlace | None
 
     @property
     def config(self) -> Config:
@@ -78,7 +78,19 @@ def prepared(o: RunOptions) -> Iterator[Ready]:
         BuildError: the compiled law is required and cannot be had.
         PlaceError: the console's socket cannot be made.
     """
-    viewers = _viewers(o.live) if o.live is not None else None
+    if o.live is None:
+        with _prepared(o, None) as ready:
+            yield ready
+        return
+    from pneud.daemon.places import viewers_place  # noqa: PLC0415 - for a few runs only
+
+    viewers = viewers_place(o.live, o.live_origins)
+    with viewers.listener, _prepared(o, viewers) as ready:
+        yield ready
+
+
+@contextmanager
+def _prepared(o: RunOptions, viewers: ViewersPlace | None) -> Iterator[Ready]:
     if o.arm and ("INVOCATION_ID" in os.environ or "NOTIFY_SOCKET" in os.environ):
         raise ConfigError("--arm is for benches and tests; a service is armed by an operator: pneud arm")
     scenario, loaded, channel = _named(o)
@@ -98,6 +110,8 @@ def prepared(o: RunOptions) -> Iterator[Ready]:
     with link:
         if link.note:
             print(f"pneud: {link.note}", file=sys.stderr)
+        if viewers is not None and viewers.note:
+            print(f"pneud: {viewers.note}", file=sys.stderr)
         try:
             yield Ready(o, loaded, scenario, how, how.axis(p), link, socket, log_file, descriptor, viewers)
         finally:
@@ -128,24 +142,3 @@ def _join(channel: str, axis: Loaded, how: Backend, virtual: bool) -> Link:
         own = (axis.codecs.sync.can_id, axis.codecs.valve_command.can_id)
         refuse_if_driven(link, own, listening_s(axis.config))
     return link
-
-
-def _viewers(where: str) -> tuple[str, int]:
-    """Address and port to serve viewers at.
-
-    Raises:
-        ConfigError: it is none, or taken, or the package that serves is missing.
-    """
-    host, colon, port = where.rpartition(":")
-    if not colon or not host or not port.isdecimal() or not 0 < int(port) < 65536:
-        raise ConfigError(f"--live-at {where}: must be ADDRESS:PORT, such as 127.0.0.1:8765")
-    if importlib.util.find_spec("foxglove") is None:
-        raise ConfigError("--live needs foxglove-sdk; install it with: pip install 'pneud[live]'")
-    host = host.strip("[]")
-    family = socket_.AF_INET6 if ":" in host else socket_.AF_INET
-    try:
-        with socket_.create_server((host, int(port)), family=family):
-            pass
-    except OSError as e:
-        raise ConfigError(f"--live-at {where}: cannot listen there: {e.strerror}; name another") from None
-    return host, int(port)

@@ -32,6 +32,7 @@ from pneud.view.info import ScreenInfo
 from pneud.view.processes import end_screen, fork_screen, fork_viewers
 
 if TYPE_CHECKING:
+    from pneud.daemon.places import ViewersPlace
     from pneud.scenario.stage import Stage
 
 RECORDER_PATIENCE_S = 15.0
@@ -89,7 +90,7 @@ class Session:
         stage = self._stage()
         plant, truth = self._start_plant(ends, stage) if o.virtual else (0, None)
         if ready.viewers is not None:
-            self._start_viewers(ends, *ready.viewers)
+            self._start_viewers(ends, ready.viewers)
         if stage is not None and stage.scenario.orders:
             self._start_saboteur(ends, stage, recorder, plant)
         if not o.headless and sys.stdout.isatty() and not o.json:
@@ -175,9 +176,9 @@ class Session:
         ends.callback(end)
         return plant, TruthReader(memory)
 
-    def _start_viewers(self, ends: ExitStack, host: str, port: int) -> None:
+    def _start_viewers(self, ends: ExitStack, at: ViewersPlace) -> None:
         parameters = self.ready.config.model_dump(mode="json", by_alias=True)
-        viewers = fork_viewers(self.ring, self._header, parameters, host, port)
+        viewers = fork_viewers(self.ring, self._header, parameters, at.listener, at.admission)
         ends.callback(crew.end, viewers, VIEWERS_PATIENCE_S)
 
     def _start_saboteur(self, ends: ExitStack, stage: Stage, recorder: int, plant: int) -> None:
@@ -189,7 +190,7 @@ class Session:
         ends.callback(crew.end, saboteur, SCENARIO_PATIENCE_S)
 
     def _start_screen(self, ends: ExitStack) -> None:
-        config, link = self.ready.config, self.ready.link
+        config, link, viewers = self.ready.config, self.ready.link, self.ready.viewers
         info = ScreenInfo(
             name=config.name,
             bus=link.name,
@@ -197,7 +198,7 @@ class Session:
             travel_min_m=config.limits.travel_min_m,
             travel_max_m=config.limits.travel_max_m,
             u_max_v=config.valve.u_max_v,
-            note=link.note,
+            note=" · ".join(filter(None, (link.note, viewers.note if viewers is not None else ""))),
             fault_names=FAULT_NAMES,
             cures=FAULT_CURES,
             log_path=str(self.ready.log_file),

@@ -63,6 +63,11 @@ def summarise(
             "stale": counts.stale,
             "late": counts.late,
         },
+        "odd_readings": {
+            "held": tally.odd,
+            "confirmed": tally.confirmed,
+            "per_1000_ticks": 1e3 * tally.odd / max(1, tally.ticks),
+        },
         "log": log,
         "log_dropped": log_dropped,
         "faults": names(tally.ever_latched),
@@ -89,6 +94,12 @@ def in_words(s: dict[str, Any]) -> str:
         f"frames {f['rx']} in, {f['tx']} out, {f['lost']} lost, {f['crc']} corrupt, {f['stale']} frozen,"
         f" {f['late']} late"
     )
+    odd = s["odd_readings"]
+    if odd["held"]:
+        lines.append(
+            f"odd readings {odd['held']} held back ({odd['per_1000_ticks']:.3g} per 1000 ticks),"
+            f" {odd['confirmed']} of them confirmed by the next"
+        )
     if s["faults"]:
         lines.append(f"faults: {', '.join(s['faults'])}")
     if s["log"]:

@@ -9,9 +9,10 @@ from pneud.control.plan import FOLLOWING, Plan
 from pneud.rt.histogram import Histogram
 from pneud.safety.faults import BLOCKS_ARM, names
 from pneud.safety.supervisor import is_engaged
-from pneud.signals import Record, State, Tick
+from pneud.signals import Defect, Record, State, Tick
 
 AFTER_S = 5.0
+_ODD, _CONFIRMED = int(Defect.ODD), int(Defect.CONFIRMED)
 
 
 class Tally:
@@ -24,6 +25,8 @@ class Tally:
         present: bits of the faults that were present last.
         ever_present: bits of the faults that have ever been present, to the very end.
         ever_latched: bits of the faults that have ever been latched, to the very end.
+        odd: readings that were held back.
+        confirmed: those among them that the next one confirmed.
         refused: bits of the faults that showed only when the axis was asked to arm.
         lateness: of the wake-ups [ns].
         latency: from the newest sensor frame to the command [ns].
@@ -31,8 +34,8 @@ class Tally:
     """
 
     __slots__ = (
-        *("_timed", "ever_latched", "ever_present", "lateness", "latency", "present", "refused", "skipped"),
-        *("state", "ticks", "tracking"),
+        *("_timed", "confirmed", "ever_latched", "ever_present", "lateness", "latency", "odd", "present"),
+        *("refused", "skipped", "state", "ticks", "tracking"),
     )
 
     def __init__(self, *, truth: bool, timed: bool) -> None:
@@ -49,6 +52,8 @@ class Tally:
         self.ever_present = 0
         self.ever_latched = 0
         self.refused = 0
+        self.odd = 0
+        self.confirmed = 0
         self.lateness = Histogram()
         self.latency = Histogram()
         self.tracking = Tracking(truth)
@@ -70,6 +75,10 @@ class Tally:
         self.ticks += 1
         self.state = tick.state
         self.present = tick.present
+        for defects in (tick.measurement.encoder_defects, tick.measurement.pressure_defects):
+            if defects:
+                self.odd += defects & _ODD != 0
+                self.confirmed += defects & _CONFIRMED != 0
         if self._timed:
             timing = record.timing
             self.skipped += tick.measurement.skipped

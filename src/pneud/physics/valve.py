@@ -13,20 +13,22 @@ class Valve(NamedTuple):
     omega_rad_s: float  # natural frequency of the spool; 0 for a spool without lag
     zeta: float
     dead_zone_v: float  # half width about the centre within which nothing flows
+    centre_v: float = 0.0  # where that is
 
 
 def opening(spool_v: float, valve: Valve) -> float:
     """Effective opening [V] of a spool at `spool_v`: 0 within the dead zone, u_max at and beyond u_max."""
-    excess = abs(spool_v) - valve.dead_zone_v
+    deviation = spool_v - valve.centre_v
+    excess = abs(deviation) - valve.dead_zone_v
     if excess <= 0.0:
         return 0.0
     u = excess * valve.u_max_v / (valve.u_max_v - valve.dead_zone_v)
-    return math.copysign(valve.u_max_v if u > valve.u_max_v else u, spool_v)  # NaN stays
+    return math.copysign(valve.u_max_v if u > valve.u_max_v else u, deviation)  # NaN stays
 
 
 def dead_zone_inverse(opening_v: float, valve: Valve, band_v: float) -> float:
     """Command [V] that gives an effective opening; the step across the dead zone is spread over ±band_v."""
-    scaled = opening_v * (valve.u_max_v - valve.dead_zone_v) / valve.u_max_v
+    scaled = valve.centre_v + opening_v * (valve.u_max_v - valve.dead_zone_v) / valve.u_max_v
     if band_v <= 0.0:
         return scaled + (math.copysign(valve.dead_zone_v, opening_v) if opening_v != 0.0 else 0.0)
     return scaled + valve.dead_zone_v * max(-1.0, min(1.0, opening_v / band_v))

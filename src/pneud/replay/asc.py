@@ -12,7 +12,6 @@ from datetime import datetime
 from pathlib import Path
 
 from pneud.bus.wire import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
-from pneud.replay.lines import CUT, Line, lines
 from pneud.replay.passing import (
     EXTENDED,
     FD,
@@ -25,6 +24,7 @@ from pneud.replay.passing import (
     decimal_ns,
 )
 from pneud.replay.remarks import Remarks
+from pneud.replay.text_lines import CUT, Line, lines
 from pneud.signals import Frame
 
 _STAMPED = re.compile(r"(-?)(\d{1,20})(?:\.(\d+))?\s+(\S.*)", re.ASCII)

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from pneud.bus.wire import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
-from pneud.replay.lines import CUT, lines
 from pneud.replay.passing import EXTENDED, FD, NO_IDENTIFIER, STANDARD, XL, Passing, decimal_ns
 from pneud.replay.remarks import Remarks
+from pneud.replay.text_lines import CUT, lines
 from pneud.signals import Frame
 
 _BEGINNING = r"\((-?)(\d{1,20})(?:\.(\d+))?\)\s+(\S+)\s+([0-9A-F]{3,8})#"

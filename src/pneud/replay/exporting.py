@@ -12,7 +12,7 @@ from pneud.log.files.columns import Block, blocks
 from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LogReader
 from pneud.replay import sidecar, traffic
-from pneud.rt.outputs import replacing
+from pneud.rt.outputs import replacing, replacing_all
 from pneud.signals import Frame
 
 TABLES = (".csv", ".parquet")
@@ -27,7 +27,7 @@ class Exported(NamedTuple):
 
 
 def frames(log: LogReader, codecs: Codecs, path: Path) -> Exported:
-    """Write the frames, and beside them what no bus carries.
+    """Write the frames, and beside them what no bus carries: both, or neither.
 
     Frames stand in the order in which the axis took them, a SYNC at the instant at which its tick began, so
     that `pneud import` finds the same ticks. Where a frame came in while a command was on its way out, its
@@ -67,10 +67,11 @@ def frames(log: LogReader, codecs: Codecs, path: Path) -> Exported:
                 if frame.can_id != sync_id:
                     yield _unix(frame, offset_ns), True
 
-    count = traffic.write(path, passing())
-    beside = sidecar.beside(path)
-    sidecar.write(beside, collector.sidecar())
-    return Exported(count, (path, beside), unsent)
+    files = path, sidecar.beside(path)
+    with replacing_all(*files) as (recording, known):
+        count = traffic.write(recording, passing())
+        sidecar.write(known, collector.sidecar())
+    return Exported(count, files, unsent)
 
 
 def _unix(frame: Frame, offset_ns: int) -> Frame:

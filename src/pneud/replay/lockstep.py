@@ -82,13 +82,14 @@ class Simulation:
         """The ticks, as the loop hands them to the recorder."""
         turn, machine, node = self.turn, self._machine, self.node
         idle, count, stalled = 0, 0, 0
+        left_over: list[Frame] = []
         last_state, last_present = int(State.STARTING), 0
         while idle < END_TICKS:
             skipped = machine.skip(START_NS + (count + stalled) * self._period_ns)
             stalled += skipped
             t_ns = START_NS + (count + stalled) * self._period_ns
             link = machine.link(t_ns)
-            left_over = node.poll(t_ns)
+            left_over += node.poll(t_ns)
             turn.open([] if link == DOWN or machine.plant_stands(t_ns) else left_over)
             sequence = count % SYNC_COUNTERS + 1
             sync = Frame(t_ns, self._sync.can_id, self._sync.encode(counter=sequence))
@@ -98,8 +99,8 @@ class Simulation:
             answers = node.poll(t_ns + self._wait_ns)
             if link == DOWN or machine.plant_stands(t_ns):  # it may have come to a stand since SYNC
                 answers = []
-            turn.feed(answers)
-            done_ns = answers[-1].stamp_ns if self.inbox.complete else t_ns + self._wait_ns
+            left_over = self._feed(answers)
+            done_ns = max(t_ns, turn.newest_ns) if self.inbox.complete else t_ns + self._wait_ns
             request = self._request(count, last_state, last_present)
             tick = turn.decide(skipped, self._conditions.host(t_ns, 0), request)
             last_state, last_present = tick.state, tick.present
@@ -118,6 +119,14 @@ class Simulation:
             count += 1
             over = self.shut or (tick.state == State.FAULT and self._operator is None)
             idle = idle + 1 if over and not is_engaged(tick.state) else 0
+
+    def _feed(self, answers: list[Frame]) -> list[Frame]:
+        """One after another until the set is complete, as the loop does; what is left for the next tick."""
+        for i, frame in enumerate(answers):
+            if self.inbox.complete:
+                return answers[i:]
+            self.turn.feed((frame,))
+        return []
 
     def _request(self, count: int, last_state: int, last_present: int) -> Request | None:
         """What is asked of the axis in this tick."""

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LogReader
 from pneud.rt.inputs import read_whole
-from pneud.rt.outputs import write_whole
 from pneud.signals import Request
 
 SCHEMA = 1
@@ -84,7 +83,7 @@ def write(path: Path, s: Sidecar) -> None:
         "skipped": list(s.skipped.items()),
         "host": list(s.host.items()),
     }
-    write_whole(path, json.dumps(content, indent=1, ensure_ascii=False))
+    path.write_text(json.dumps(content, indent=1, ensure_ascii=False), encoding="utf-8")
 
 
 def read(path: Path) -> Sidecar | None:

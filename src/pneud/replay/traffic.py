@@ -13,7 +13,6 @@ from pneud.log.files.naming import LogError
 from pneud.replay import asc, blf, candump
 from pneud.replay.passing import EXTENDED, SECOND_NS, STANDARD, Passing
 from pneud.replay.remarks import Remarks
-from pneud.rt.outputs import replacing
 from pneud.signals import Frame
 
 __all__ = ["FORMATS", "Passing", "read", "write"]
@@ -37,8 +36,7 @@ def write(path: Path, frames: Iterable[tuple[Frame, bool]]) -> int:
     Raises:
         OSError: the file cannot be written.
     """
-    with replacing(path) as beside:
-        return _write_candump(beside, frames) if path.suffix == CANDUMP else _write_other(beside, frames)
+    return _write_candump(path, frames) if path.suffix == CANDUMP else _write_other(path, frames)
 
 
 def _write_candump(path: Path, frames: Iterable[tuple[Frame, bool]]) -> int:

@@ -189,7 +189,8 @@ class _Gatherer:
         for block, t_s in self._windowed(window):
             self._take(block, t_s)
         if not self.ticks:
-            raise LogError(f"{self.log.path}: no tick in it")
+            why = f"; {self.log.damage}" if self.log.truncated else ""
+            raise LogError(f"{self.log.path}: no tick in it{why}")
         self._name_marks()
         end_s = self.last_s + 1e-9 * self.period_ns
         log = self.log

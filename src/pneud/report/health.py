@@ -1,6 +1,7 @@
 """What a log says about its bus: frames by identifier, what was wrong with them, and when they came.
 
-It judges frames as the inbox does, a block at a time; a test holds the two together.
+It judges frames as the inbox does, a block at a time; a test holds the two together. Only what the inbox
+knows of the SYNC that a frame answers is not known here: late is what was sampled before its tick's SYNC.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from pneud.bus import crc8
 from pneud.bus.codec import Codec, Codecs
-from pneud.bus.layout import SignalField, shift
+from pneud.bus.dbc_layout import SignalField, shift
 from pneud.bus.wire import CAN_ERR_FLAG
 from pneud.log.files.columns import AFTER, BEFORE, SENT, Block, Floats, FrameColumns, Ints
 from pneud.report.spread import Spread

@@ -94,6 +94,7 @@ class PlantNode:
         self._answer_ids = frozenset(codec.can_id for codec in answers)
         self._shortest_ns = min(self._durations)
         self._counters = [0, 0, 0]
+        self._masks = tuple(codec.counter_mask for codec in answers)
         self._wire = Wire()
         self._ended: list[tuple[int, _Answer]] = []  # transmitted, not yet polled
         self._held: list[Frame] = []  # delayed by the hook
@@ -156,6 +157,10 @@ class PlantNode:
         self._counters[node] = 0
         if node == VALVE_NODE:
             self.valve.reboot()
+
+    def take_back(self, node: int) -> None:
+        """One of the nodes has not sent what the hook was given last, and has not counted it."""
+        self._counters[node] = (self._counters[node] - 1) & self._masks[node]
 
     def due(self) -> int | None:
         """Earliest time [ns] at which `poll` may have a frame; None as long as no frame comes in."""

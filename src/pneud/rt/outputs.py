@@ -19,28 +19,89 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OSError: nothing can be made there.
     """
-    with contextlib.suppress(FileNotFoundError):
-        path.stat()  # refuses what leads round in circles
-    target = path.resolve() if path.is_symlink() else path
-    if target.exists() and not target.is_file():
-        yield path
-        return
-    beside = target.with_name(f".pneud-{os.getpid()}{target.suffix}")
-    try:
+    with replacing_all(path) as (beside,):
         yield beside
-        descriptor = os.open(beside, os.O_RDONLY | os.O_CLOEXEC)
+
+
+@contextmanager
+def replacing_all(*paths: Path) -> Iterator[tuple[Path, ...]]:
+    """As `replacing`, of files that belong together: none is replaced unless all can be.
+
+    Should the system die between one and the next, the first are the new ones and the rest the old.
+
+    Raises:
+        OSError: nothing can be made at one of them.
+    """
+    places: list[_Place] = []
+    try:
+        places += (_Place(path, number) for number, path in enumerate(paths))
+        yield tuple(place.beside for place in places)
+        for place in places:
+            place.settle()
+        for place in places:
+            place.take(alone=len(places) == 1)
+    except BaseException:
+        for place in places:
+            with contextlib.suppress(OSError):
+                place.undo()
+        raise
+    for place in places:
+        place.finish()
+
+
+class _Place:
+    """A file that is to be replaced, and the one that is written beside it."""
+
+    def __init__(self, path: Path, number: int) -> None:
+        with contextlib.suppress(FileNotFoundError):
+            path.stat()  # refuses what leads round in circles
+        self._target = path.resolve() if path.is_symlink() else path
+        self._there = self._target.exists()
+        self._as_it_is = self._there and not self._target.is_file()
+        name = f".pneud-{os.getpid()}-{number}"
+        self.beside = path if self._as_it_is else self._target.with_name(f"{name}{path.suffix}")
+        self._before = self._target.with_name(f"{name}.before")
+        self._taken = False
+
+    def settle(self) -> None:
+        """Have the disk keep what was written."""
+        if self._as_it_is:
+            return
+        descriptor = os.open(self.beside, os.O_RDONLY | os.O_CLOEXEC)
         try:
             with contextlib.suppress(FileNotFoundError):
-                os.fchmod(descriptor, target.stat().st_mode & 0o7777)
+                os.fchmod(descriptor, self._target.stat().st_mode & 0o7777)
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
-        beside.replace(target)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            beside.unlink()
-        raise
-    _sync_folder(target.parent)
+
+    def take(self, *, alone: bool) -> None:
+        """Put it into its place; what was there has another name until all are, if the disk knows such."""
+        if self._as_it_is:
+            return
+        if self._there and not alone:
+            with contextlib.suppress(OSError):
+                os.link(self._target, self._before)
+        self.beside.replace(self._target)
+        self._taken = True
+
+    def undo(self) -> None:
+        """Have it as it was."""
+        if self._as_it_is:
+            return
+        if not self._taken:
+            self.beside.unlink(missing_ok=True)
+            self._before.unlink(missing_ok=True)
+        elif not self._there:
+            self._target.unlink()
+        elif self._before.exists():
+            self._before.replace(self._target)
+
+    def finish(self) -> None:
+        """Have the new name survive a power cut."""
+        if not self._as_it_is:
+            self._before.unlink(missing_ok=True)
+            _sync_folder(self._target.parent)
 
 
 def write_whole(path: Path, data: str | bytes) -> None:

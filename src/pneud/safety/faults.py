@@ -83,6 +83,8 @@ class F(IntEnum):
     OPERATOR_LOST = 57
     HOMING_FAILED = 58
     CONSOLE_LOST = 59
+    ENCODER_DOUBTFUL = 60
+    PRESSURE_DOUBTFUL = 61
 
 
 class Fault(NamedTuple):
@@ -117,7 +119,13 @@ _NODE = "power-cycle the node; it repeats itself"
 _TIMING = "check the node's configuration (it has to answer SYNC) and the bus load"
 
 TABLE: tuple[Fault, ...] = (
-    Fault(F.ENCODER_MISSING, Reaction.CENTRE, "no encoder frame", _WIRING, "sensor_timeout_ns"),
+    Fault(
+        F.ENCODER_MISSING,
+        Reaction.CENTRE,
+        "no encoder frame, or none that could be believed",
+        _WIRING,
+        "sensor_timeout_ns",
+    ),
     Fault(
         F.ENCODER_CORRUPT,
         Reaction.CENTRE,
@@ -131,7 +139,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(
         F.ENCODER_LATE,
         Reaction.CENTRE,
-        "only encoder frames sampled before SYNC",
+        "only encoder frames come that answer an earlier SYNC",
         _TIMING,
         "sensor_timeout_ns",
     ),
@@ -145,7 +153,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(
         F.PRESSURE_MISSING,
         Reaction.CENTRE,
-        "no pressure frame",
+        "no pressure frame, or none that could be believed",
         _WIRING,
         "sensor_timeout_ns",
     ),
@@ -166,7 +174,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(
         F.PRESSURE_LATE,
         Reaction.CENTRE,
-        "only pressure frames sampled before SYNC",
+        "only pressure frames come that answer an earlier SYNC",
         _TIMING,
         "sensor_timeout_ns",
     ),
@@ -196,7 +204,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(
         F.VALVE_LATE,
         Reaction.CENTRE,
-        "only valve status frames sampled before SYNC",
+        "only valve status frames come that answer an earlier SYNC",
         _TIMING,
         "sensor_timeout_ns",
     ),
@@ -223,8 +231,8 @@ TABLE: tuple[Fault, ...] = (
     Fault(
         F.TRAVEL,
         Reaction.CENTRE,
-        "the position lies outside limits.travel",
-        "move the load back by hand with the supply shut, then clear",
+        "the position of an engaged axis has left limits.travel, or lies outside the cylinder",
+        "clear, arm, and lead it back",
     ),
     Fault(F.OVERSPEED, Reaction.CENTRE, "faster than limits.speed_m_s", "check the gains and the load"),
     Fault(
@@ -485,6 +493,23 @@ TABLE: tuple[Fault, ...] = (
         "none but to clear and arm: the console is started again by itself; where nobody answers, restart the"
         " daemon; where it repeats itself, see pneud doctor for what takes this machine's time",
         clears="when the axis is no longer engaged, or the console is back",
+    ),
+    Fault(
+        F.ENCODER_DOUBTFUL,
+        Reaction.STOP,
+        "three in ten of the encoder's readings are further from where the load can be than noise and forces"
+        " explain, and the next one does not confirm them",
+        "check the encoder's shielding, head and scale; check that its node answers SYNC with what it has"
+        " sampled then",
+        clears="when fewer have been odd for some 40 ms",
+    ),
+    Fault(
+        F.PRESSURE_DOUBTFUL,
+        Reaction.STOP,
+        "three in ten of the pressure readings have changed by more than valve and piston can change them, or"
+        " crossed a limit, and the next one does not confirm them",
+        "check the sensors' shielding, wiring and supply",
+        clears="when fewer have been odd for some 40 ms",
     ),
 )
 

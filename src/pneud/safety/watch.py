@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from pneud.safety.checks import Limits
 from pneud.safety.faults import F
-from pneud.signals import Estimate, Host, Measurement, Source, State, ValveState
+from pneud.signals import Defect, Estimate, Host, Measurement, Source, State, ValveState
 
 SUPPLY_S = 0.05  # time constant of the slow supply pressure that the new one is compared with
 HORIZON_S = 0.2  # a supply that leaves its limits within this time is falling
@@ -21,6 +21,7 @@ CHAMBER_PA = 20_000.0  # a chamber pressure may jump so far by noise
 NAN = float("nan")
 _ENCODER, _PRESSURE, _VALVE = int(Source.ENCODER), int(Source.PRESSURE), int(Source.VALVE)
 _LINK_DOWN, _SEND_FAILED = int(Host.LINK_DOWN), int(Host.SEND_FAILED)
+_CONFIRMED = int(Defect.CONFIRMED)
 _ENABLED, _HOMING = int(ValveState.ENABLED), int(State.HOMING)
 _SATURATED_LONG, _SUPPLY_FALLING = 1 << F.SATURATED_LONG, 1 << F.SUPPLY_FALLING
 _FORCE_DISAGREES, _VALVE_DISAGREES = 1 << F.FORCE_DISAGREES, 1 << F.VALVE_DISAGREES
@@ -206,7 +207,8 @@ def seen(w: Seen, m: Measurement, e: Estimate, engaged: bool, last_v: float) -> 
         still += 1
         if m.position_m != position_m or not engaged:
             position_m, x3_n, velocity_m_s = m.position_m, e.x3_n, e.velocity_m_s
-            changed_ns, still = m.t_ns + m.encoder_offset_ns, 0
+            # a confirmed reading says what the one before it said
+            changed_ns, still = m.t_ns + m.encoder_offset_ns, 1 if m.encoder_defects & _CONFIRMED else 0
     p1_pa, p2_pa, pressure_ns, supply_pa = w.p1_pa, w.p2_pa, w.pressure_ns, w.supply_pa
     changed1_m, changed2_m = w.changed1_m, w.changed2_m
     if m.fresh & _PRESSURE:

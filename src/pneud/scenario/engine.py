@@ -33,7 +33,7 @@ _OF_NODE = {  # what a node sends, then what it alone hears
     "pressure": ("pressure",),
     "valve": ("valve_status", "valve_command"),
 }
-_TOUCHING = (kinds.FrameFault, kinds.Value, kinds.Reboot, kinds.Silence)  # frames show them
+_TOUCHING = (kinds.ChosenFault, kinds.Reboot, kinds.Silence)  # frames show them
 _PHYSICAL = get_args(kinds.PLANT)
 _EMCY, _HEARTBEAT = 0x081, 0x701  # of the first node
 _OPERATIONAL = 5
@@ -136,7 +136,7 @@ class Engine:
         self._active: list[_Playing] = []
         self._roles = {getattr(codecs, role).can_id: role for role in ROLES}
         self._last: dict[int, bytes] = {}  # the newest frame of each kind, as it was meant
-        self._start_ns = self._armed_ns = -1
+        self._start_ns = self._armed_ns = self._sync_ns = -1
 
     def settle(self) -> None:
         """The controller is gone for good: watch the load until it must have come to rest."""
@@ -162,6 +162,7 @@ class Engine:
 
     def _tick(self, t_ns: int) -> None:
         effects = self.effects
+        self._sync_ns = t_ns
         if self._start_ns < 0:
             self._start_ns = t_ns
         if effects.centred_ns < 0:
@@ -285,11 +286,20 @@ class Engine:
         elif isinstance(fault, kinds.Silence):
             if any(role == _OF_NODE[node][0] for node in fault.nodes):
                 return ()
-        elif isinstance(fault, kinds.Value) and SIGNALS[fault.signal][0] == role:
+        elif isinstance(fault, kinds.Skip):
+            for node in fault.nodes:
+                if role == _OF_NODE[node][0] and self._hits(playing, fault, frame.can_id):
+                    self.node.take_back(NODES[node])
+                    return ()
+        elif (
+            isinstance(fault, kinds.Value)
+            and SIGNALS[fault.signal][0] == role
+            and self._hits(playing, fault, frame.can_id)
+        ):
             return self._misreport(playing, fault, frame)
         return (frame,)
 
-    def _hits(self, playing: _Playing, fault: kinds.FrameFault, can_id: int) -> bool:
+    def _hits(self, playing: _Playing, fault: kinds.ChosenFault, can_id: int) -> bool:
         count = playing.counts.get(can_id, 0)
         playing.counts[can_id] = count + 1
         hit = (count % fault.every == fault.phase) != fault.keep
@@ -316,13 +326,20 @@ class Engine:
                 return ()
             return (frame, kept._replace(stamp_ns=frame.stamp_ns))
         delay_ns = round(fault.delay_ms * 1e6 + fault.delay_periods * self._period_ns)
-        return (frame._replace(stamp_ns=frame.stamp_ns + delay_ns),)
+        if fault.after_sync is None:
+            stamp_ns = frame.stamp_ns
+        else:
+            stamp_ns = self._sync_ns + round(fault.after_sync * self._period_ns)
+        return (frame._replace(stamp_ns=stamp_ns + delay_ns),)
 
     def _misreport(self, playing: _Playing, fault: kinds.Value, frame: Frame) -> Sequence[Frame]:
         role, place = SIGNALS[fault.signal]
         codec: Codec = getattr(self._codecs, role)
         values = list(codec.decode(frame.data))
         true = values[place]
+        if fault.alternate:
+            sign = playing.memory[frame.can_id] = -playing.memory.get(frame.can_id, -1)
+            fault = fault.model_copy(update={"value": sign * fault.value})
         if fault.kind == "stuck":
             values[place] = playing.memory.setdefault(frame.can_id, true)
         elif fault.kind == "offset":

@@ -61,14 +61,19 @@ class InjectedFault(PlantPart):
     for_s: Positive | None = None
 
 
-class FrameFault(InjectedFault):
-    """Some of the frames of one kind or several."""
+class ChosenFault(InjectedFault):
+    """What befalls some of the frames only, unless it is all of them."""
 
-    frames: Annotated[tuple[Role, ...], Field(min_length=1)]
     probability: Probability = 1.0
     every: Annotated[int, Field(ge=1)] = 1  # of this many frames of a kind, one …
     phase: Annotated[int, Field(ge=0)] = 0  # … this one
     keep: bool = False  # all but that one
+
+
+class FrameFault(ChosenFault):
+    """Some of the frames of one kind or several."""
+
+    frames: Annotated[tuple[Role, ...], Field(min_length=1)]
 
 
 class Drop(FrameFault):
@@ -102,11 +107,12 @@ class Freeze(FrameFault):
 
 
 class Delay(FrameFault):
-    """Frames come late, by a time or a part of the controller's period."""
+    """Frames come late, by a time or so many of the controller's periods."""
 
     kind: Literal["delay"]
     delay_ms: NonNegative = 0.0
     delay_periods: NonNegative = 0.0
+    after_sync: Annotated[float, Field(ge=0, lt=1)] | None = None  # all at once, so late as part of a period
 
 
 class Babble(InjectedFault):
@@ -156,6 +162,13 @@ class Silence(InjectedFault):
     nodes: Annotated[tuple[Node, ...], Field(min_length=1)]
 
 
+class Skip(ChosenFault):
+    """Nodes do not hear a SYNC: they do not answer it, and do not count it."""
+
+    kind: Literal["skip"]
+    nodes: Annotated[tuple[Node, ...], Field(min_length=1)]
+
+
 class Reboot(InjectedFault):
     """A node starts anew; `for_s` is how long that takes."""
 
@@ -178,12 +191,19 @@ class ValveFailure(InjectedFault):
     kind: Literal["valve_failure"]
 
 
-class Value(InjectedFault):
+class Value(ChosenFault):
     """A node reports another value than it has: stuck at the last one, offset, drifting, scaled, or set."""
 
     kind: Literal["stuck", "offset", "drift", "scale", "set"]
     signal: Signal
     value: float = 0.0  # in the signal's unit; drift: per second; scale: factor
+    alternate: bool = False  # of an offset: every other one has the other sign
+
+    @model_validator(mode="after")
+    def _of_offset(self) -> Value:
+        if self.alternate and self.kind != "offset":
+            raise ValueError("only an offset can alternate")
+        return self
 
 
 class Supply(InjectedFault):
@@ -295,7 +315,7 @@ class InterfaceFault(InjectedFault):
 
 
 BUS = Drop | Duplicate | Reorder | Corrupt | Freeze | Delay | Babble | BusOff | ErrorFrames
-NODES = Silence | Reboot | Emcy | Heartbeat | ValveFailure | Value
+NODES = Silence | Skip | Reboot | Emcy | Heartbeat | ValveFailure | Value
 PLANT = Supply | Leak | ValveStuck | Seized | Mass | FrictionFault | Force
 MACHINE = StopProcess | Overload | Kill | Hog | ClockStep | LogFull | Descriptors | InterfaceFault
 AnyFault = Annotated[BUS | NODES | PLANT | MACHINE, Field(discriminator="kind")]

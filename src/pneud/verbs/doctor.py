@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pneud.service.doctor import diagnose
+from pneud.service.examination import diagnose
 from pneud.verbs import JsonOption, VerbError
 
 

@@ -11,7 +11,7 @@ import typer
 from pneud.config.models import ConfigError
 from pneud.config.reading import load_with_text, parse
 from pneud.loading import at_rate, codecs_of
-from pneud.log.files.naming import create_log, log_path
+from pneud.log.files.naming import log_path, new_log
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import LogHeader
 from pneud.replay import sidecar, traffic
@@ -97,21 +97,17 @@ def import_(
     )
     times = Times(surveyed.start_ns, placed.offset_ns, 1e9 / source.rate_hz, remarks)
     ticks = Ticks(traffic.read(recording, remarks), codecs, surveyed, times, remarks)
-    writer = LogWriter(create_log(path), header)
-    done = False
-    try:
+    with new_log(path) as descriptor:
+        writer = LogWriter(descriptor, header)
         found = rebuild(ticks, writer, config, codecs, source.known)
         done = writer.close() and writer.written > 0
-    finally:
+        if writer.unwritten:
+            remarks.add("ticks that no log can hold, left out", path.name, count=writer.unwritten)
         if not done:
-            path.unlink(missing_ok=True)
-    if writer.unwritten:
-        remarks.add("ticks that no log can hold, left out", path.name, count=writer.unwritten)
-    if not done:
-        for line in remarks.lines():
-            print(line, file=sys.stderr)
-        what = f"{path}: could not be written whole" if writer.error else f"{recording}: made no tick"
-        raise ConfigError(what)
+            for line in remarks.lines():
+                print(line, file=sys.stderr)
+            what = f"{path}: could not be written whole" if writer.error else f"{recording}: made no tick"
+            raise ConfigError(what)
     print(f"{path}: {writer.written} ticks from channel {surveyed.channel}")
     if source.known is None:
         print(

@@ -225,6 +225,7 @@ def _against(one: LogReader, other: LogReader, output: Path | None, json: bool) 
         print("there is no tick that both have, so there is nothing to compare")
     else:
         print(f"the same in {d.ticks} ticks, {c.engaged_ticks} of them engaged")
+    _tell_of_damage(one, other)
     if c.shift_ticks and not json:
         print(f"the second log is engaged {c.shift_ticks:+} ticks later and was shifted by that")
     return 0 if d.ticks and not spreads else 1
@@ -261,7 +262,14 @@ def _play(log: LogReader, channel: str, speed: float, begin_s: float, json: bool
         print(f"{done.frames} frames on {channel}, the latest {done.late_ms:.1f} ms after its time")
         if done.failed:
             print(f"pneud: {done.failed} frames could not be sent", file=sys.stderr)
+        _tell_of_damage(log)
     return 0 if done.frames and not done.failed else 1
+
+
+def _tell_of_damage(*logs: LogReader) -> None:
+    for log in logs:
+        if log.truncated:
+            print(f"pneud: {log.path}: not whole: {log.damage}", file=sys.stderr)
 
 
 def _first(log: LogReader) -> list[tuple[Any, ...]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -56,7 +57,11 @@ def report(
         pictures.require()
     setting = _reference(reference) if reference is not None else None
     buckets = max(_FEWEST, _BUCKETS // len(logs))
-    runs = [gather(read_log(log), window, buckets) for log in logs]
+    readers = [read_log(log) for log in logs]
+    runs = [gather(reader, window, buckets) for reader in readers]
+    for reader in readers:
+        if reader.truncated:
+            print(f"pneud: {reader.path}: not whole: {reader.damage}", file=sys.stderr)
     try:
         write_whole(output, page(runs, setting))
         written = [output]

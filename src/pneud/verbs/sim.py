@@ -6,6 +6,7 @@ import importlib.util
 import json as json_
 import os
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +14,7 @@ import typer
 
 from pneud.config.models import ConfigError
 from pneud.loading import Loaded, load
-from pneud.log.files.naming import create_log, log_path
+from pneud.log.files.naming import log_path, new_log
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import SNAPSHOT_S, LogHeader
 from pneud.loop.summary import in_words, summarise
@@ -29,6 +30,7 @@ from pneud.verbs import JsonOption, ScenarioOption, SeedOption, VerbError
 
 DURATION_S = 10.0
 MOST_REST_S = 600.0
+NO_LOG = -1
 
 
 def sim(
@@ -81,26 +83,11 @@ def sim(
     loaded = load_axis(config_file, None, scenario)
     how = backend_of(loaded)
     run = Simulation(loaded, duration_s, seed, how, scenario=scenario)
-    writer, path = None, None
-    if output is not None:
-        path = log_path(str(output), loaded.config.name)
-        writer = _writer(path, loaded, seed, how.name)
-    tally = Tally(truth=True, timed=False)
-    seen = verdict.Observed()
-    snapshot_ticks, written = max(1, round(SNAPSHOT_S * loaded.config.loop.rate_hz)), 0
-    for record in run.records():
-        tally.add(record, run.axis.state.plan, ending=run.shut)
-        request = record.tick.request
-        if request is not None and request.kind == RequestKind.ARM:
-            tally.asked_to_arm(record.tick)
-        if not run.shut:
-            seen = seen.then(record.tick)
-        if writer is not None:
-            writer.write(record)
-            written += 1
-            if written % snapshot_ticks == 0:
-                writer.snapshot(run.turn.freeze())
-    whole = writer is None or (writer.close() and not writer.unwritten)
+    path = log_path(str(output), loaded.config.name) if output is not None else None
+    with new_log(path) if path is not None else nullcontext(NO_LOG) as descriptor:
+        writer = _writer(descriptor, loaded, seed, how.name) if path is not None else None
+        tally, seen = _run(run, loaded.config.loop.rate_hz, writer)
+        whole = writer is None or (writer.close() and not writer.unwritten)
     if writer is not None and not whole:
         why = os.strerror(writer.error) if writer.error > 0 else "some ticks fit into no log"
         print(f"pneud: {path}: could not be written whole: {why}", file=sys.stderr)
@@ -129,9 +116,29 @@ def sim(
     return 0 if tally.state == State.TRACKING and not tally.ever_latched and whole else 1
 
 
-def _writer(path: Path, loaded: Loaded, seed: int, law: str) -> LogWriter:
+def _run(run: Simulation, rate_hz: float, writer: LogWriter | None) -> tuple[Tally, verdict.Observed]:
+    """All ticks, counted and written down."""
+    tally = Tally(truth=True, timed=False)
+    seen = verdict.Observed()
+    snapshot_ticks, written = max(1, round(SNAPSHOT_S * rate_hz)), 0
+    for record in run.records():
+        tally.add(record, run.axis.state.plan, ending=run.shut)
+        request = record.tick.request
+        if request is not None and request.kind == RequestKind.ARM:
+            tally.asked_to_arm(record.tick)
+        if not run.shut:
+            seen = seen.then(record.tick)
+        if writer is not None:
+            writer.write(record)
+            written += 1
+            if written % snapshot_ticks == 0:
+                writer.snapshot(run.turn.freeze())
+    return tally, seen
+
+
+def _writer(descriptor: int, loaded: Loaded, seed: int, law: str) -> LogWriter:
     return LogWriter(
-        create_log(path),
+        descriptor,
         LogHeader(
             name=loaded.config.name,
             bus="simulated",

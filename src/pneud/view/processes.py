@@ -6,14 +6,18 @@ What they draw and serve with is loaded there, beside the loop's own start.
 from __future__ import annotations
 
 import signal
+import socket
 import sys
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pneud import crew
 from pneud.log.format.header import LogHeader
 from pneud.log.live.ring import Ring
 from pneud.view.info import ScreenInfo
+
+if TYPE_CHECKING:
+    from pneud.view.admission import Admission
 
 LEAVE_SCREEN = "\x1b[?1049l\x1b[?25h\x1b[0m"
 """What a parent writes to the terminal when the screen's process did not end by itself."""
@@ -48,15 +52,21 @@ def leave_screen() -> None:
     sys.stdout.flush()
 
 
-def fork_viewers(ring: Ring, header: LogHeader, parameters: Mapping[str, Any], host: str, port: int) -> int:
+def fork_viewers(
+    ring: Ring,
+    header: LogHeader,
+    parameters: Mapping[str, Any],
+    listener: socket.socket,
+    admission: Admission,
+) -> int:
     """The server for viewers, until the ring is closed.
 
     Args:
         ring: where the records are.
         header: what the log says about its run.
         parameters: the configuration, for show.
-        host: address to listen on.
-        port: port to listen on.
+        listener: where viewers come; it is theirs alone from now on.
+        admission: who may look.
 
     Returns:
         Its process id.
@@ -65,6 +75,7 @@ def fork_viewers(ring: Ring, header: LogHeader, parameters: Mapping[str, Any], h
     def main() -> None:
         from pneud.view import viewers  # noqa: PLC0415
 
-        viewers.serve(ring.reader().poll, header, parameters, host, port, lambda: ring.closed)
+        viewers.serve(ring.reader().poll, header, parameters, listener, admission, lambda: ring.closed)
 
-    return crew.fork(main, orphaned=signal.SIGTERM)
+    with listener:
+        return crew.fork(main, keep=[listener.fileno()], orphaned=signal.SIGTERM)

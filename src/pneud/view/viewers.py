@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -21,6 +22,8 @@ from pneud.log.format.header import LogHeader
 from pneud.log.format.records import Packer, pack_event
 from pneud.log.format.schema import EVENTS, FRAMES, TICK, topics
 from pneud.signals import Record
+from pneud.view.admission import Admission
+from pneud.view.relay import be_alone, start_relay
 
 POLL_S = 0.02
 _NICE = 5
@@ -107,8 +110,8 @@ def serve(
     poll: Callable[[], list[Record]],
     header: LogHeader,
     parameters: Mapping[str, Any],
-    host: str,
-    port: int,
+    listener: socket.socket,
+    admission: Admission,
     stop: Callable[[], bool],
 ) -> None:
     """Serve as the whole life of a forked process, until told to stop.
@@ -117,35 +120,38 @@ def serve(
         poll: yields the records that are new.
         header: what the log says about its run.
         parameters: the configuration, for show.
-        host: address to listen on.
-        port: port to listen on.
+        listener: where viewers come.
+        admission: who may look.
         stop: whether the run is over.
     """
+    leaving = crew.asked_to_leave(signal.SIGTERM, signal.SIGHUP)
+    os.nice(_NICE)
+    if not be_alone():
+        print("pneud: --live: users of this machine can look without being asked", file=sys.stderr)
     import foxglove  # noqa: PLC0415  (an extra, loaded beside the loop's own start)
     from foxglove.websocket import Capability, Parameter  # noqa: PLC0415
 
-    leaving = crew.asked_to_leave(signal.SIGTERM, signal.SIGHUP)
-    os.nice(_NICE)
     foxglove.set_log_level("CRITICAL")  # a client that goes is no event
-    listener = Listener(flat(parameters), lambda name, value: Parameter(name, value=value))
+    watchers = Listener(flat(parameters), lambda name, value: Parameter(name, value=value))
     context = foxglove.Context()
     publisher = _Publisher(header, context, foxglove)
     try:
         server = foxglove.start_server(
             name=f"pneud {header.name}",
-            host=host,
-            port=port,
+            host="127.0.0.1",
+            port=0,
             capabilities=[Capability.Parameters],
-            server_listener=cast(Any, listener),
+            server_listener=cast(Any, watchers),
             context=context,
             message_backlog_size=_BACKLOG,
         )
     except Exception as e:
-        print(f"pneud: --live: cannot serve on {host}:{port}: {e}", file=sys.stderr)
+        print(f"pneud: --live: cannot serve: {e}", file=sys.stderr)
         return
+    start_relay(listener, admission, server.port)
     try:
         while not leaving() and not stop():
-            wanted = listener.topics
+            wanted = watchers.topics
             publisher.publish(poll(), wanted)
             time.sleep(POLL_S)
     finally:

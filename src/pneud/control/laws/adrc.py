@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from pneud.control.laws.loop import OpenLoop, cube_root
+from pneud.control.laws.open_loop import OpenLoop, cube_root
 from pneud.control.laws.situation import Situation, errors, within
 from pneud.control.motion import MotionFilter, beyond
 from pneud.control.prediction import Motion, Rates, ahead

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pneud.control.laws.loop import OpenLoop, cube_root
+from pneud.control.laws.open_loop import OpenLoop, cube_root
 from pneud.control.laws.situation import Situation, within
 
 

@@ -66,7 +66,7 @@ def command(wanted_v: float, last_v: float, p: Sliding, valve: Valve) -> float:
     if not p.invert_dead_zone:
         return wanted_v
     if abs(wanted_v) <= p.hold_v:
-        return max(-valve.dead_zone_v, min(valve.dead_zone_v, last_v))
+        return valve.centre_v + max(-valve.dead_zone_v, min(valve.dead_zone_v, last_v - valve.centre_v))
     return dead_zone_inverse(wanted_v, valve, 0.0)
 
 

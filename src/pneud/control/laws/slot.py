@@ -14,7 +14,7 @@ from pneud.control.laws import pid as pid_
 from pneud.control.laws.adrc import Adrc, AdrcState, at_rest, extend, in_motion
 from pneud.control.laws.adrc import after as adrc_after
 from pneud.control.laws.adrc import demand as adrc_demand
-from pneud.control.laws.loop import OpenLoop
+from pneud.control.laws.open_loop import OpenLoop
 from pneud.control.laws.pid import Pid, PidState
 from pneud.control.laws.pid import after as pid_after
 from pneud.control.laws.pid import begin as pid_begin

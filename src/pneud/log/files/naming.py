@@ -5,7 +5,11 @@ from __future__ import annotations
 import os
 import re
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+
+from pneud.rt.outputs import replacing
 
 
 class LogError(Exception):
@@ -102,8 +106,26 @@ def create_log(path: Path) -> int:
     Raises:
         LogError: the file exists or cannot be created.
     """
+    return _created(path, path)
+
+
+@contextmanager
+def new_log(path: Path) -> Iterator[int]:
+    """As `create_log`, for a log that a tool makes: it has its name when the block is over, and not before.
+
+    Raises:
+        LogError: the file exists or cannot be created.
+        OSError: the disk does not keep it.
+    """
+    if path.exists():
+        raise LogError(f"{path}: exists already; a log is never overwritten, name another file")
+    with replacing(path) as beside:
+        yield _created(beside, path)
+
+
+def _created(file: Path, path: Path) -> int:
     try:
-        return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        return os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
     except FileExistsError:
         raise LogError(f"{path}: exists already; a log is never overwritten, name another file") from None
     except OSError as e:

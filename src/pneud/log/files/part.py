@@ -13,7 +13,7 @@ import zlib
 from mcap.records import Metadata
 from mcap.writer import Writer
 
-from pneud.log.files.output import LogOutput
+from pneud.log.files.saving import LogOutput
 from pneud.log.format.fingerprint import numeric_fingerprint, versions
 from pneud.log.format.framing import DamageError
 from pneud.log.format.header import LogHeader

@@ -8,7 +8,6 @@ without chunks are saved one by one.
 from __future__ import annotations
 
 import base64
-import contextlib
 import os
 import re
 from collections.abc import Iterator
@@ -19,7 +18,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
-from pneud.log.files.naming import LogError, create_log
+from pneud.log.files.naming import LogError, new_log
 from pneud.log.files.part import CONFIG_TEXT, CRC, DBC, check_intact, checked
 from pneud.log.files.writer import CHUNK_BYTES
 from pneud.log.format import framing
@@ -61,21 +60,12 @@ def recover(src: Path, dst: Path) -> RecoverReport:
         LogError: the source is no MCAP file, or the new file exists or cannot be written.
     """
     with open_mcap(src, damaged=True) as source:
-        descriptor = create_log(dst)
         try:
-            with os.fdopen(descriptor, "wb") as target:
+            with new_log(dst) as descriptor, os.fdopen(descriptor, "wb") as target:
                 rescue = _Rescue(Writer(target, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD))
                 report = rescue.run(source)
-                target.flush()
-                os.fsync(target.fileno())
         except OSError as e:
-            with contextlib.suppress(OSError):
-                dst.unlink()
             raise LogError(f"{dst}: cannot be written: {e.strerror}") from None
-        except BaseException:
-            with contextlib.suppress(OSError):
-                dst.unlink()
-            raise
     return report
 
 

@@ -6,9 +6,10 @@ from collections.abc import Iterator
 
 from pneud.log.format.records import LoggedEvent
 from pneud.log.format.schema import Level
-from pneud.signals import Answer, Record, RequestKind, State
+from pneud.signals import Answer, Defect, Record, RequestKind, State
 
 _QUIET_NS = 1_000_000_000
+_ODD, _CONFIRMED = int(Defect.ODD), int(Defect.CONFIRMED)
 _OFTEN = (RequestKind.JOG, RequestKind.PIECE)  # asked many times a second
 
 
@@ -68,6 +69,12 @@ class EventSource:
             yield from self._fault_changes(t_ns, tick.present, tick.latched)
         if tick.measurement.skipped:
             yield from self._limited(t_ns, Level.WARNING, "loop", f"skipped {tick.measurement.skipped} ticks")
+        m = tick.measurement
+        for name, defects in (("encoder", m.encoder_defects), ("pressure", m.pressure_defects)):
+            if defects & _ODD:
+                yield from self._limited(t_ns, Level.WARNING, name, "reading held back: beyond physics")
+            if defects & _CONFIRMED:
+                yield from self._limited(t_ns, Level.INFO, name, "confirmed by the next reading")
         if tick.command.saturated != self._saturated:
             self._saturated = tick.command.saturated
             words = "saturated" if self._saturated else f"saturation over after {self._saturated_ticks} ticks"

@@ -16,7 +16,7 @@ from google.protobuf.descriptor_pb2 import FieldDescriptorProto as F
 
 from pneud.log.format.frames import FrameBlock
 from pneud.log.format.header import Detail
-from pneud.log.format.layout import NUMBERS, numbers_of, record_of
+from pneud.log.format.record_layout import NUMBERS, numbers_of, record_of
 from pneud.log.format.schema import Field, Level, message_class, tick_fields
 from pneud.signals import Command, Estimate, Frame, Measurement, Record, Reference, Request, Tick, Timing
 

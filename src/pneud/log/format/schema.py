@@ -19,7 +19,7 @@ from google.protobuf.descriptor_pb2 import (
 )
 
 from pneud.log.format.header import Detail
-from pneud.log.format.layout import NUMBERS, PARTS
+from pneud.log.format.record_layout import NUMBERS, PARTS
 from pneud.signals import Answer, RequestKind, State
 
 SCHEMA = 2

@@ -22,7 +22,7 @@ import time
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
-from pneud.log.format.layout import NUMBERS
+from pneud.log.format.record_layout import NUMBERS
 from pneud.log.live.packing import REFUSALS, Pack, Skimmed, packed, skimmed, unpacked
 from pneud.signals import Frame, Record, Tick
 

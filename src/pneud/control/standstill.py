@@ -1,0 +1,293 @@
+"""Standstill: a load that is where it should be is left alone; one that is nearly there is nudged.
+
+Friction holds a load at rest. Its bristles bend by micrometres under newtons, and a law that moves masses
+makes the load hunt on what encoder and pressures cannot tell apart from noise. So, while the reference stands
+still, the law gives way:
+
+* to a closed valve, where the load would come to rest within a band, or has been hunting for long;
+* to nudges, where it sticks beside the band: steps of force, each spread over one swing of the load on its
+  bristles, so that it does not ring, and as large as the stiffness that the step before has shown asks for;
+
+and has the load back when it leaves a wider band, or moves.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from pneud.signals import Reference
+
+# modes
+LAW = 0
+CLOSED = 1
+NUDGED = 2
+
+SHARE = 0.8  # of the error that a step of force is to take away
+ROOM = 0.3  # of what static friction still holds that one step may take
+MOST = 0.3  # of static friction that one step may be
+LEAST = 0.01  # of static friction that any step may be
+TELLING = 0.02  # of static friction, below which a step teaches nothing
+FOLLOWED = 0.3  # of a step of force that has to have come before anything is learnt of it
+STIFFEST, SOFTEST = 40.0, 0.3  # stiffness that may be found, in terms of the configured one
+RISE, FALL = 2.0, 0.5  # by which what was found may change from step to step
+FORCE_RAD_S = 40.0  # bandwidth of the force that is led along a step
+LEAST_V = 0.01  # opening that is not worth a way across the dead zone
+SWINGS = 1.5  # that a step of force and what follows it take
+LONGEST = 4.0  # swings that a load has to come to rest after a step of force
+
+
+class Standstill(NamedTuple):
+    """When a load counts as standing still; all zero: never."""
+
+    enter_m: float = 0.0  # error within which the load is left alone
+    leave_m: float = 0.0  # error beyond which it no longer is
+    near_m: float = 0.0  # error within which the law may give way to nudges
+    far_m: float = 0.0  # error beyond which the law has the load back
+    leave_m_s: float = 0.0  # and speed
+    omega_rad_s: float = 1.0  # of the load on its bristles
+    stiffness_n_m: float = 1.0  # of the bristles, as configured
+    static_n: float = 0.0  # static friction
+    swing: int = 1  # ticks of one swing on the bristles
+    smooth: float = 1.0  # share of a change of force and speed that is believed in a tick
+    stuck: int = 1  # ticks without a reading that differs, until the load may be nudged
+    patience: int = 1  # ticks of hunting, until the valve is closed
+    grace: int = 1  # ticks that the load then has to come to rest
+    restless: float = 0.0  # share of a step of the command that is remembered
+    restless_v: float = 0.0  # mean step of the command that is hunting
+    nudge_v: float = 0.0  # greatest opening of a nudge
+    stick_m: float = 0.0  # readings that differ by no more are the same
+    stick: int = 1  # ticks without a reading that differs, until the load counts as held by friction
+    held: float = 0.0  # share of the force in balance that friction then takes over in a tick
+
+
+class StandstillState(NamedTuple):
+    """What is remembered of it."""
+
+    mode: int = LAW
+    ticks: int = 0  # ticks in that mode; of a step of force where it nudges
+    speed_m_s: float = 0.0  # smoothed
+    net_n: float = 0.0  # force out of balance, smoothed
+    restless_v: float = 0.0  # mean step of the command
+    from_n: float = 0.0  # force of the pressures when the step of force began
+    step_n: float = 0.0  # of force
+    error_m: float = 0.0  # when it began
+    stiffness_n_m: float = 0.0  # found; 0: as configured
+    anchor_m: float = 0.0  # reading since which none has differed
+    same: int = 0  # readings since then
+
+
+def is_still(now: Reference, goal: Reference) -> bool:
+    """Whether a reference stands still from now until the command has its effect."""
+    return (
+        now.velocity_m_s == 0.0
+        and now.acceleration_m_s2 == 0.0
+        and goal.velocity_m_s == 0.0
+        and goal.acceleration_m_s2 == 0.0
+    )
+
+
+def read(s: StandstillState, position_m: float, p: Standstill) -> StandstillState:
+    """The state after an encoder reading."""
+    if abs(position_m - s.anchor_m) > p.stick_m:
+        return _read(s, position_m, 0)
+    return _read(s, s.anchor_m, s.same + 1)
+
+
+def is_held(s: StandstillState, p: Standstill) -> bool:
+    """Whether friction holds the load: no reading has differed for longer than any force would need."""
+    return p.held > 0.0 and s.same >= p.stick
+
+
+def stand(
+    s: StandstillState,
+    error_m: float,
+    velocity_m_s: float,
+    net_n: float,
+    force_n: float,
+    friction_n: float,
+    still: bool,
+    p: Standstill,
+) -> StandstillState:
+    """The state after a tick.
+
+    Args:
+        s: before it.
+        error_m: reference minus estimate.
+        velocity_m_s: estimated.
+        net_n: force that is out of balance.
+        force_n: of the pressures.
+        friction_n: that holds against it.
+        still: the reference stands still.
+        p: parameters.
+    """
+    s = _seen(
+        s,
+        s.speed_m_s + p.smooth * (velocity_m_s - s.speed_m_s),
+        s.net_n + p.smooth * (net_n - s.net_n),
+    )
+    if not still or p.enter_m <= 0.0:
+        return given_back(s)
+    size = abs(error_m)
+    if s.mode == LAW:
+        if would_rest(s, error_m, p):
+            return _entered(s, CLOSED, p.grace, s.restless_v)
+        if size <= p.near_m and s.same >= p.stuck:
+            return planned(s, error_m, force_n, friction_n, p)
+        if size <= p.near_m and s.restless_v > p.restless_v and s.ticks > p.patience:
+            return _entered(s, CLOSED, 0, s.restless_v)
+        return s
+    coming = s.mode == CLOSED and s.ticks < p.grace
+    if size > p.far_m or (abs(velocity_m_s) > p.leave_m_s and not coming):
+        return given_back(s)
+    if s.mode == CLOSED:
+        if size <= p.leave_m or coming:
+            return s
+        return planned(s, error_m, force_n, friction_n, p) if s.same >= p.stuck else given_back(s)
+    if s.step_n * error_m < 0.0:
+        return _entered(s, CLOSED, p.grace, s.restless_v)  # past the target
+    if s.ticks < SWINGS * p.swing or (s.same < p.stick and s.ticks < LONGEST * p.swing):
+        return s
+    return planned(learnt(s, error_m, force_n, p), error_m, force_n, friction_n, p)
+
+
+def given_back(s: StandstillState) -> StandstillState:
+    """The law has the load."""
+    return _entered(s, LAW, 0, 0.0)
+
+
+def would_rest(s: StandstillState, error_m: float, p: Standstill) -> bool:
+    """Whether load and bristles would come to rest within the band, were the valve closed, and not ring."""
+    sag_m, swing_m = s.net_n / p.stiffness_n_m, s.speed_m_s / p.omega_rad_s
+    return abs(error_m - sag_m) <= p.enter_m and sag_m * sag_m + swing_m * swing_m <= p.enter_m * p.enter_m
+
+
+def learnt(s: StandstillState, error_m: float, force_n: float, p: Standstill) -> StandstillState:
+    """The stiffness that a step of force has shown, where the force has come."""
+    given_n = abs(force_n - s.from_n)
+    if given_n < max(FOLLOWED * abs(s.step_n), TELLING * p.static_n):
+        return s
+    moved_m = s.error_m - error_m if s.step_n > 0.0 else error_m - s.error_m
+    before = stiffness(s, p)
+    found = given_n / max(moved_m, given_n / (STIFFEST * p.stiffness_n_m), 1e-12)
+    found = max(FALL * before, min(RISE * before, found))
+    found = max(SOFTEST * p.stiffness_n_m, min(STIFFEST * p.stiffness_n_m, found))
+    return _stepping(s, s.from_n, s.step_n, s.error_m, found)
+
+
+def stiffness(s: StandstillState, p: Standstill) -> float:
+    """Of what holds the load [N/m]: as found, or else as configured."""
+    return s.stiffness_n_m if s.stiffness_n_m > 0.0 else p.stiffness_n_m
+
+
+def planned(
+    s: StandstillState, error_m: float, force_n: float, friction_n: float, p: Standstill
+) -> StandstillState:
+    """The next step of force; none within the band.
+
+    A step towards breaking away takes a part of what static friction has left, since a load that breaks away
+    goes far.
+    """
+    if abs(error_m) <= p.enter_m:
+        return _entered(s, CLOSED, p.grace, s.restless_v)
+    left_n = p.static_n - friction_n if error_m > 0.0 else p.static_n + friction_n
+    most_n = min(MOST * p.static_n, max(LEAST * p.static_n, ROOM * left_n))
+    step_n = max(-most_n, min(most_n, SHARE * stiffness(s, p) * error_m))
+    s = _stepping(s, force_n, step_n, error_m, s.stiffness_n_m)
+    return _entered(s, NUDGED, 0, s.restless_v)
+
+
+def nudge(
+    s: StandstillState, force_n: float, h: float, f1_fill: float, f1_exhaust: float, p: Standstill
+) -> float:
+    """Opening [V] that the standing load needs: none, or what leads the force along its step.
+
+    Args:
+        s: of this tick.
+        force_n: of the pressures.
+        h: sample time [s].
+        f1_fill: F1 for u ≥ 0 [N/(s V)].
+        f1_exhaust: F1 for u < 0.
+        p: parameters.
+    """
+    if s.mode == CLOSED:
+        return 0.0
+    share = min(1.0, (s.ticks + 1.0) / p.swing)
+    rate = FORCE_RAD_S * (s.from_n + share * s.step_n - force_n)
+    if s.ticks < p.swing:
+        rate += s.step_n / (p.swing * h)
+    u = rate / (f1_fill if rate > 0.0 else f1_exhaust)
+    if abs(u) < LEAST_V:
+        return 0.0
+    return max(-p.nudge_v, min(p.nudge_v, u))
+
+
+def stirred(s: StandstillState, step_v: float, p: Standstill) -> StandstillState:
+    """The state with the size of a step of the law's command in it."""
+    return _entered(s, s.mode, s.ticks, s.restless_v + p.restless * (step_v - s.restless_v))
+
+
+def _read(s: StandstillState, anchor_m: float, same: int) -> StandstillState:
+    # written out, since numba knows no _replace
+    return StandstillState(
+        s.mode,
+        s.ticks,
+        s.speed_m_s,
+        s.net_n,
+        s.restless_v,
+        s.from_n,
+        s.step_n,
+        s.error_m,
+        s.stiffness_n_m,
+        anchor_m,
+        same,
+    )
+
+
+def _seen(s: StandstillState, speed_m_s: float, net_n: float) -> StandstillState:
+    return StandstillState(
+        s.mode,
+        s.ticks + 1,
+        speed_m_s,
+        net_n,
+        s.restless_v,
+        s.from_n,
+        s.step_n,
+        s.error_m,
+        s.stiffness_n_m,
+        s.anchor_m,
+        s.same,
+    )
+
+
+def _entered(s: StandstillState, mode: int, ticks: int, restless_v: float) -> StandstillState:
+    return StandstillState(
+        mode,
+        ticks,
+        s.speed_m_s,
+        s.net_n,
+        restless_v,
+        s.from_n,
+        s.step_n,
+        s.error_m,
+        s.stiffness_n_m,
+        s.anchor_m,
+        s.same,
+    )
+
+
+def _stepping(
+    s: StandstillState, from_n: float, step_n: float, error_m: float, stiffness_n_m: float
+) -> StandstillState:
+    return StandstillState(
+        s.mode,
+        s.ticks,
+        s.speed_m_s,
+        s.net_n,
+        s.restless_v,
+        from_n,
+        step_n,
+        error_m,
+        stiffness_n_m,
+        s.anchor_m,
+        s.same,
+    )

@@ -1,0 +1,77 @@
+"""Logs with damaged compressed chunks, through every verb that reads one: a line, a status, all before it."""
+
+from __future__ import annotations
+
+import random
+import re
+from pathlib import Path
+
+import pytest
+from mcap.writer import CompressionType
+
+from commands import pneud_here
+from mangled import simulated
+from pneud.log.files.reader import read_log
+from rewritten import rewrite
+
+KINDS = {"lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
+COUNT = 2
+MORE = pytest.param(60, marks=pytest.mark.slow, id="many")
+VERBS = {
+    "replay": "replay {}",
+    "replay from": "replay {} --from 0.1",
+    "what if": "replay {} --set control.k1=90000",
+    "against": "replay LOG --against {}",
+    "report": "report {} -o OUT.html",
+    "compared": "report LOG {} -o OUT.html",
+    "table": "export {} -o OUT.csv",
+    "frames": "export {} -o OUT.log",
+    "recover": "recover {} -o OUT.mcap",
+}
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("log") / "run.mcap"
+    simulated(path, 0.3)
+    return path
+
+
+def chunks(data: bytes, kind: str) -> list[int]:
+    """Where the chunks' compressed data begin."""
+    name = len(kind).to_bytes(4, "little") + kind.encode()
+    return [m.end() + 8 for m in re.finditer(re.escape(name), data) if data[m.start() - 37] == 6]
+
+
+@pytest.mark.parametrize("count", [COUNT, MORE])
+@pytest.mark.parametrize("kind", KINDS)
+def test_all_verbs_read_up_to_the_damage(kind: str, count: int, log: Path, tmp_path: Path) -> None:
+    rewrite(log, tmp_path / "whole.mcap", compression=KINDS[kind], chunk_bytes=4000)
+    whole = (tmp_path / "whole.mcap").read_bytes()
+    begins = chunks(whole, kind)
+    assert len(begins) > 5
+    rng, bad = random.Random(f"{kind} {count}"), tmp_path / "bad.mcap"
+    for _ in range(count):
+        data = bytearray(whole)
+        at = rng.choice(begins[len(begins) // 2 :]) + rng.randrange(200)
+        size = rng.choice((1, 4, 40))
+        data[at : at + size] = rng.randbytes(size)
+        bad.write_bytes(data)
+        reader = read_log(bad)
+        ticks = len(list(reader))
+        for name, words in VERBS.items():
+            for old in tmp_path.glob("out*"):
+                old.unlink()
+            line = words
+            for key, value in {"{}": bad, "LOG": log, "OUT": tmp_path / "out"}.items():
+                line = line.replace(key, str(value))
+            done = pneud_here(*line.split())
+            said = done.stdout + done.stderr
+            assert done.returncode in (0, 1, 2), (name, done)
+            assert (reader.damage or "cannot be read") in said or not reader.truncated, (name, done)
+            if done.returncode == 2:
+                assert (done.stdout, done.stderr.count("\n")) == ("", 1), (name, done)
+            elif name == "table":
+                assert (tmp_path / "out.csv").read_text().count("\n") == ticks + 1, done
+            elif name == "recover":
+                assert f"left out: {int(reader.truncated)} damaged" in said or not reader.truncated, done

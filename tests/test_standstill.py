@@ -1,0 +1,270 @@
+"""A load at rest: left alone within a band, nudged beside it, given back to the law beyond."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pneud.config.conversions import axis_of, plant_of
+from pneud.control import standstill
+from pneud.control.reference import Sine, rest, septic, way
+from pneud.control.standstill import CLOSED, LAW, NUDGED, Standstill, StandstillState
+from pneud.control.step import Controller
+from pneud.loading import load
+from pneud.physics.plant import PlantParameters
+from pneud.rt.folders import cache_folder
+from pneud.study import trial
+from pneud.study.trial import Errand, Pair, Verdict
+from pure2c import BuildError, compile_functions
+
+P = Standstill(
+    enter_m=6e-6,
+    leave_m=11e-6,
+    near_m=1e-4,
+    far_m=3e-4,
+    leave_m_s=4e-3,
+    omega_rad_s=80.0,
+    stiffness_n_m=1e5,
+    static_n=60.0,
+    swing=80,
+    smooth=1.0,
+    stuck=20,
+    patience=100,
+    grace=80,
+    restless=0.02,
+    restless_v=0.03,
+    nudge_v=0.5,
+    stick_m=1e-6,
+    stick=10,
+    held=0.1,
+)
+STILL = rest(0.4)
+NOSINE = Sine(0.4, 0.0, 0.0)
+RESTLESS = {(1e-6, 5e5): 0.1}  # here the law has the load back again and again
+numbers = st.floats(-1e3, 1e3)
+
+
+def stand(s: StandstillState, **changes: Any) -> StandstillState:
+    seen: dict[str, Any] = {
+        "error_m": 5e-5,
+        "velocity_m_s": 0.0,
+        "net_n": 0.0,
+        "force_n": 100.0,
+        "friction_n": 0.0,
+        "still": True,
+    }
+    return standstill.stand(s, **(seen | changes), p=P)
+
+
+def test_a_reference_stands_still_when_nothing_of_it_moves_now_or_later() -> None:
+    assert standstill.is_still(STILL, STILL)
+    for moving in (STILL._replace(velocity_m_s=1e-9), STILL._replace(acceleration_m_s2=1e-9)):
+        assert not standstill.is_still(moving, STILL)
+        assert not standstill.is_still(STILL, moving)
+
+
+def test_readings_are_the_same_within_a_step_of_the_first() -> None:
+    s = StandstillState()
+    for position, same in (
+        (0.4, 0),
+        (0.4 + 0.9e-6, 1),
+        (0.4 - 0.9e-6, 2),
+        (0.4 + 1.1e-6, 0),
+        (0.4 + 1.2e-6, 1),
+    ):
+        s = standstill.read(s, position, P)
+        assert s.same == same
+    assert standstill.is_held(s._replace(same=P.stick), P)
+    assert not standstill.is_held(s._replace(same=P.stick - 1), P)
+    assert not standstill.is_held(s._replace(same=P.stick), P._replace(held=0.0))
+
+
+@pytest.mark.parametrize(
+    ("seen", "mode"),
+    [
+        ({"error_m": 5.9e-6}, CLOSED),
+        ({"error_m": -5.9e-6}, CLOSED),
+        ({"error_m": 6.1e-6}, LAW),
+        ({"error_m": 0.0, "velocity_m_s": 0.9 * 6e-6 * 80.0}, CLOSED),
+        ({"error_m": 0.0, "velocity_m_s": 1.1 * 6e-6 * 80.0}, LAW),  # it would ring
+        ({"error_m": 5e-6, "net_n": 0.59}, CLOSED),  # would sag towards the target
+        ({"error_m": -5e-6, "net_n": 0.59}, LAW),  # and here away from it
+        ({"error_m": 0.0, "still": False}, LAW),
+    ],
+)
+def test_the_valve_closes_where_the_load_would_come_to_rest_in_the_band(
+    seen: dict[str, Any], mode: int
+) -> None:
+    assert stand(StandstillState(), **seen).mode == mode
+
+
+def test_a_closed_valve_stays_so_until_the_wider_band_is_left() -> None:
+    closed = StandstillState(mode=CLOSED, ticks=P.grace)
+    assert stand(closed, error_m=10.9e-6).mode == CLOSED
+    assert stand(closed, error_m=11.1e-6).mode == LAW
+    assert stand(closed, error_m=11.1e-6).ticks == 0
+    assert stand(closed, error_m=0.0, velocity_m_s=4.1e-3).mode == LAW
+    assert stand(closed._replace(same=P.stuck), error_m=11.1e-6).mode == NUDGED
+
+
+def test_a_load_that_has_hunted_is_given_time_to_come_to_rest() -> None:
+    hunting = StandstillState(restless_v=0.031, ticks=P.patience)
+    closed = stand(hunting)
+    assert (closed.mode, closed.ticks) == (CLOSED, 0)
+    assert stand(hunting._replace(ticks=P.patience - 1)).mode == LAW
+    assert stand(hunting._replace(restless_v=0.029)).mode == LAW
+    assert stand(hunting, error_m=1.1e-4).mode == LAW
+    assert stand(closed, velocity_m_s=0.1).mode == CLOSED
+    assert stand(closed, error_m=3.1e-4).mode == LAW
+
+
+def test_what_sticks_beside_the_band_is_nudged_towards_it_as_far_as_friction_allows() -> None:
+    stuck = StandstillState(same=P.stuck)
+    assert stand(stuck, error_m=5e-5).step_n == pytest.approx(0.8 * 1e5 * 5e-5)
+    assert stand(stuck, error_m=-5e-5).step_n == pytest.approx(-0.8 * 1e5 * 5e-5)
+    assert stand(stuck, error_m=1e-4).step_n == pytest.approx(8.0)
+    found = stuck._replace(stiffness_n_m=1e6)
+    assert stand(found, error_m=9e-5).step_n == pytest.approx(0.3 * 60.0)
+    assert stand(found, error_m=9e-5, friction_n=50.0).step_n == pytest.approx(0.3 * 10.0)
+    assert stand(found, error_m=9e-5, friction_n=70.0).step_n == pytest.approx(0.01 * 60.0)
+    assert stand(found, error_m=-9e-5, friction_n=50.0).step_n == pytest.approx(-0.3 * 60.0)
+    assert stand(stuck, error_m=1.1e-4).mode == LAW
+
+
+def test_a_step_of_force_takes_a_swing_and_a_half_and_teaches_the_stiffness() -> None:
+    nudged = stand(StandstillState(same=P.stuck), error_m=5e-5)
+    assert stand(nudged._replace(ticks=118), error_m=5e-5).ticks == 119
+    over = nudged._replace(ticks=120, same=P.stick)
+    learnt = stand(over, error_m=3e-5, force_n=104.0)  # 4 N for 20 µm
+    assert learnt.stiffness_n_m == pytest.approx(2e5)
+    assert learnt.step_n == pytest.approx(0.8 * 2e5 * 3e-5)
+    assert stand(over, error_m=5e-5, force_n=104.0).stiffness_n_m == pytest.approx(2e5)  # at most twice
+    assert stand(over, error_m=1e-5, force_n=101.3).stiffness_n_m == pytest.approx(0.5e5)  # at least half
+    assert stand(over, error_m=3e-5, force_n=101.0).stiffness_n_m == 0.0  # the force has not come
+    assert stand(over, error_m=0.0, force_n=104.0).mode == CLOSED
+    assert stand(nudged, error_m=-1e-6).mode == CLOSED  # past the target
+    moving = over._replace(same=P.stick - 1)
+    assert stand(moving, error_m=3e-5, force_n=104.0).ticks == 121  # it has to come to rest
+    assert stand(moving._replace(ticks=320), error_m=3e-5, force_n=104.0).ticks == 0
+    back = stand(StandstillState(same=P.stuck), error_m=-5e-5)._replace(ticks=120)
+    assert stand(back, error_m=-3e-5, force_n=96.0).stiffness_n_m == pytest.approx(2e5)
+
+
+def test_a_nudge_leads_the_force_along_its_step() -> None:
+    s = StandstillState(mode=NUDGED, ticks=39, from_n=100.0, step_n=8.0)
+    on_time = standstill.nudge(s, 104.0, 1e-3, 500.0, 400.0, P)
+    assert on_time == pytest.approx(8.0 / 0.08 / 500.0)
+    assert standstill.nudge(s, 108.0, 1e-3, 500.0, 400.0, P) == pytest.approx(-60.0 / 400.0)
+    assert standstill.nudge(s, 0.0, 1e-3, 500.0, 400.0, P) == P.nudge_v
+    assert standstill.nudge(s._replace(ticks=80), 108.05, 1e-3, 500.0, 400.0, P) == 0.0
+    assert standstill.nudge(s._replace(mode=CLOSED), 0.0, 1e-3, 500.0, 400.0, P) == 0.0
+
+
+@given(st.lists(st.tuples(numbers, numbers, numbers, numbers, numbers, st.booleans()), max_size=60))
+def test_whatever_comes_the_state_is_sound(
+    ticks: list[tuple[float, float, float, float, float, bool]],
+) -> None:
+    s = StandstillState()
+    for error, velocity, net, force, friction, still in ticks:
+        s = standstill.read(s, error * 1e-6, P)
+        s = standstill.stand(s, error * 1e-6, velocity * 1e-5, net, force, friction, still, P)
+        assert s.mode in (LAW, CLOSED, NUDGED)
+        assert all(math.isfinite(x) for x in s)
+        assert abs(s.step_n) <= 0.3 * P.static_n + 1e-9
+        assert s.stiffness_n_m == 0.0 or 0.3e5 <= s.stiffness_n_m <= 40e5
+        assert abs(standstill.nudge(s, force, 1e-3, 500.0, 400.0, P)) <= P.nudge_v
+        if not still or abs(error) > 300.0:
+            assert s.mode == LAW
+
+
+# a load on a rig
+
+
+@cache
+def ticks_of() -> tuple[Any, Any]:
+    """The trial and one tick of it, compiled where that can be had."""
+    try:
+        return tuple(compile_functions([trial.trial, trial.tick], cache=cache_folder("compiled")).functions)  # type: ignore[return-value]
+    except (BuildError, OSError):
+        return trial.trial, trial.tick
+
+
+def rig(step_m: float, bristles_n_m: float, standstill: bool = True) -> tuple[Controller, PlantParameters]:
+    """virtual.toml with another encoder, and truly other bristles."""
+    here = load(
+        "virtual.toml",
+        None,
+        {
+            "control": {"standstill": standstill, "motion": {"encoder_resolution_m": step_m}},
+            "plant": {
+                "sensors": {"encoder_resolution_m": step_m},
+                "friction": {"bristle_stiffness_n_m": bristles_n_m},
+            },
+        },
+    )
+    return axis_of(here.config, here.codecs.command_lsb_v).controller, plant_of(here.config)
+
+
+def move(
+    pair: Pair,
+    joins: bool,
+    to_m: float,
+    c: Controller,
+    plant: PlantParameters,
+    ticks: int,
+    judged: int,
+    tol: float,
+) -> tuple[Pair, Verdict]:
+    T = max(0.05, (52.5 * abs(to_m - pair.reference_m) / 100.0) ** (1.0 / 3.0))
+    errand = Errand(way(septic(T, rest(pair.reference_m), rest(to_m))), NOSINE)
+    before = round(T / c.h)
+    done: tuple[Pair, Verdict] = ticks_of()[0](
+        pair, joins, before + ticks, before + judged, tol, errand, c, plant, 10.0 / 4096
+    )
+    return done[0], done[1]._replace(outside=max(0, done[1].outside - before))
+
+
+@pytest.mark.parametrize("bristles_n_m", [0.5e5, 1e5, 5e5, 20e5])
+@pytest.mark.parametrize("step_m", [1e-6, 5e-6, 10e-6])
+def test_a_load_at_rest_neither_hunts_nor_stands_beside_its_target(
+    step_m: float, bristles_n_m: float
+) -> None:
+    c, plant = rig(step_m, bristles_n_m)
+    pair = trial.begin(0.44, c, plant)
+    _, v = move(pair, True, 0.48, c, plant, 20_000, 5_000, 1e-3)
+    assert v.rms_m <= 15e-6
+    assert v.max_m <= 50e-6
+    assert v.step_v <= RESTLESS.get((step_m, bristles_n_m), 0.005)
+
+
+def test_without_it_the_load_hunts() -> None:
+    c, plant = rig(10e-6, 5e5, standstill=False)
+    _, v = move(trial.begin(0.44, c, plant), True, 0.48, c, plant, 5_000, 1_000, 1e-3)
+    assert v.step_v > 0.2
+
+
+def test_short_ways_end_in_position() -> None:
+    c, plant = rig(1e-6, 1e5)
+    pair, _ = move(trial.begin(0.44, c, plant), True, 0.45, c, plant, 1_000, 0, 1e-3)
+    at_m = 0.45
+    for by_m in (1e-3, 1e-3, -1e-3, 10e-3, -10e-3, -10e-3, 1e-3, -1e-3):
+        at_m += by_m
+        pair, v = move(pair, False, at_m, c, plant, 1_000, 0, 30e-6)
+        assert v.outside <= 400
+        assert (v.high_m - at_m if by_m > 0.0 else at_m - v.low_m) <= 50e-6
+
+
+def test_a_push_gives_the_load_back_to_the_law_which_brings_it_home() -> None:
+    c, plant = rig(1e-6, 1e5)
+    pair, _ = move(trial.begin(0.44, c, plant), True, 0.45, c, plant, 2_000, 0, 1e-3)
+    assert pair.state.standstill.mode == CLOSED
+    errand = Errand(way(septic(0.05, rest(0.45), rest(0.45))), NOSINE, 50.0)
+    pair, v = ticks_of()[0](pair, False, 3_000, 0, 20e-6, errand, c, plant, 10.0 / 4096)
+    assert v.max_m < 0.6e-3
+    assert v.outside < 1_000
+    assert pair.state.standstill.mode != LAW
