@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import tempfile
@@ -14,7 +15,7 @@ from typing import Any, NamedTuple
 import pytest
 from matplotlib.figure import Figure
 
-from commands import PNEUD, pneud, pneud_forked, pneud_here
+from commands import PNEUD, background, eventually, pneud, pneud_forked, pneud_here
 from mangled import simulated
 from pneud import resources
 from pneud.log.files.naming import LogError
@@ -421,6 +422,17 @@ def test_a_run_with_closed_streams_has_its_log(closed: str, tmp_path: Path, shor
     assert "Traceback" not in done.stderr
     assert log.stat().st_size > 1000
     assert pneud_here("export", log, "-o", tmp_path / "x.csv").returncode == 0
+
+
+def test_a_run_whose_log_is_removed_meanwhile_says_so(tmp_path: Path, short_runtime: None) -> None:
+    log = tmp_path / "gone" / "x.mcap"
+    log.parent.mkdir()
+    with background("--virtual", "--headless", "--json", "--duration", "1", "--log", log) as daemon:
+        eventually(lambda: log.exists() and log.stat().st_size > 0)
+        shutil.rmtree(log.parent)
+        _, err = daemon.communicate(timeout=60)
+    assert daemon.returncode == 1
+    assert f"{log} is not whole: its file or folder was removed" in err
 
 
 @pytest.mark.slow

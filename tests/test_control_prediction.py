@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pneud.control.feedforward import bristles_after, bristles_under, friction_ahead
+from pneud.control.feedforward import bristles_after, bristles_under, friction_ahead, held_by_bristles
 from pneud.control.prediction import Motion, Rates, Spool, ahead, follow, later
 from pneud.control.reference import Sine, sine
 from pneud.physics.friction import Friction, friction_force, relaxation_rate
@@ -99,7 +99,7 @@ def test_without_friction_there_is_none() -> None:
     r = Reference(0.1, 0.2, 0.3, 0.4)
     assert friction_ahead(0.0, r, later(r, LEAD), 1e-3, LEAD, NONE) == (0.0,) * 5
     assert bristles_after(1e-4, 0.1, relaxation_rate(0.1, NONE), 1e-3) == 0.0
-    assert bristles_under(30.0, NONE) == 0.0
+    assert bristles_under(30.0, NONE) == held_by_bristles(30.0, NONE) == 0.0
 
 
 def test_bristles_under_a_force_hold_it_up_to_coulomb() -> None:

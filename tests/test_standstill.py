@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 from pneud.config.conversions import axis_of, plant_of
 from pneud.control import standstill
+from pneud.control.adaptation import Adaptation
+from pneud.control.feedforward import recalled
 from pneud.control.reference import Sine, rest, septic, way
 from pneud.control.standstill import CLOSED, LAW, NUDGED, Standstill, StandstillState
 from pneud.control.step import Controller
@@ -268,3 +270,22 @@ def test_a_push_gives_the_load_back_to_the_law_which_brings_it_home() -> None:
     assert v.max_m < 0.6e-3
     assert v.outside < 1_000
     assert pair.state.standstill.mode != LAW
+
+
+def test_bristles_of_a_standing_load_are_drawn_to_what_the_force_says() -> None:
+    friction = rig(1e-6, 1e5)[0].friction
+    assert recalled(0.0, 1e9, 0.5, friction) == pytest.approx(0.5 * friction.static_n / friction.sigma0_n_m)
+    assert recalled(1e-4, 1e9, 0.5, friction._replace(sigma0_n_m=0.0)) == 1e-4
+
+
+@pytest.mark.parametrize("inverse", [True, False])
+@pytest.mark.parametrize("plain", [True, False])
+def test_laws_without_what_is_learnt_or_left_alone_come_to_rest_too(plain: bool, inverse: bool) -> None:
+    c, plant = rig(1e-6, 1e5, standstill=not plain)
+    c = c._replace(sliding=c.sliding._replace(invert_dead_zone=inverse))
+    if plain:
+        c = c._replace(adaptation=Adaptation())
+    errand = Errand(way(septic(0.1, rest(0.45), rest(0.4501))), NOSINE)
+    pair, v = trial.trial(trial.begin(0.45, c, plant), True, 300, 250, 1e-3, errand, c, plant, 10.0 / 4096)
+    assert v.max_m < 1e-4
+    assert (pair.state.standstill.mode == LAW) >= plain

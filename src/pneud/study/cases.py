@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneud.config.conversions import axis_of, plant_of
+from pneud.control.adaptation import Adaptation
 from pneud.control.reference import Sine, at, rest, septic, sine
+from pneud.control.standstill import Standstill
 from pneud.control.step import Controller, start
 from pneud.loading import Loaded
 from pneud.physics.plant import PlantParameters
@@ -66,11 +68,19 @@ class Bench(NamedTuple):
 
 
 def bench_of(loaded: Loaded, compiled: bool) -> Bench:
-    """The bench of an axis; `compiled` needs numba."""
+    """The bench of an axis; `compiled` needs numba.
+
+    Laws are compared as such: nothing is learnt, and at rest no law gives way.
+    """
     from pneud.study.jit import jitted  # noqa: PLC0415  (only where it is wanted)
 
     axis = axis_of(loaded.config, loaded.codecs.command_lsb_v)
-    controller = axis.controller
+    law = axis.controller
+    controller = law._replace(
+        standstill=Standstill(),
+        adaptation=Adaptation(),
+        sliding=law.sliding._replace(hold_v=loaded.config.control.dead_zone_hold_v),
+    )
     rig = CaseRig(plant_of(loaded.config), controller.delay_s, step_of(loaded.config.plant.valve.dac_bits))
     return Bench(loaded, controller, rig, axis.reference.centre_m, jitted(run) if compiled else run)
 

@@ -53,6 +53,13 @@ class LogOutput:
             return False
         return True
 
+    def is_removed(self) -> bool:
+        """Whether the file has lost its last name, so that nobody will find it; that is an error."""
+        if os.fstat(self._descriptor).st_nlink:
+            return False
+        self.error = errno.ENOENT
+        return True
+
     def start_sync(self) -> None:
         """Have the disk keep what was written; a slow one must not hold up the reading of the ring."""
         if self._sync is None or not self._sync.is_alive():

@@ -265,21 +265,20 @@ class LogWriter:
             self._message(self._last_t_ns, Level.ERROR, words)
 
     def close(self) -> bool:
-        """Write the index and close the file; False if the disk would not take all of it."""
+        """Write the index and close the file; False if the disk did not take all of it, or it was removed."""
         if self._blocked_ns:
             self._retry(time.monotonic_ns())
         self._end_batch()
         self._part.finish()
         complete = self._part.output.settle()
-        if complete:
-            self._unsettled = 0
-        else:
+        if not complete:
             self._accepted -= self._unsettled
             self.unwritten += self._unsettled
-            self._unsettled = 0
+        self._unsettled = 0
+        removed = self._part.output.is_removed()
         self._part.output.close()
         for thread in self._closing:
             thread.join()
         if self._tidying is not None:
             self._tidying.join()
-        return complete
+        return complete and not removed

@@ -10,6 +10,7 @@ needed.
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import hashlib
 import json
@@ -68,7 +69,8 @@ class RecorderStatus(NamedTuple):
         """The last failure in words; empty if there was none."""
         if self.error == 0:
             return ""
-        return "the recorder failed" if self.error == RECORDER_FAILED else os.strerror(self.error)
+        words = {RECORDER_FAILED: "the recorder failed", errno.ENOENT: "its file or folder was removed"}
+        return words.get(self.error) or os.strerror(self.error)
 
 
 class Ring:
