@@ -34,7 +34,7 @@ def test_a_virtual_run_over_vcan0_tracks_and_candump_sees_the_frames(tmp_path: P
         candump = subprocess.Popen(["candump", "-L", "vcan0"], stdout=seen)
         try:
             done = pneud(
-                "--virtual", "--config", gentle, "--bus", "socketcan:vcan0", "--duration", 6, "--headless",
+                "--virtual", "--config", gentle, "--bus", "socketcan:vcan0", "--duration", 8, "--headless",
                 "--json", "--log", log,
             )  # fmt: skip
             time.sleep(1.0)  # candump shares the one CPU, and has yet to write what it received
