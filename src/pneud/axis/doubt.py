@@ -13,7 +13,7 @@ from pneud.axis.state import AxisParameters, AxisState, Doubt, Gate
 from pneud.control.motion import MotionState, predict
 from pneud.control.step import ControllerState
 from pneud.physics.cylinder import x3_of
-from pneud.safety.checks import Limits
+from pneud.safety.checks import Limits, are_chambers_within, is_supply_within
 from pneud.safety.faults import F
 from pneud.safety.watch import Seen, pressure_jump
 from pneud.signals import Defect, Measurement, Source
@@ -112,8 +112,7 @@ def is_odd_pressure(w: Seen, d: Doubt, m: Measurement, p: Limits) -> bool:
 
 
 def _is_within(p1_pa: float, p2_pa: float, supply_pa: float, p: Limits) -> bool:
-    low, high = p.chamber_min_pa, p.chamber_max_pa
-    return low <= p1_pa <= high and low <= p2_pa <= high and p.supply_min_pa <= supply_pa <= p.supply_max_pa
+    return are_chambers_within(p1_pa, p2_pa, p) and is_supply_within(supply_pa, p)
 
 
 def _without_pressures(m: Measurement, w: Seen, d: Doubt, defects: int) -> Measurement:
@@ -154,7 +153,7 @@ def hear_encoder(
     size_m, gate_m = abs(innovation_m), usual_m + SPREADS * d.spread_m + d.slack_m
     spread_m = d.spread_m + gate.rate * (min(size_m, gate.noise_m) - d.spread_m)
     slack_m, defects, held_m, held_ns = DIGESTED * d.slack_m, m.encoder_defects, 0.0, 0
-    glitch = 1.0 if d.innovation_m != 0.0 else 0.0
+    glitch = 1.0 if held else 0.0
     counted = True
     if not math.isfinite(size_m):
         spread_m = d.spread_m  # which is another fault
@@ -164,7 +163,7 @@ def hear_encoder(
         else:
             held_m, held_ns, defects = innovation_m, now_ns, defects | ODD
             # whether it is odd, the next one tells
-            counted = d.innovation_m != 0.0
+            counted = held
             repeated = m.position_m == last_m
             m = m._replace(
                 fresh=m.fresh if repeated else m.fresh & ~ENCODER,

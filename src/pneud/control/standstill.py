@@ -120,11 +120,8 @@ def stand(
         still: the reference stands still.
         p: parameters.
     """
-    s = _seen(
-        s,
-        s.speed_m_s + p.smooth * (velocity_m_s - s.speed_m_s),
-        s.net_n + p.smooth * (net_n - s.net_n),
-    )
+    speed_m_s = s.speed_m_s + p.smooth * (velocity_m_s - s.speed_m_s)
+    s = _in_mode(s, s.mode, s.ticks + 1, speed_m_s, s.net_n + p.smooth * (net_n - s.net_n), s.restless_v)
     if not still or p.enter_m <= 0.0:
         return given_back(s)
     size = abs(error_m)
@@ -243,28 +240,18 @@ def _read(s: StandstillState, anchor_m: float, same: int) -> StandstillState:
     )
 
 
-def _seen(s: StandstillState, speed_m_s: float, net_n: float) -> StandstillState:
-    return StandstillState(
-        s.mode,
-        s.ticks + 1,
-        speed_m_s,
-        net_n,
-        s.restless_v,
-        s.from_n,
-        s.step_n,
-        s.error_m,
-        s.stiffness_n_m,
-        s.anchor_m,
-        s.same,
-    )
-
-
 def _entered(s: StandstillState, mode: int, ticks: int, restless_v: float) -> StandstillState:
+    return _in_mode(s, mode, ticks, s.speed_m_s, s.net_n, restless_v)
+
+
+def _in_mode(
+    s: StandstillState, mode: int, ticks: int, speed_m_s: float, net_n: float, restless_v: float
+) -> StandstillState:
     return StandstillState(
         mode,
         ticks,
-        s.speed_m_s,
-        s.net_n,
+        speed_m_s,
+        net_n,
         restless_v,
         s.from_n,
         s.step_n,

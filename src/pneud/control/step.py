@@ -346,10 +346,11 @@ def act(
     """The command for an estimate and a reference of one instant: the law's, or that of a standing load."""
     prior, p = p, as_learnt(p, state.learnt)
     s = situation(state, e, r, p)
-    state = taught(state, s, r, prior, p)
+    learnt = taught(state.learnt, s, r, prior, p)
     if p.standstill.enter_m <= 0.0:
-        return tracked(state, s, p)
-    still, friction_n = is_still(r, s.goal), e.force_n - state.learnt.load_n
+        state, out = tracked(state, s, p)
+        return kept(state, state.bristles_m, state.standstill, learnt), out
+    still, friction_n = is_still(r, s.goal), e.force_n - learnt.load_n
     standstill = stand(
         state.standstill,
         s.goal.position_m - e.position_m,
@@ -364,23 +365,22 @@ def act(
     if still:
         bristles_m = recalled(bristles_m, friction_n, RECALL, p.friction)
     if standstill.mode != LAW:
-        return left_alone(stood(state, standstill, bristles_m), s, p)
-    state, out = tracked(state, s, p)
-    if still:
-        u_max = p.valve.u_max_v
-        step_v = abs(max(-u_max, min(u_max, out.u_v)) - state.applied_v)
-        standstill = stirred(standstill, step_v, p.standstill)
-    return stood(state, standstill, bristles_m), out
+        state, out = left_alone(state, standstill, friction_n, s, p)
+    else:
+        state, out = tracked(state, s, p)
+        if still:
+            u_max = p.valve.u_max_v
+            step_v = abs(max(-u_max, min(u_max, out.u_v)) - state.applied_v)
+            standstill = stirred(standstill, step_v, p.standstill)
+    return kept(state, bristles_m, standstill, learnt), out
 
 
-def taught(
-    state: ControllerState, s: Situation, r: Reference, prior: Controller, p: Controller
-) -> ControllerState:
-    """The state with what the force has taught, the parameters as configured and as learnt."""
+def taught(so_far: Learnt, s: Situation, r: Reference, prior: Controller, p: Controller) -> Learnt:
+    """What has been learnt once the force has been looked at, the parameters as configured and as learnt."""
     if not p.adaptation.enabled:
-        return state
-    learnt = learn_force(
-        state.learnt,
+        return so_far
+    return learn_force(
+        so_far,
         s.e.force_n,
         s.friction.now_n,
         s.e.velocity_m_s,
@@ -393,16 +393,16 @@ def taught(
         p.motion,
         p.adaptation,
     )
-    return with_learnt(state, learnt)
 
 
-def left_alone(state: ControllerState, s: Situation, p: Controller) -> tuple[ControllerState, LawOutput]:
+def left_alone(
+    state: ControllerState, standstill: StandstillState, friction_n: float, s: Situation, p: Controller
+) -> tuple[ControllerState, LawOutput]:
     """A load that stands: the valve closed or nudging, and the law ready to take over with s = 0."""
-    u_v = nudge(state.standstill, s.e.x3_hat_n, p.h, s.f1_fill, s.f1_exhaust, p.standstill)
+    u_v = nudge(standstill, s.e.x3_hat_n, p.h, s.f1_fill, s.f1_exhaust, p.standstill)
     if p.sliding.invert_dead_zone:
         u_v = dead_zone_inverse(u_v, p.valve, 0.0)
-    held_n = held_by_bristles(s.e.force_n - state.learnt.load_n, p.friction)
-    own = joined(s, s.e.force_n - held_n, p.slot)
+    own = joined(s, s.e.force_n - held_by_bristles(friction_n, p.friction), p.slot)
     state = carried(state, engage(s.w3), state.bristles_m, 0.0, state.blend * p.blend_kept, own)
     return state, LawOutput(u_v, 0.0, 0.0)
 
@@ -466,8 +466,10 @@ def carried(
     )
 
 
-def stood(s: ControllerState, standstill: StandstillState, bristles_m: float) -> ControllerState:
-    """The state with what is known of the standstill."""
+def kept(
+    s: ControllerState, bristles_m: float, standstill: StandstillState, learnt: Learnt
+) -> ControllerState:
+    """The state with what is known of standstill and model; written out likewise."""
     return ControllerState(
         s.motion,
         s.observer,
@@ -483,26 +485,5 @@ def stood(s: ControllerState, standstill: StandstillState, bristles_m: float) ->
         s.blend,
         s.own,
         standstill,
-        s.learnt,
-    )
-
-
-def with_learnt(s: ControllerState, learnt: Learnt) -> ControllerState:
-    """The state with what has been learnt."""
-    return ControllerState(
-        s.motion,
-        s.observer,
-        s.sliding,
-        s.spool,
-        s.applied_v,
-        s.f0,
-        s.f1_fill,
-        s.f1_exhaust,
-        s.force_rate,
-        s.bristles_m,
-        s.force_step_n,
-        s.blend,
-        s.own,
-        s.standstill,
         learnt,
     )

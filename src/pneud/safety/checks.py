@@ -93,6 +93,17 @@ def lacking(m: Measurement, limits: Limits) -> int:
     return bits
 
 
+def are_chambers_within(p1_pa: float, p2_pa: float, limits: Limits) -> bool:
+    """Whether both chamber pressures lie within their limits; NaN does not."""
+    low, high = limits.chamber_min_pa, limits.chamber_max_pa
+    return low <= p1_pa <= high and low <= p2_pa <= high
+
+
+def is_supply_within(supply_pa: float, limits: Limits) -> bool:
+    """Whether the supply pressure lies within its limits; NaN does not."""
+    return limits.supply_min_pa <= supply_pa <= limits.supply_max_pa
+
+
 def measured(m: Measurement, limits: Limits) -> int:
     """Faults that a single measurement shows. A value that was never seen is NaN and within no limits."""
     bits = 0
@@ -102,10 +113,9 @@ def measured(m: Measurement, limits: Limits) -> int:
         bits |= 1 << F.ENCODER_UNREFERENCED
     if not limits.travel_min_m <= m.position_m <= limits.travel_max_m:
         bits |= 1 << F.TRAVEL
-    low, high = limits.chamber_min_pa, limits.chamber_max_pa
-    if not (low <= m.p1_pa <= high and low <= m.p2_pa <= high):
+    if not are_chambers_within(m.p1_pa, m.p2_pa, limits):
         bits |= 1 << F.CHAMBER_PRESSURE
-    if not limits.supply_min_pa <= m.supply_pa <= limits.supply_max_pa:
+    if not is_supply_within(m.supply_pa, limits):
         bits |= 1 << F.SUPPLY_PRESSURE
     if m.valve_state == _TIMED_OUT:
         bits |= 1 << F.VALVE_TIMED_OUT

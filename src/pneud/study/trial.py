@@ -13,6 +13,7 @@ from pneud.control.reference import Sine, Way, along, rest, sine
 from pneud.control.step import Controller, ControllerState, act, join, observe, start
 from pneud.physics.plant import PlantParameters
 from pneud.rig.dynamics import PlantState, advance, initial_state
+from pneud.rig.sensors import quantised
 from pneud.signals import Reference
 
 MOST_SEED = 0x7FFFFFFF
@@ -62,11 +63,6 @@ def noise(seed: int) -> tuple[int, float]:
     return three, 2.0 * ((one + two + three) / MOST_SEED - 1.5)
 
 
-def snapped(value: float, step: float) -> float:
-    """The nearest multiple of `step`; the value itself where `step` is 0."""
-    return math.floor(value / step + 0.5) * step if step > 0.0 else value
-
-
 def asked(t: float, c: Errand) -> Reference:
     """Where the load should be at t [s]."""
     if t < c.way.T:
@@ -84,17 +80,17 @@ def tick(
     seed, noise1 = noise(b.seed)
     seed, noise2 = noise(seed)
     seed, noise3 = noise(seed)
-    p1 = snapped(rig.p1 + deviation * noise1, step)
-    p2 = snapped(rig.p2 + deviation * noise2, step)
-    supply = snapped(plant.gas.supply_pa + deviation * noise3, step)
-    position = snapped(rig.x1 - plant.cylinder.x_e1, plant.encoder_resolution_m)
+    p1 = quantised(rig.p1 + deviation * noise1, step)
+    p2 = quantised(rig.p2 + deviation * noise2, step)
+    supply = quantised(plant.gas.supply_pa + deviation * noise3, step)
+    position = quantised(rig.x1 - plant.cylinder.x_e1, plant.encoder_resolution_m)
     state, e = observe(b.state, position, True, p1, p2, supply, b.last_v, p.h, p)
     r = asked(t, c)
     if joins:
         state = join(state, e, r, p)
     state, out = act(state, e, r, p)
     u_max = p.valve.u_max_v
-    u = snapped(max(-u_max, min(u_max, out.u_v)), command_step_v)
+    u = quantised(max(-u_max, min(u_max, out.u_v)), command_step_v)
     rig = advance(rig, b.last_v, c.force_n, t, t + p.delay_s, plant)
     rig = advance(rig, u, c.force_n, t + p.delay_s, t + p.h, plant)
     return Pair(state, rig, u, seed, r.position_m)
