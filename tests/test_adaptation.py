@@ -253,7 +253,7 @@ def test_nothing_learnt_is_the_configuration() -> None:
     assert as_learnt(off, Learnt(edge_plus_v=0.1)) is off
 
 
-@given(st.floats(-0.1, 0.3), st.floats(-0.1, 0.3), st.floats(-4.0, 4.0))
+@given(st.floats(-0.09, 0.3), st.floats(-0.09, 0.3), st.floats(-4.0, 4.0))
 def test_edges_apart_are_crossed_as_one(plus: float, minus: float, u: float) -> None:
     valve = valve_learnt(P.valve, Learnt(edge_plus_v=plus, edge_minus_v=minus))
     assert opening(dead_zone_inverse(u, valve, 0.0), valve) == pytest.approx(u, abs=1e-12)
