@@ -125,7 +125,7 @@ def test_a_frozen_state_thaws_to_the_same_ticks(after: int) -> None:
 
 def test_the_state_of_an_axis_is_all_that_it_remembers() -> None:
     rig = tracking()
-    kept = {name: value for name, value in vars(rig.axis).items() if name not in ("state", "parameters")}
+    kept = {name: value for name, value in vars(rig.axis).items() if name not in ("_state", "parameters")}
     assert kept == {"failure": None}
 
 

@@ -46,7 +46,9 @@ class Built(NamedTuple):
     left: Callable[[], tuple[int, ...]]  # how often each has been left to its original
 
 
-def compile_functions(functions: Sequence[Callable[..., Any]], *, cache: Path) -> Built:
+def compile_functions(
+    functions: Sequence[Callable[..., Any]], *, cache: Path, holding: bool = False
+) -> Built:
     """The compiled versions of pure functions, built if need be.
 
     What was built is used again as long as all that these functions reach, this package, the compiler and the
@@ -55,6 +57,7 @@ def compile_functions(functions: Sequence[Callable[..., Any]], *, cache: Path) -
     Args:
         functions: as in the README; only calls with all arguments by position are fast.
         cache: folder for what is built; only this user may have a hand in it.
+        holding: a record that a function takes and gives first, as a state is, stays in C: see the README.
 
     Raises:
         TranslationError: one of them does something that has no counterpart in C.
@@ -78,7 +81,9 @@ def compile_functions(functions: Sequence[Callable[..., Any]], *, cache: Path) -
 
     module = _module(MODULE, (reach.digest(), *own), translated, cache)
     module.bind(tuple(functions), tuple(reach.classes[name] for name in module.CLASSES.split()))
-    return Built(tuple(getattr(module, f"f{i}") for i in range(len(functions))), module.left)
+    plain = [getattr(module, f"f{i}") for i in range(len(functions))]
+    made = [getattr(module, f"h{i}", f) for i, f in enumerate(plain)] if holding else plain
+    return Built(tuple(made), module.left)
 
 
 def load_source(source: Path, *, cache: Path) -> Any:

@@ -44,6 +44,18 @@ static inline PyObject *give_double(double x) { return PyFloat_FromDouble(x); }
 static inline PyObject *give_long(long x) { return PyLong_FromLong(x); }
 static inline PyObject *give_bool(long x) { return PyBool_FromLong(x); }
 
+/* What Python does with a record in C: it gets the record. */
+static PyObject *without_held(PyObject *original, PyObject *const *args, Py_ssize_t n) {
+  PyObject *whole = n && PyObject_HasAttrString(args[0], "whole")
+                        ? PyObject_CallMethod(args[0], "whole", NULL) : Py_XNewRef(n ? args[0] : NULL);
+  if (n && !whole) return NULL;
+  PyObject *all[n + 1];
+  for (Py_ssize_t i = 0; i < n; i++) all[i] = i ? args[i] : whole;
+  PyObject *made = PyObject_Vectorcall(original, all, n, NULL);
+  Py_XDECREF(whole);
+  return made;
+}
+
 static PyObject *record(PyTypeObject *class, Py_ssize_t count, PyObject *const *members) {
   PyObject *made = class->tp_alloc(class, count);
 #if PY_VERSION_HEX >= 0x030E0000
@@ -80,12 +92,55 @@ static struct PyModuleDef module = {{
 }};
 
 PyMODINIT_FUNC PyInit_{name}(void) {{
+  if (0{ready}) return NULL;
   PyObject *made = PyModule_Create(&module);
   if (made && PyModule_AddStringConstant(made, "CLASSES", "{classes}")) Py_CLEAR(made);
   return made;
 }}
 """
 
+_HELD = """\
+typedef struct {{ PyObject_HEAD {c} value; PyObject *made; }} held_{c};
+
+static void drop_{c}(held_{c} *o) {{
+  {c} *x = &o->value;
+  {disown}
+  Py_XDECREF(o->made);
+  PyObject_Free(o);
+}}
+
+static PyObject *whole_{c}(held_{c} *o, PyObject *none) {{
+  if (!o->made) o->made = {give}(o->value);
+  return Py_XNewRef(o->made);
+}}
+
+{getters}
+static PyMethodDef methods_{c}[] = {{{{"whole", (PyCFunction)whole_{c}, METH_NOARGS, NULL}}, {{NULL}}}};
+static PyGetSetDef fields_{c}[] = {{
+{table}  {{NULL}},
+}};
+static PyTypeObject held_type_{c} = {{
+  PyVarObject_HEAD_INIT(NULL, 0)
+  .tp_name = "held", .tp_basicsize = sizeof(held_{c}), .tp_dealloc = (destructor)drop_{c},
+  .tp_flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_DISALLOW_INSTANTIATION,
+  .tp_methods = methods_{c}, .tp_getset = fields_{c},
+}};
+
+static PyObject *hold_{c}({c} *x) {{
+  held_{c} *o = PyObject_New(held_{c}, &held_type_{c});
+  if (!o) return NULL;
+  o->value = *x;
+  o->made = NULL;
+  {own}
+  return (PyObject *)o;
+}}
+
+static int reach_{c}(PyObject *o, {c} *x) {{
+  if (Py_TYPE(o) != &held_type_{c}) return {take}(o, x);
+  *x = ((held_{c} *)o)->value;
+  return 1;
+}}
+"""
 
 FEW = 8  # numbers that a record may have without being remembered
 
@@ -95,7 +150,8 @@ class Extension:
 
     Once loaded, `f0`, `f1` … are the functions in their order; `CLASSES` names the NamedTuples that they
     take and return ("module:name …"). First of all, `bind` has to be given the originals and these classes.
-    `left` says how often each function has been left to its original.
+    `left` says how often each function has been left to its original. `h0`, `h1` … take their first argument
+    as they left it and leave it in C, where it is a record that the result begins with (`Held`).
     """
 
     def __init__(self, functions: Sequence[Callable[..., Any]], name: str) -> None:
@@ -113,6 +169,7 @@ class Extension:
         self._parts: list[str] = []
         self._known: set[str] = set()
         self._gives: dict[Any, str] = {}  # by annotation: bools are none of C's types
+        self._holding: dict[int, str] = {}  # by function: C's type of the record that stays in C
         wrappers = [self._wrapper(i, f) for i, f in enumerate(functions)]
         table = "".join(
             f'  {{"f{i}", (PyCFunction)(void (*)(void))call_{i}, METH_FASTCALL | METH_KEYWORDS, NULL}},\n'
@@ -121,7 +178,16 @@ class Extension:
         for t in self._translator.many():
             self._take(t)
         count = len(functions)
-        tail = _TAIL.format(methods=table, name=name, classes=" ".join(self._classes), count=count)
+        table += "".join(
+            f'  {{"h{i}", (PyCFunction)hold_{i}, METH_FASTCALL, NULL}},\n' for i in self._holding
+        )
+        tail = _TAIL.format(
+            methods=table,
+            name=name,
+            classes=" ".join(self._classes),
+            count=count,
+            ready="".join(f" || PyType_Ready(&held_type_{c})" for c in dict.fromkeys(self._holding.values())),
+        )
         head = f"{_HEAD}\nstatic long left_[{count}];\n"
         self.source = "\n".join([self._translator.text(), head, *self._parts, *wrappers, tail])
 
@@ -133,15 +199,63 @@ class Extension:
         declared = "".join(f"  {self._translator.type(t)} a{i};\n" for i, t in enumerate(types))
         taken = " && ".join(f"{self._take(t)}(args[{i}], &a{i})" for i, t in enumerate(types)) or "1"
         given = self._translator.given(f, [f"a{i}" for i in range(len(types))], types)
-        return (
+        called = f"{self._translator.type(plain(result))} r = {name}({given});"
+        text = (
             f"static PyObject *call_{index}(PyObject *self, PyObject *const *args, Py_ssize_t n,"
             f" PyObject *names) {{\n{declared}  if (!names && n == {len(types)} && {taken}) {{\n"
-            "    failed_ = 0;\n"
-            f"    {self._translator.type(plain(result))} r = {name}({given});\n"
+            f"    failed_ = 0;\n    {called}\n"
             f"    if (!failed_) return {self._give(result)}(r);\n"
             f"  }}\n  left_[{index}]++;\n"
             f"  return PyObject_Vectorcall(PyTuple_GET_ITEM(originals_, {index}), args, n, names);\n}}\n"
         )
+        first, parts = next(iter(hints.values()), None), get_args(result)
+        if get_origin(result) is tuple and first == parts[0] and _is_remembered(first):
+            c = self._holding[index] = self._held(first)
+            reached = f"n == {len(types)} && {taken.replace('take_', 'reach_', 1)}"
+            text += self._holding_wrapper(index, c, parts, declared, reached, called)
+        return text
+
+    def _holding_wrapper(
+        self, index: int, c: str, parts: Sequence[Any], declared: str, reached: str, called: str
+    ) -> str:
+        """The function whose first argument and result's first part stay in C."""
+        rest = "".join(f", {self._give(part)}(r.f{i})" for i, part in enumerate(parts) if i)
+        return (
+            f"static PyObject *hold_{index}(PyObject *self, PyObject *const *args, Py_ssize_t n) {{\n"
+            f"{declared}  if ({reached}) {{\n"
+            f"    failed_ = 0;\n    {called}\n    if (!failed_) {{\n"
+            f"      PyObject *members[] = {{hold_{c}(&r.f0){rest}}};\n"
+            f"      return record(&PyTuple_Type, {len(parts)}, members);\n    }}\n"
+            f"  }}\n  left_[{index}]++;\n"
+            f"  return without_held(PyTuple_GET_ITEM(originals_, {index}), args, n);\n}}\n"
+        )
+
+    def _held(self, t: Any) -> str:
+        """C's type of a record, for which there is a Python type that holds one."""
+        c = self._translator.type(t)
+        if c in self._holding.values():
+            return c
+        take, give = self._take(t), self._give(t)
+        owned = [f"x->{path}" for path in _objects(t)]
+        fields = fields_of(t)
+        hints = get_type_hints(t)
+        getters = [self._give(hints[field]) for field, _ in fields]
+        self._parts.append(
+            _HELD.format(
+                c=c,
+                take=take,
+                give=give,
+                own=" ".join(f"Py_XINCREF({one});" for one in owned),
+                disown=" ".join(f"Py_XDECREF({one});" for one in owned),
+                getters="".join(
+                    f"static PyObject *get_{c}_{field}(held_{c} *o, void *none) {{"
+                    f" return {getter}(o->value.{field}); }}\n"
+                    for (field, _), getter in zip(fields, getters, strict=True)
+                ),
+                table="".join(f'  {{"{field}", (getter)get_{c}_{field}}},\n' for field, _ in fields),
+            )
+        )
+        return c
 
     def _take(self, t: Type) -> str:
         """The C function that reads a Python object of a type."""
@@ -251,6 +365,19 @@ class Extension:
 def _is_remembered(t: Type) -> bool:
     """Whether the last value of a type is kept: most records are passed on as they are."""
     return isinstance(t, type) and hasattr(t, "_fields") and _count_of(t) > FEW
+
+
+def _objects(t: Type) -> list[str]:
+    """The ways from a record to the Python objects in it."""
+    found = []
+    for name, kind in fields_of(t):
+        if kind is object:
+            found.append(name)
+        elif isinstance(kind, Many):
+            found.append(f"{name}.tuple")
+        elif kind not in PLAIN:
+            found += [f"{name}.{way}" for way in _objects(kind)]
+    return found
 
 
 def _count_of(t: Type) -> int:

@@ -13,7 +13,7 @@ from pneud.axis.sensing import NAN, NO_ESTIMATE, Belief, Driven, drive, sense
 from pneud.axis.state import INSIDE, AxisParameters, AxisState, Doubt, configured, switched_on
 from pneud.axis.stops import UNHELD, excused, gentle, outside
 from pneud.control import homing
-from pneud.control.plan import FOLLOWING, IDLE, NONE
+from pneud.control.plan import FOLLOWING, IDLE, NONE, Plan
 from pneud.control.step import Controller
 from pneud.safety import checks
 from pneud.safety.faults import F
@@ -183,16 +183,36 @@ def put_away(
     )
 
 
+def itself(state: AxisState) -> AxisState:
+    """The state, of an axis that has it as a record."""
+    return state
+
+
 class Axis:
     """The axis; `state` is everything it remembers."""
 
     _cycle = staticmethod(cycle)
+    _whole = staticmethod(itself)
 
     def __init__(self, parameters: AxisParameters) -> None:
         """An axis that has just been switched on."""
         self.parameters = parameters
-        self.state = switched_on(parameters)
+        self._state = switched_on(parameters)
         self.failure: Exception | None = None  # the first exception in a cycle
+
+    @property
+    def state(self) -> AxisState:
+        """Everything it remembers."""
+        return self._whole(self._state)
+
+    @state.setter
+    def state(self, state: AxisState) -> None:
+        self._state = state
+
+    @property
+    def plan(self) -> Plan:
+        """What its reference is doing."""
+        return self._state.plan
 
     def freeze(self) -> AxisState:
         """The whole state, to be logged or kept."""
@@ -213,7 +233,7 @@ class Axis:
             t_ns: instant of this tick's SYNC.
         """
         try:
-            self.state, tick = self._cycle(self.state, m, request, t_ns, self.parameters)
+            self._state, tick = self._cycle(self._state, m, request, t_ns, self.parameters)
             return tick
         except Exception as e:
             if self.failure is None:

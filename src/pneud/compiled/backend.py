@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from pneud.axis.cycle import Axis, cycle
-from pneud.axis.state import AxisParameters
+from pneud.axis.state import AxisParameters, AxisState
 from pneud.bus import wire
 from pneud.log.live import packing
 from pneud.rig import dynamics
@@ -71,15 +71,21 @@ def compiled() -> Backend:
         cache = cache_folder("compiled")
     except OSError as e:
         raise BuildError(str(e)) from None
-    whole, advance = compile_functions(FUNCTIONS, cache=cache).functions
+    kept, advance = compile_functions(FUNCTIONS, cache=cache, holding=True).functions
     frames = load_source(wire.SOURCE, cache=cache)
     return Backend(
-        type("CompiledAxis", (Axis,), {"_cycle": staticmethod(whole)}),
+        type("CompiledAxis", (Axis,), {"_cycle": staticmethod(kept), "_whole": staticmethod(whole)}),
         advance,
         wire.Carriage(frames.receive, frames.send),
         load_source(packing.SOURCE, cache=cache).pack,
         "compiled",
     )
+
+
+def whole(state: Any) -> AxisState:
+    """The state that the compiled function has left in C, or that it was given."""
+    made: AxisState = state if isinstance(state, AxisState) else state.whole()
+    return made
 
 
 def sample(one: Backend, p: AxisParameters) -> list[str]:

@@ -147,7 +147,7 @@ class Lane:
         self._record_ns = time.monotonic_ns() - begun_ns
         if self._asked and self._console is not None:
             self._console.answer(turn.tick)
-        self.tally.add(record, turn.axis.state.plan, ending=self._shut)
+        self.tally.add(record, turn.axis.plan, ending=self._shut)
 
     def over(self) -> bool:
         """Whether nothing is left to do for the axis after this tick; to be asked once in each."""

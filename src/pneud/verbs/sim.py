@@ -122,7 +122,7 @@ def _run(run: Simulation, rate_hz: float, writer: LogWriter | None) -> tuple[Tal
     seen = verdict.Observed()
     snapshot_ticks, written = max(1, round(SNAPSHOT_S * rate_hz)), 0
     for record in run.records():
-        tally.add(record, run.axis.state.plan, ending=run.shut)
+        tally.add(record, run.axis.plan, ending=run.shut)
         request = record.tick.request
         if request is not None and request.kind == RequestKind.ARM:
             tally.asked_to_arm(record.tick)
