@@ -20,7 +20,7 @@ from pneud.signals import ALL_SOURCES, EncoderStatus, Measurement, Request, Requ
 from pure2c import BuildError, compile_functions, load_source
 
 FUNCTIONS: tuple[Callable[..., Any], ...] = (cycle, dynamics.advance)
-SAMPLE_TICKS = 150
+SAMPLE_TICKS = 100
 _NOISE_PA = 2e4  # so that the command goes from end to end
 
 
@@ -92,7 +92,7 @@ def sample(one: Backend, p: AxisParameters) -> list[str]:
     """What an axis makes of a made-up run, to the last digit: every tick, and the state after every tenth.
 
     What differs in a state shows in a tick, or is still there after the tenth. The axis starts, arms, and
-    tracks until the noise or the motion that does not come is too much for it.
+    tracks for half of the time, in noise, a load that does not come.
     """
     axis = one.axis(p)
     noise = random.Random(1).uniform

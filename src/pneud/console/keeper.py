@@ -22,6 +22,7 @@ from pneud.log.live.ring import CONSOLE_GONE, Ring
 _LOOK_S = 0.25  # how often a console that may stand still is looked at; an end is told by a signal
 _STANDS_NS = 2_000_000_000  # a console that has been silent for longer is killed
 _LOADING_NS = 20_000_000_000  # one that has not begun, after so long
+_READY_NS = 3_000_000_000  # when the next one's modules are loaded: not while a run begins, or is soon over
 _APART_S = 1.0  # from one start to the next; twice as long after each that died at once
 _FARTHEST_S = 8.0
 _AT_ONCE_NS = 2_000_000_000  # one that has lived for less has died at once
@@ -67,6 +68,7 @@ class _Keeper:
         self._console = 0
         self._begun_ns = 0
         self._before = 0  # consoles that have been started
+        self._loaded = False  # what consoles are made of
         self._at_once = 0  # of them the last ones that died at once
 
     def _over(self) -> bool:
@@ -126,9 +128,11 @@ class _Keeper:
             beat_ns, now_ns = ring.console_ns, time.monotonic_ns()
             if begins and beat_ns > self._begun_ns:
                 begins = False
-                load()  # beside the loop, so that the next one begins at once
                 if self._before > 1 and self._at_once < 2:
                     self._say(_WARNING, "the console was started again")
+            if not (begins or self._loaded) and now_ns > self._begun_ns + _READY_NS:
+                load()  # beside the loop, so that the next one begins at once
+                self._loaded = True
             if now_ns > (self._begun_ns + _LOADING_NS if begins else beat_ns + _STANDS_NS):
                 crew.kill(self._console)
                 self._console = 0
