@@ -32,7 +32,9 @@ STIFFEST, SOFTEST = 40.0, 0.3  # stiffness that may be found, in terms of the co
 RISE, FALL = 2.0, 0.5  # by which what was found may change from step to step
 FORCE_RAD_S = 40.0  # bandwidth of the force that is led along a step
 LEAST_V = 0.01  # opening that is not worth a way across the dead zone
+SMALL_V = 1.5 * LEAST_V  # opening that leads along a small step of force
 SWINGS = 1.5  # that a step of force and what follows it take
+TRIES = 1  # times that the law may make a load swing
 LONGEST = 4.0  # swings that a load has to come to rest after a step of force
 
 
@@ -74,6 +76,7 @@ class StandstillState(NamedTuple):
     stiffness_n_m: float = 0.0  # found; 0: as configured
     anchor_m: float = 0.0  # reading since which none has differed
     same: int = 0  # readings since then
+    tries: int = 0  # times that the valve was closed because the law hunts, since the reference stands still
 
 
 def is_still(now: Reference, goal: Reference) -> bool:
@@ -123,7 +126,7 @@ def stand(
     speed_m_s = s.speed_m_s + p.smooth * (velocity_m_s - s.speed_m_s)
     s = _in_mode(s, s.mode, s.ticks + 1, speed_m_s, s.net_n + p.smooth * (net_n - s.net_n), s.restless_v)
     if not still or p.enter_m <= 0.0:
-        return given_back(s)
+        return given_back(_tried(s, 0))
     size = abs(error_m)
     if s.mode == LAW:
         if would_rest(s, error_m, p):
@@ -131,7 +134,7 @@ def stand(
         if size <= p.near_m and s.same >= p.stuck:
             return planned(s, error_m, force_n, friction_n, p)
         if size <= p.near_m and s.restless_v > p.restless_v and s.ticks > p.patience:
-            return _entered(s, CLOSED, 0, s.restless_v)
+            return _entered(_tried(s, s.tries + 1), CLOSED, 0, s.restless_v)
         return s
     coming = s.mode == CLOSED and s.ticks < p.grace
     if size > p.far_m or (abs(velocity_m_s) > p.leave_m_s and not coming):
@@ -139,7 +142,11 @@ def stand(
     if s.mode == CLOSED:
         if size <= p.leave_m or coming:
             return s
-        return planned(s, error_m, force_n, friction_n, p) if s.same >= p.stuck else given_back(s)
+        if s.same >= p.stuck:
+            return planned(s, error_m, force_n, friction_n, p)
+        # a load that the law has made swing again and again is left to swing out
+        swings = s.tries > TRIES and size <= p.near_m and s.ticks < p.grace + LONGEST * p.swing
+        return s if swings else given_back(s)
     if s.step_n * error_m < 0.0:
         return _entered(s, CLOSED, p.grace, s.restless_v)  # past the target
     if s.ticks < SWINGS * p.swing or (s.same < p.stick and s.ticks < LONGEST * p.swing):
@@ -208,10 +215,13 @@ def nudge(
     """
     if s.mode == CLOSED:
         return 0.0
-    share = min(1.0, (s.ticks + 1.0) / p.swing)
+    # a small step takes less time: the valve has a least opening
+    quickest = abs(s.step_n) / (h * SMALL_V * (f1_fill if s.step_n > 0.0 else f1_exhaust))
+    ticks = max(1.0, min(float(p.swing), quickest))
+    share = min(1.0, (s.ticks + 1.0) / ticks)
     rate = FORCE_RAD_S * (s.from_n + share * s.step_n - force_n)
-    if s.ticks < p.swing:
-        rate += s.step_n / (p.swing * h)
+    if s.ticks < ticks:
+        rate += s.step_n / (ticks * h)
     u = rate / (f1_fill if rate > 0.0 else f1_exhaust)
     if abs(u) < LEAST_V:
         return 0.0
@@ -237,6 +247,24 @@ def _read(s: StandstillState, anchor_m: float, same: int) -> StandstillState:
         s.stiffness_n_m,
         anchor_m,
         same,
+        s.tries,
+    )
+
+
+def _tried(s: StandstillState, tries: int) -> StandstillState:
+    return StandstillState(
+        s.mode,
+        s.ticks,
+        s.speed_m_s,
+        s.net_n,
+        s.restless_v,
+        s.from_n,
+        s.step_n,
+        s.error_m,
+        s.stiffness_n_m,
+        s.anchor_m,
+        s.same,
+        tries,
     )
 
 
@@ -259,6 +287,7 @@ def _in_mode(
         s.stiffness_n_m,
         s.anchor_m,
         s.same,
+        s.tries,
     )
 
 
@@ -277,4 +306,5 @@ def _stepping(
         stiffness_n_m,
         s.anchor_m,
         s.same,
+        s.tries,
     )
