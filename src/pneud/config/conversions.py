@@ -147,7 +147,9 @@ def motion_of(c: Config) -> MotionFilter:
     found = triple_pole(m.bandwidth_rad_s, h, blind_m)
     if m.push_bandwidth_rad_s is None:
         return found
-    return quickened(found, triple_pole(m.push_bandwidth_rad_s, h), m.push_beyond_m)
+    # a step of the encoder is no push
+    beyond_m = max(m.push_beyond_m, m.encoder_resolution_m)
+    return quickened(found, triple_pole(m.push_bandwidth_rad_s, h), beyond_m)
 
 
 def gains_of(c: Config) -> Feedback:
