@@ -282,7 +282,7 @@ class AdaptationConfig(Section):
     flow: bool = True  # gain of the valve: 0.5 to 2 times
     lag: bool = True  # of the spool: 1 to 4 times
     friction: bool = True  # level of what is fed forward: 0.3 to 3 times
-    stiffness: bool = False  # of its bristles, 1 to 20 times; not where loads change, which look alike
+    stiffness: bool = True  # of its bristles, after reversals before which all was explained: 1 to 20 times
     load: bool = True  # force that is no friction, up to what the supply can push
     mass: bool = True  # from a load that shakes: 0.4 to 2.5 times
 

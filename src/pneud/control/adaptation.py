@@ -20,6 +20,8 @@ MOVING_M_S = 3e-3  # slower is no motion to learn from
 SATURATED = 0.98  # part of the greatest opening beyond which the valve is taken as saturated
 OPENING_V = 0.5  # opening at which the flow is learnt best
 LAG_V = 0.2  # lagging behind by so much, the lag is
+BENT = 0.05  # part of the friction that bristles which are bent for good may lack
+STIFFER = 0.01  # part by which the stiffness changes in a sample at most
 PLAIN = 0.18  # part of the friction that may be amiss without a word of its bristles
 SLIDING_M_S = 2e-2  # slower, bristles may hold a load that is shaken
 SHAKE_M = 1e-5  # innovation by which the mass is: a load that shakes
@@ -69,6 +71,7 @@ class Learnt(NamedTuple):
     shake: Shake = Shake()
     usable: bool = False  # the last sample may be learnt from
     moving: bool = False  # the reference moved at the last sample
+    plain: bool = False  # friction and load explained the force when the bristles were bent for good last
 
 
 def within(value: float, r: Rate) -> float:
@@ -165,6 +168,7 @@ def learn_valve(
         so_far.shake,
         usable,
         False,  # until `learn_force` knows better
+        so_far.plain,
     )
 
 
@@ -201,11 +205,12 @@ def learn_force(
     psi, shake = shaken(so_far.shake, (pushed_n - so_far.load_n - friction_n) / M, h, filter)
     moving = abs(goal_v) >= MOVING_M_S
     level, stiffness, load, mass = so_far.friction, so_far.stiffness, so_far.load_n, so_far.mass
+    plain = so_far.plain
     if so_far.usable and moving and v * goal_v > 0.0:
         rest = force_n - load - friction_n
         load = within(load + p.load.per_s * h * rest, p.load)
         if f.coulomb_n > 0.0:
-            level, stiffness = friction_corrected(so_far, rest, friction_n, goal_v, h, f, p)
+            level, stiffness, plain = friction_corrected(so_far, rest, friction_n, goal_v, h, f, p)
         if abs(goal_v) >= SLIDING_M_S:
             r = innovation_m - max(-filter.blind_m, min(filter.blind_m, innovation_m))
             r = max(-abs(psi), min(abs(psi), r))
@@ -223,16 +228,18 @@ def learn_force(
         shake,
         so_far.usable,
         moving,
+        plain,
     )
 
 
 def friction_corrected(
     so_far: Learnt, rest_n: float, friction_n: float, goal_v: float, h: float, f: Friction, p: Adaptation
-) -> tuple[float, float]:
-    """Level and stiffness of the friction after one sample.
+) -> tuple[float, float, bool]:
+    """Level and stiffness of the friction after one sample, and whether all of it was explained lately.
 
     The level is learnt where friction changes most, just after a reversal: there alone an error costs.
-    Bristles that bend less far than believed show as force that comes too soon.
+    Bristles that bend less far than believed show as force that comes too soon. For a moment, a load that
+    changes looks just like that: they are learnt after reversals before which nothing was left to explain.
 
     Args:
         so_far: as learnt.
@@ -254,10 +261,14 @@ def friction_corrected(
         short = 0.0
     odd = rest - max(-PLAIN * dry, min(PLAIN * dry, rest))
     step = h / (dry * dry)
-    return (
-        within(level + p.friction.per_s * step * weight * rest * friction_n * level, p.friction),
-        within(stiffness + p.stiffness.per_s * step * odd * short * stiffness, p.stiffness),
-    )
+    plain = so_far.plain
+    if abs(short) <= BENT * dry:
+        plain = odd == 0.0
+    if plain:
+        more = max(-STIFFER, min(STIFFER, p.stiffness.per_s * step * odd * short))
+        stiffness = within(stiffness * (1.0 + more), p.stiffness)
+    level = within(level + p.friction.per_s * step * weight * rest * friction_n * level, p.friction)
+    return level, stiffness, plain
 
 
 def shaken(s: Shake, a: float, h: float, p: MotionFilter) -> tuple[float, Shake]:

@@ -126,7 +126,7 @@ def stand(
     speed_m_s = s.speed_m_s + p.smooth * (velocity_m_s - s.speed_m_s)
     s = _in_mode(s, s.mode, s.ticks + 1, speed_m_s, s.net_n + p.smooth * (net_n - s.net_n), s.restless_v)
     if not still or p.enter_m <= 0.0:
-        return given_back(_tried(s, 0))
+        return given_back(_stepping(_tried(s, 0), s.from_n, s.step_n, s.error_m, 0.0))
     size = abs(error_m)
     if s.mode == LAW:
         if would_rest(s, error_m, p):
