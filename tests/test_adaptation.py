@@ -28,6 +28,7 @@ from pneud.control.reference import Sine, rest, septic, sine, way
 from pneud.control.step import Controller, ControllerState, as_learnt, start
 from pneud.loading import load
 from pneud.log.format.snapshot import from_json, to_json
+from pneud.physics.friction import stribeck
 from pneud.physics.plant import PlantParameters
 from pneud.physics.valve import dead_zone_inverse, opening
 from pneud.rt.folders import cache_folder
@@ -224,10 +225,10 @@ def test_without_friction_force_is_load() -> None:
     assert learnt.load_n > 0.0
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_friction_that_comes_too_soon_is_of_stiffer_bristles(sign: float) -> None:
-    learnt = learn_force(
-        MOVING,
+def bent_too_soon(sign: float, plain: bool) -> Learnt:
+    """After a sample just behind a reversal, with more friction than bristles have that are as configured."""
+    return learn_force(
+        MOVING._replace(plain=plain),
         sign * 60.0,
         sign * 5.0,
         sign * 0.01,
@@ -240,8 +241,43 @@ def test_friction_that_comes_too_soon_is_of_stiffer_bristles(sign: float) -> Non
         P.motion,
         A,
     )
-    assert learnt.stiffness > 1.0
-    assert learnt.friction > 1.0
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_friction_that_comes_too_soon_is_of_stiffer_bristles(sign: float) -> None:
+    learnt = bent_too_soon(sign, plain=True)
+    assert 1.0 < learnt.stiffness <= 1.01
+    assert learnt.plain
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_force_that_was_there_before_the_reversal_says_nothing_of_bristles(sign: float) -> None:
+    learnt = bent_too_soon(sign, plain=False)
+    assert learnt.stiffness == 1.0
+    assert not learnt.plain
+
+
+@pytest.mark.parametrize(("beyond_n", "plain"), [(0.0, True), (6.0, True), (9.0, False), (-9.0, False)])
+def test_bristles_bent_for_good_tell_whether_all_is_explained(beyond_n: float, plain: bool) -> None:
+    f = P.friction
+    v = 0.05
+    steady_n = stribeck(v, f) + f.viscous_n_s_m * v
+    for before in (True, False):
+        learnt = learn_force(
+            MOVING._replace(plain=before),
+            steady_n + beyond_n,
+            steady_n,
+            v,
+            v,
+            0.0,
+            0.0,
+            P.h,
+            15.0,
+            f,
+            P.motion,
+            A,
+        )
+        assert learnt.plain is plain
 
 
 # what comes of it

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from functools import cache
 from typing import Any
 
@@ -14,7 +15,7 @@ from pneud.config.conversions import axis_of, plant_of
 from pneud.control import standstill
 from pneud.control.adaptation import Adaptation
 from pneud.control.feedforward import recalled
-from pneud.control.reference import Sine, rest, septic, way
+from pneud.control.reference import Sine, rest, septic, sine, way
 from pneud.control.standstill import CLOSED, LAW, NUDGED, Standstill, StandstillState
 from pneud.control.step import Controller
 from pneud.loading import load
@@ -47,6 +48,7 @@ P = Standstill(
 )
 STILL = rest(0.4)
 NOSINE = Sine(0.4, 0.0, 0.0)
+SWING = Sine(0.4, 0.1, math.pi)
 RESTLESS = {(1e-6, 5e5): 0.1}  # here the law has the load back again and again
 numbers = st.floats(-1e3, 1e3)
 
@@ -289,3 +291,18 @@ def test_laws_without_what_is_learnt_or_left_alone_come_to_rest_too(plain: bool,
     pair, v = trial.trial(trial.begin(0.45, c, plant), True, 300, 250, 1e-3, errand, c, plant, 10.0 / 4096)
     assert v.max_m < 1e-4
     assert (pair.state.standstill.mode == LAW) >= plain
+
+
+def test_loads_that_come_and_go_are_no_stiffer_bristles() -> None:
+    """Steps of a load as large as the friction, at any instant of a sine, look like them for a moment."""
+    c, plant = rig(1e-6, 1e5)
+    tick, errand = ticks_of()[1], Errand(way(septic(1.0, rest(0.4), sine(0.0, SWING))), SWING)
+    chance, most, force_n, until = random.Random(3), 1.0, 0.0, 3000
+    pair = trial.begin(0.4, c, plant)
+    for i in range(20_000):
+        if i == until:
+            force_n = chance.uniform(-1.0, 1.0) * plant.friction.coulomb_n
+            until += chance.randrange(150, 2500)
+        pair = tick(pair, i * c.h, i == 0, errand._replace(force_n=force_n), c, plant, 10.0 / 4096)
+        most = max(most, pair.state.learnt.stiffness)
+    assert most < 3.0
