@@ -21,6 +21,7 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from pneud import crew
+from pneud.log.live.amiss import Counts
 from pneud.signals import (
     ALL_SOURCES,
     Command,
@@ -283,13 +284,13 @@ def test_frames_that_were_not_used_are_counted_by_their_defect() -> None:
         at(4, fresh=0),
         at(5, fresh=0, encoder_age_ns=NEVER_NS, pressure_age_ns=NEVER_NS, valve_age_ns=NEVER_NS),
     )
-    assert (history.corrupt, history.frozen, history.late, history.lost) == (1, 1, 1, 3)
+    assert (history.corrupt, history.frozen, history.amiss.all) == (1, 1, Counts(3, 1, 0))
 
 
 def test_free_running_sensors_owe_no_frame_in_every_tick() -> None:
     history = History(sync=False)
     history.add([at(0), at(1, fresh=0), at(2, fresh=6, encoder_defects=int(Defect.CORRUPT))])
-    assert (history.lost, history.corrupt) == (0, 1)
+    assert (history.amiss.all.missing, history.corrupt) == (0, 1)
 
 
 def test_times_that_were_not_taken_are_in_no_histogram() -> None:

@@ -62,9 +62,7 @@ def guide(state: AxisState, belief: Belief, m: Measurement, present: int, p: Axi
         present |= failed << F.HOMING_FAILED
         if found:
             zero_m, referenced = zero_m + p.homing.stop_m - m.position_m, True
-            controller = resume(
-                p.homing.stop_m, m.p1_pa, m.p2_pa, m.supply_pa, law, learnt_so_far(state)
-            )
+            controller = resume(p.homing.stop_m, m.p1_pa, m.p2_pa, m.supply_pa, law, learnt_so_far(state))
     elif is_engaged(before):
         plan, reference, at_rest = follow(plan, belief.sampled_ns, configured(state, p), state.profile)
         error_m = reference.position_m - e.position_m

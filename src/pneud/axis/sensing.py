@@ -131,9 +131,7 @@ def believe(
         if measured:
             read_ns = sampled_ns
     elif m.fresh == ALL_SOURCES:
-        controller = resume(
-            m.position_m, m.p1_pa, m.p2_pa, m.supply_pa, state.law, learnt_so_far(state)
-        )
+        controller = resume(m.position_m, m.p1_pa, m.p2_pa, m.supply_pa, state.law, learnt_so_far(state))
         estimate = first_estimate(controller)
         read_ns, started_ns = sampled_ns, sampled_ns
     return Belief(controller, estimate, sampled_ns, read_ns, started_ns)

@@ -15,8 +15,8 @@ from pneud.control.adaptation import (
     friction_learnt,
     learn_force,
     learn_valve,
-    valve_learnt,
     values_of,
+    valve_learnt,
 )
 from pneud.control.disturbance import Observer, ObserverState
 from pneud.control.disturbance import observe as observe_disturbance
