@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import random
@@ -235,6 +236,24 @@ def test_all_values_together_are_drawn_to_the_truth(wrong: Learnt) -> None:
     factors = (learnt.flow, learnt.lag, learnt.friction)
     assert factors == pytest.approx((1.0,) * 3, abs=0.2)
     assert abs(learnt.load_n) < 2.0
+
+
+@pytest.mark.slow
+def test_from_every_corner_of_the_bounds_the_load_is_followed_soon() -> None:
+    x = AXIS.reference.centre_m
+    course = trial.Errand(way(septic(1.0, rest(x), sine(0.0, AXIS.reference))), AXIS.reference, 0.0)
+    start = trial.begin(x, P, PLANT, 1)
+    edges = (A.edges.least - P.valve.dead_zone_v, A.edges.most - P.valve.dead_zone_v)
+    ends = [(r.least, r.most) for r in (A.flow, A.lag, A.friction, A.load, A.mass)]
+    worst_m = 0.0
+    for edge, flow, lag, friction, load_n, mass in itertools.product(edges, *ends):
+        learnt = Learnt(edge, edge, flow, lag, friction, 1.0, load_n, mass)
+        bench = start._replace(state=start.state._replace(learnt=learnt))
+        _, verdict = compiled_trial()(
+            bench, True, 31_000, 21_000, 1e-5, course, P, PLANT, LOADED.codecs.command_lsb_v
+        )
+        worst_m = max(worst_m, verdict.rms_m)
+    assert worst_m < 1.5e-4
 
 
 def test_the_averaged_gradients_contract(monkeypatch: pytest.MonkeyPatch) -> None:
