@@ -114,6 +114,50 @@ def test_everything_an_operator_needs_stands_on_80_by_24() -> None:
         assert text in page
 
 
+def test_what_is_learnt_and_what_is_amiss_fit_into_80_columns_and_what_is_at_its_bound_stands_out() -> None:
+    def value(value: float, configured: float, check: str | None = None) -> dict[str, float | str | None]:
+        return {"value": value, "configured": configured, "check": check}
+
+    learnt = {
+        "dead_zone_positive_v": value(0.4, 0.1, "the valve's centre"),
+        "dead_zone_negative_v": value(0.1124, 0.1),
+        "orifice_area_m2": value(2.1e-5, 2e-5),
+        "bandwidth_hz": value(80.0, 100.0),
+        "coulomb_n": value(35.0, 36.0),
+        "load_n": value(-12.3, 0.0),
+        "moving_mass_kg": value(15.0, 15.0),
+    }
+    late = at(1, fresh=6, encoder_defects=int(Defect.LATE))
+    history, info = history_of(at(0), late, at(2, fresh=5)), INFO._replace(learnt=learnt)
+    (row,) = [line for line in drawn(history, info=info) if line.startswith("learnt")]
+    assert row.split() == (
+        [
+            "learnt",
+            "zone",
+            "400/112",
+            "mV",
+            "flow",
+            "+5%",
+            "valve",
+            "-20%",
+            "dry",
+            "-3%",
+            "mass",
+            "+0%",
+            "load",
+            "-12",
+            "N",
+        ]
+    )
+    (frames,) = [line for line in drawn(history, info=info) if line.startswith("frames")]
+    assert "missing 1  late 1  odd 0  per min 2  crc 0  frozen 0" in frames
+    (none,) = [line for line in drawn(history) if line.startswith("learnt")]
+    assert none.split() == ["learnt", "-"]
+    console = Console(file=io.StringIO(), width=80, force_terminal=True, color_system="standard")
+    console.print(render(ScreenState(history.last, info), history, (80, 24)))
+    assert "33m400/112 mV" in console.file.getvalue()  # type: ignore[attr-defined]
+
+
 def test_latched_and_present_faults_are_named_and_so_is_what_the_host_says() -> None:
     tick = TICK._replace(state=int(State.FAULT), latched=0b010, present=0b110 | 1 << 30)
     record = RECORD._replace(tick=tick)

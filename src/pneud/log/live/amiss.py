@@ -37,7 +37,7 @@ class Amiss:
         """
         self._sync = sync
         self._now_s = 0
-        self._seconds: deque[tuple[int, Counts]] = deque()
+        self._seconds: deque[tuple[int, Counts]] = deque(maxlen=LATELY_S)  # of those that had any
         self.all = Counts()
 
     def add(self, m: Measurement) -> None:
@@ -66,11 +66,10 @@ class Amiss:
 
     def lately(self) -> Counts:
         """Those of the last minute."""
-        while self._seconds and self._seconds[0][0] <= self._now_s - LATELY_S:
-            self._seconds.popleft()
         total = Counts()
-        for _, counts in self._seconds:
-            total = _sum(total, counts)
+        for second, counts in self._seconds:
+            if second > self._now_s - LATELY_S:
+                total = _sum(total, counts)
         return total
 
 
