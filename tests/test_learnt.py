@@ -30,8 +30,10 @@ from pneud.report.page import page
 from pneud.report.readings import SOURCES
 from pneud.signals import ALL_SOURCES, Defect, Measurement, Record, Source, Timing
 from pneud.verbs.status import in_words
+from pneud.verbs.top import _Link
 from pneud.view.learnt import in_brief
 from test_console import desk as desk  # noqa: PLC0414  (a fixture)
+from test_view import INFO
 
 LOG = Path(__file__).parent / "golden" / "composite.mcap"
 C = load("virtual.toml").config
@@ -322,3 +324,25 @@ def test_a_part_of_a_log_shows_what_was_learnt_in_it_if_anything() -> None:
     run = gather(read_log(LOG), Window(0.0, 0.02))
     assert not run.learning.last
     assert "Nothing: adaptation was off" in page([run])
+
+
+def test_the_screen_of_a_running_daemon_asks_for_it_now_and_then() -> None:
+    class Daemon:
+        def __init__(self) -> None:
+            self.asked: list[str] = []
+            self.answers: list[dict[str, Any]] = []
+
+        def send(self, verb: str) -> None:
+            self.asked.append(verb)
+
+        def replies(self) -> list[dict[str, Any]]:
+            return self.answers
+
+    daemon, learnt = Daemon(), values_learnt(DIFFERENT, C)
+    link = _Link(daemon, None)  # type: ignore[arg-type]
+    assert link.attend(INFO).learnt is None
+    daemon.answers = [{"ok": True, "state": "holding", "learnt": learnt}]
+    assert link.attend(INFO).learnt == learnt
+    daemon.answers = [{"ok": True}]  # to something else
+    assert link.attend(INFO).learnt == learnt
+    assert daemon.asked == ["status"]
