@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import random
@@ -9,12 +10,16 @@ import shutil
 from functools import cache
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pneud.config import conversions
+from pneud.control import step
 from pneud.control.adaptation import (
+    LAG_V,
+    OPENING_V,
     Adaptation,
     Learnt,
     cylinder_learnt,
@@ -42,6 +47,7 @@ P = AXIS.controller
 A = P.adaptation
 OPEN = Spool(1.0, 10.0)
 FINITE = st.floats(-1e9, 1e9)
+NOTHING = Learnt()
 VALUES = 8  # of Learnt that are learnt; what follows is memory
 
 
@@ -53,16 +59,23 @@ def compiled_trial() -> Any:
     return run
 
 
-def moved(plant: PlantParameters, seconds: float, p: Controller = P, at_rest: bool = False) -> Learnt:
+def moved(
+    plant: PlantParameters,
+    seconds: float,
+    p: Controller = P,
+    at_rest: bool = False,
+    learnt: Learnt = NOTHING,
+) -> Learnt:
     """What has been learnt in the lock-step trial: along the sine, or at rest."""
     reference = Sine(AXIS.reference.centre_m, 0.0, 0.0) if at_rest else AXIS.reference
     x = reference.centre_m
     course = trial.Errand(way(septic(1.0, rest(x), sine(0.0, reference))), reference, 0.0)
     bench = trial.begin(x, p, plant, 1)
+    bench = bench._replace(state=bench.state._replace(learnt=learnt))
     ticks = round(seconds / p.h)
     bench, _ = compiled_trial()(bench, True, ticks, 0, 1e-5, course, p, plant, LOADED.codecs.command_lsb_v)
-    learnt: Learnt = bench.state.learnt
-    return learnt
+    found: Learnt = bench.state.learnt
+    return found
 
 
 def valve_says(so_far: Learnt, missing_v: float = 0.2, u_v: float = 1.0, p: Adaptation = A) -> Learnt:
@@ -153,6 +166,119 @@ def test_ten_thousand_random_ticks_stay_within_bounds() -> None:
 @pytest.mark.slow
 def test_a_million_random_ticks_stay_within_bounds() -> None:
     wandered(1_000_000)
+
+
+STUCK = PLANT.friction._replace(coulomb_n=900.0, static_n=1200.0)
+TROUBLES: dict[str, tuple[PlantParameters, Sine, float]] = {  # rig, what it is asked, push [N]
+    "none": (PLANT, AXIS.reference, 0.0),
+    "noise": (PLANT._replace(pressure_noise_pa=3e4), AXIS.reference, 0.0),
+    "coarse sensors": (
+        PLANT._replace(encoder_resolution_m=1e-4, pressure_resolution_pa=2e4),
+        AXIS.reference,
+        0.0,
+    ),
+    "stuck": (PLANT._replace(friction=STUCK), AXIS.reference, 0.0),
+    "saturated": (PLANT, AXIS.reference._replace(omega_rad_s=25.0), 0.0),
+    "throttled": (
+        PLANT._replace(cylinder=PLANT.cylinder._replace(c1=0.1 * PLANT.cylinder.c1)),
+        AXIS.reference,
+        0.0,
+    ),
+    "pushed": (PLANT, AXIS.reference, 400.0),
+    "slow valve": (
+        PLANT._replace(valve=PLANT.valve._replace(omega_rad_s=0.1 * PLANT.valve.omega_rad_s)),
+        AXIS.reference,
+        0.0,
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("trouble", TROUBLES)
+def test_nothing_winds_up_in_a_million_ticks_of_trouble(trouble: str) -> None:
+    run, lsb_v = compiled_trial(), LOADED.codecs.command_lsb_v
+    bench, joins, begin = (
+        trial.begin(AXIS.reference.centre_m, P, PLANT, 1),
+        True,
+        rest(AXIS.reference.centre_m),
+    )
+
+    def go(seconds: float, plant: PlantParameters, reference: Sine, push_n: float) -> trial.Verdict:
+        nonlocal bench, joins, begin
+        there = way(septic(1.0, begin, sine(0.0, reference)))
+        course, ticks = trial.Errand(there, reference, push_n), round(seconds / P.h)
+        bench, verdict = run(bench, joins, ticks, 0, 1e-5, course, P, plant, lsb_v)
+        joins, begin = False, sine(seconds - there.T, reference)
+        return verdict  # type: ignore[no-any-return]
+
+    for _ in range(5):
+        go(25.0, *TROUBLES[trouble])
+        learnt = bench.state.learnt
+        assert in_bounds(learnt)
+        assert all(math.isfinite(float(x)) for x in (*learnt[:VALUES], *learnt.shake))  # type: ignore[arg-type]
+    go(30.0, *TROUBLES["none"])
+    after = go(10.0, *TROUBLES["none"])
+    assert after.rms_m < 2e-5
+    assert after.max_m < 1.5e-4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        Learnt(0.1, -0.05, 1.3, 1.8, 0.7, 1.0, 20.0),
+        Learnt(-0.1, 0.1, 0.7, 1.0, 1.5, 1.0, -50.0),
+        Learnt(0.3, 0.3, 2.0, 4.0, 3.0, 20.0, 600.0),
+    ],
+)
+def test_all_values_together_are_drawn_to_the_truth(wrong: Learnt) -> None:
+    learnt = moved(PLANT, 300.0, learnt=wrong)
+    assert max(abs(learnt.edge_plus_v), abs(learnt.edge_minus_v)) < 0.02
+    factors = (learnt.flow, learnt.lag, learnt.friction)
+    assert factors == pytest.approx((1.0,) * 3, abs=0.2)
+    assert abs(learnt.load_n) < 2.0
+
+
+@pytest.mark.slow
+def test_from_every_corner_of_the_bounds_the_load_is_followed_soon() -> None:
+    x = AXIS.reference.centre_m
+    course = trial.Errand(way(septic(1.0, rest(x), sine(0.0, AXIS.reference))), AXIS.reference, 0.0)
+    start = trial.begin(x, P, PLANT, 1)
+    edges = (A.edges.least - P.valve.dead_zone_v, A.edges.most - P.valve.dead_zone_v)
+    ends = [(r.least, r.most) for r in (A.flow, A.lag, A.friction, A.load, A.mass)]
+    worst_m = 0.0
+    for edge, flow, lag, friction, load_n, mass in itertools.product(edges, *ends):
+        learnt = Learnt(edge, edge, flow, lag, friction, 1.0, load_n, mass)
+        bench = start._replace(state=start.state._replace(learnt=learnt))
+        _, verdict = compiled_trial()(
+            bench, True, 31_000, 21_000, 1e-5, course, P, PLANT, LOADED.codecs.command_lsb_v
+        )
+        worst_m = max(worst_m, verdict.rms_m)
+    assert worst_m < 1.5e-4
+
+
+def test_the_averaged_gradients_contract(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[tuple[float, float]] = []  # opening, and what the spool lags behind [V]
+    valve = P.valve
+
+    def learn(so_far: Learnt, fresh: bool, missing_v: float, u_v: float, spool: Spool, *more: Any) -> Learnt:
+        found = learn_valve(so_far, fresh, missing_v, u_v, spool, *more)
+        if found.usable and so_far.moving and u_v != 0.0:
+            seen.append((u_v, 2.0 * valve.zeta / valve.omega_rad_s * spool.rate_v_s))
+        return found
+
+    monkeypatch.setattr(step, "learn_valve", learn)
+    bench, x = trial.begin(AXIS.reference.centre_m, P, PLANT, 1), AXIS.reference.centre_m
+    course = trial.Errand(way(septic(1.0, rest(x), sine(0.0, AXIS.reference))), AXIS.reference, 0.0)
+    for i in range(3000):  # the way there, and a period
+        bench = trial.tick(bench, i * P.h, i == 0, course, P, PLANT, 0.0)
+    u, behind = np.array(seen[-1900:]).T
+    regressors = np.stack((-1.0 * (u > 0.0), 1.0 * (u < 0.0), u, -behind))
+    one = np.ones_like(u)
+    weights = np.stack((one, one, 1.0 / (OPENING_V**2 + u * u), 20.0 / (LAG_V**2 + behind * behind)))
+    rates_per_s = np.linalg.eigvals((weights * regressors) @ regressors.T / len(u))
+    assert (rates_per_s.real > 1.0 / 200.0).all()
+    assert (weights * regressors * regressors * P.h).max() < 0.1  # of an error, taken away by one sample
 
 
 # frozen where nothing is to be had

@@ -12,10 +12,24 @@ import pytest
 import pneud.axis.cycle
 import pneud.axis.guidance
 import pneud.axis.sensing
-from axis_rig import ARM, CLEAR, DISARM, ENCODER, PERIOD_NS, PRESSURE, SHUTDOWN, Rig, loaded, ready, tracking
+from axis_rig import (
+    ARM,
+    CLEAR,
+    DISARM,
+    ENCODER,
+    PERIOD_NS,
+    PRESSURE,
+    SHUTDOWN,
+    Rig,
+    loaded,
+    ready,
+    same,
+    tracking,
+)
 from pneud.axis.cycle import FOLLOWING, Axis
 from pneud.bus.inbox import Inbox
 from pneud.config import conversions
+from pneud.control.adaptation import Learnt, Shake
 from pneud.control.laws.situation import LawOutput
 from pneud.control.plan import COMING_TO_REST, JOINING, SETTLE_NS
 from pneud.control.reference import along, sine, stays, to_rest
@@ -193,6 +207,56 @@ def test_shutdown_asked_in_the_tick_of_an_exception_holds(monkeypatch: pytest.Mo
     while rig.tick().present:
         assert rig.count < 500
     assert rig.tick(ARM).state == State.DISARMED
+
+
+LEARNT = Learnt(0.01, -0.02, 1.1, 1.2, 0.9, 1.0, 3.0, 0.95)
+
+
+def taught(rig: Rig) -> Rig:
+    """With something learnt, and with what the last samples have left."""
+    controller = rig.axis.state.controller
+    assert controller is not None
+    learnt = LEARNT._replace(shake=Shake(1e-5, 1e-5, 1e-5, 1e-5))
+    rig.axis.state = rig.axis.state._replace(controller=controller._replace(learnt=learnt))
+    return rig
+
+
+def test_what_was_learnt_outlives_sensors_that_are_silent() -> None:
+    rig = taught(ready())
+    rig.frame = lambda _: None
+    rig.ticks(100)
+    assert rig.axis.freeze().controller is None
+    assert rig.axis.state.learnt[:8] == LEARNT[:8]
+    rig.frame = same
+    rig.tick()
+    controller = rig.axis.state.controller
+    assert controller is not None
+    assert controller.learnt == LEARNT
+
+
+def test_what_was_learnt_outlives_an_exception_and_what_is_not_finite(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for output in (lambda *_: 1 / 0, lambda state, *_: (state, LawOutput(math.nan, 0.0, 0.0))):
+        rig = taught(tracking())
+        with monkeypatch.context() as patch:
+            patch.setattr(pneud.axis.sensing, "act", output)
+            assert rig.tick().state == State.FAULT
+        assert rig.axis.freeze().controller is None
+        rig.tick()
+        controller = rig.axis.state.controller
+        assert controller is not None
+        assert controller.learnt[:8] == pytest.approx(LEARNT[:8], abs=0.02)
+
+
+def test_an_axis_starts_with_what_an_earlier_run_had_learnt() -> None:
+    rig = Rig()
+    p = rig.axis.parameters._replace(learnt=LEARNT)
+    rig.axis = Axis(p)
+    rig.tick()
+    controller = rig.axis.state.controller
+    assert controller is not None
+    assert controller.learnt == LEARNT
 
 
 @pytest.mark.parametrize(

@@ -67,6 +67,19 @@ def holding() -> Rig:
     return twin(_holding())
 
 
+@pytest.mark.slow
+def test_homing_forgets_nothing_that_was_learnt() -> None:
+    rig = unhomed(0.01, speed_m_s=0.05)
+    controller = rig.axis.state.controller
+    assert controller is not None
+    learnt = controller.learnt._replace(friction=0.9, mass=1.1)
+    rig.axis.state = rig.axis.state._replace(controller=controller._replace(learnt=learnt))
+    assert homed(rig)[-1].state == State.HOLDING
+    controller = rig.axis.state.controller
+    assert controller is not None
+    assert (controller.learnt.friction, controller.learnt.mass) == (0.9, 1.1)
+
+
 def known(rig: Rig) -> bool:
     return rig.axis.state.referenced
 

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 
 from log_samples import WAYS, any_record, bits, noisy, tick_at
+from pneud.log.live.packing import Skimmed
 from pneud.log.live.ring import RecorderStatus, Ring
 from pneud.signals import Frame, Record, Timing
 
@@ -251,7 +252,7 @@ def test_who_skims_sees_the_same_records() -> None:
     reader.poll()
     seen, read = skimmer.skim(), reader.poll()
     assert len(read) == 40
-    assert seen == [(r.tick.measurement.skipped, r.timing.lateness_ns, r.timing.latency_ns) for r in read]
+    assert seen == [Skimmed(r.tick.measurement, r.timing.lateness_ns, r.timing.latency_ns) for r in read]
     for record in noisy(200):
         ring.put(record)
     skimmer.skim()

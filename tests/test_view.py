@@ -21,6 +21,7 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from pneud import crew
+from pneud.log.live.amiss import Counts
 from pneud.signals import (
     ALL_SOURCES,
     Command,
@@ -111,6 +112,50 @@ def test_everything_an_operator_needs_stands_on_80_by_24() -> None:
         |written 12,345|dropped 7|Ctrl-C stops|virtual-1.mcap"""
     for text in re.split(r"\s*\|", wanted):
         assert text in page
+
+
+def test_what_is_learnt_and_what_is_amiss_fit_into_80_columns_and_what_is_at_its_bound_stands_out() -> None:
+    def value(value: float, configured: float, check: str | None = None) -> dict[str, float | str | None]:
+        return {"value": value, "configured": configured, "check": check}
+
+    learnt = {
+        "dead_zone_positive_v": value(0.4, 0.1, "the valve's centre"),
+        "dead_zone_negative_v": value(0.1124, 0.1),
+        "orifice_area_m2": value(2.1e-5, 2e-5),
+        "bandwidth_hz": value(80.0, 100.0),
+        "coulomb_n": value(35.0, 36.0),
+        "load_n": value(-12.3, 0.0),
+        "moving_mass_kg": value(15.0, 15.0),
+    }
+    late = at(1, fresh=6, encoder_defects=int(Defect.LATE))
+    history, info = history_of(at(0), late, at(2, fresh=5)), INFO._replace(learnt=learnt)
+    (row,) = [line for line in drawn(history, info=info) if line.startswith("learnt")]
+    assert row.split() == (
+        [
+            "learnt",
+            "zone",
+            "400/112",
+            "mV",
+            "flow",
+            "+5%",
+            "valve",
+            "-20%",
+            "dry",
+            "-3%",
+            "mass",
+            "+0%",
+            "load",
+            "-12",
+            "N",
+        ]
+    )
+    (frames,) = [line for line in drawn(history, info=info) if line.startswith("frames")]
+    assert "missing 1  late 1  odd 0  per min 2  crc 0  frozen 0" in frames
+    (none,) = [line for line in drawn(history) if line.startswith("learnt")]
+    assert none.split() == ["learnt", "-"]
+    console = Console(file=io.StringIO(), width=80, force_terminal=True, color_system="standard")
+    console.print(render(ScreenState(history.last, info), history, (80, 24)))
+    assert "33m400/112 mV" in console.file.getvalue()  # type: ignore[attr-defined]
 
 
 def test_latched_and_present_faults_are_named_and_so_is_what_the_host_says() -> None:
@@ -283,13 +328,13 @@ def test_frames_that_were_not_used_are_counted_by_their_defect() -> None:
         at(4, fresh=0),
         at(5, fresh=0, encoder_age_ns=NEVER_NS, pressure_age_ns=NEVER_NS, valve_age_ns=NEVER_NS),
     )
-    assert (history.corrupt, history.frozen, history.late, history.lost) == (1, 1, 1, 3)
+    assert (history.corrupt, history.frozen, history.amiss.all) == (1, 1, Counts(3, 1, 0))
 
 
 def test_free_running_sensors_owe_no_frame_in_every_tick() -> None:
     history = History(sync=False)
     history.add([at(0), at(1, fresh=0), at(2, fresh=6, encoder_defects=int(Defect.CORRUPT))])
-    assert (history.lost, history.corrupt) == (0, 1)
+    assert (history.amiss.all.missing, history.corrupt) == (0, 1)
 
 
 def test_times_that_were_not_taken_are_in_no_histogram() -> None:

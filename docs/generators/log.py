@@ -23,7 +23,8 @@ MEANINGS = {
     "measurement.encoder_age_ns": "from the sampling of the encoder's last valid value to SYNC; 0 where it is fresh",
     "measurement.pressure_age_ns": "likewise for the pressures",
     "measurement.valve_age_ns": "likewise for the valve status",
-    "measurement.encoder_defects": "why newer frames were not used: 1 corrupt, 2 counter frozen, 4 late",
+    "measurement.encoder_defects": "why newer frames were not used: 1 corrupt, 2 counter frozen, 4 late;"
+    " 16 held back as odd, 32 confirmed the one before",
     "measurement.pressure_defects": "likewise",
     "measurement.valve_defects": "likewise",
     "measurement.encoder_offset_ns": "sampling instant of the position, after SYNC;"
@@ -92,7 +93,7 @@ schemas are in the file. This describes log schema {SCHEMA}.
 | `/axis/tick` | `pneud.Tick`, or `pneud.FullTick` with `log.detail = "full"` | one message a tick: everything that one cycle read and decided, and where its time went |
 | `/can/frames` | `pneud.Frames` | the frames of some consecutive ticks, by columns |
 | `/events` | `foxglove.Log` | what happened, in words: states, faults, requests, marks |
-| `/axis/state` | JSON | now and then all state of the axis, from which a replay can begin |
+| `/axis/state` | JSON | every two seconds all state of the axis, from which a replay can begin; with what has been learnt |
 
 `log_time` is the instant of the tick as Unix time (in simulated time: from 0). Sequence numbers count the ticks from
 1; a gap is where records were dropped. Attached are the configuration and the DBC; the metadata `pneud` hold bus, rate, detail,

@@ -10,7 +10,7 @@ from pneud.axis.doubt import listen
 from pneud.axis.guidance import NO_REFERENCE, Course, guide, redirect
 from pneud.axis.requests import ARM, BLOCKED, HOME, NOTHING, TAKEN, Asked, ask
 from pneud.axis.sensing import NAN, NO_ESTIMATE, Belief, Driven, drive, sense
-from pneud.axis.state import INSIDE, AxisParameters, AxisState, Doubt, configured, switched_on
+from pneud.axis.state import INSIDE, AxisParameters, AxisState, Doubt, configured, learnt_so_far, switched_on
 from pneud.axis.stops import UNHELD, excused, gentle, outside
 from pneud.control import homing
 from pneud.control.plan import FOLLOWING, IDLE, NONE, Plan
@@ -180,6 +180,7 @@ def put_away(
         reference=reference,
         doubt=doubt,
         outside_m=outside_m,
+        learnt=learnt_so_far(state),
     )
 
 
@@ -241,7 +242,13 @@ class Axis:
             bits, kind = 1 << F.INTERNAL, request.kind if request is not None else 0
             after = trip(self.state.supervisor, bits, kind)
             self.state = self.state._replace(
-                supervisor=after, controller=None, t_ns=t_ns, plan=IDLE, last_v=0.0, limited=0
+                supervisor=after,
+                controller=None,
+                t_ns=t_ns,
+                plan=IDLE,
+                last_v=0.0,
+                limited=0,
+                learnt=learnt_so_far(self.state),
             )
             return Tick(
                 t_ns=t_ns,

@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 from pneud.axis.requests import Asked
 from pneud.axis.sensing import NAN, Belief
-from pneud.axis.state import AxisParameters, AxisState, configured
+from pneud.axis.state import AxisParameters, AxisState, configured, learnt_so_far
 from pneud.control import homing
 from pneud.control.homing import Homing
 from pneud.control.plan import IDLE, Plan, follow, halting, resting
 from pneud.control.reference import rest
-from pneud.control.step import ControllerState, change, join, start
+from pneud.control.step import ControllerState, change, join, resume
 from pneud.safety.faults import F
 from pneud.safety.supervisor import HOLDING, HOMING, STOPPING, is_engaged
 from pneud.signals import Measurement, Reference
@@ -62,7 +62,7 @@ def guide(state: AxisState, belief: Belief, m: Measurement, present: int, p: Axi
         present |= failed << F.HOMING_FAILED
         if found:
             zero_m, referenced = zero_m + p.homing.stop_m - m.position_m, True
-            controller = start(p.homing.stop_m, m.p1_pa, m.p2_pa, m.supply_pa, law)
+            controller = resume(p.homing.stop_m, m.p1_pa, m.p2_pa, m.supply_pa, law, learnt_so_far(state))
     elif is_engaged(before):
         plan, reference, at_rest = follow(plan, belief.sampled_ns, configured(state, p), state.profile)
         error_m = reference.position_m - e.position_m

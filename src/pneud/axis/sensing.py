@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pneud.axis.state import AxisParameters, AxisState
-from pneud.control.step import Controller, ControllerState, act, observe, start
+from pneud.axis.state import AxisParameters, AxisState, learnt_so_far
+from pneud.control.step import Controller, ControllerState, act, observe, resume
 from pneud.safety import checks
 from pneud.safety.faults import NO_SENSORS, F
 from pneud.safety.output import OutputLimits, emit
@@ -131,7 +131,7 @@ def believe(
         if measured:
             read_ns = sampled_ns
     elif m.fresh == ALL_SOURCES:
-        controller = start(m.position_m, m.p1_pa, m.p2_pa, m.supply_pa, state.law)
+        controller = resume(m.position_m, m.p1_pa, m.p2_pa, m.supply_pa, state.law, learnt_so_far(state))
         estimate = first_estimate(controller)
         read_ns, started_ns = sampled_ns, sampled_ns
     return Belief(controller, estimate, sampled_ns, read_ns, started_ns)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from pneud.control.adaptation import Learnt
 from pneud.control.homing import NOWHERE, Homing, HomingParameters
 from pneud.control.plan import IDLE, Plan
 from pneud.control.profile import Profile
@@ -57,6 +58,7 @@ class AxisParameters(NamedTuple):
     homing: HomingParameters
     stop_centres: bool  # after a stop that was asked for
     join_at_once: bool  # start on the reference without a transfer
+    learnt: Learnt = Learnt()  # in an earlier run: where adaptation starts
 
 
 class AxisState(NamedTuple):
@@ -80,6 +82,7 @@ class AxisState(NamedTuple):
     reference: Sine | None = None  # the configured one, where it has been changed
     doubt: Doubt = Doubt()
     outside_m: float = INSIDE  # innermost position since it has been armed outside its travel
+    learnt: Learnt = Learnt()  # up to the last tick, for a controller that starts anew
 
     @property
     def phase(self) -> int:
@@ -115,7 +118,15 @@ def switched_on(p: AxisParameters) -> AxisState:
         zero_m=0.0,
         referenced=False,
         homing=NOWHERE,
+        learnt=p.learnt,
     )
+
+
+def learnt_so_far(state: AxisState) -> Learnt:
+    """What has been learnt, whether there is a controller or not."""
+    if state.controller is None:
+        return state.learnt
+    return state.controller.learnt
 
 
 def configured(state: AxisState, p: AxisParameters) -> Sine:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from pneud.axis.state import AxisParameters, Gate
+from pneud.config.learnt import adaptation_of, start_of
 from pneud.config.models import BusConfig, Config, ControlConfig, FrictionConfig, RealtimeConfig
-from pneud.control.adaptation import Adaptation, Rate
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.homing import HomingParameters
 from pneud.control.homogeneous import Feedback, feedback
@@ -33,7 +33,6 @@ BALANCE = 0.03  # of dry friction that may be out of balance while a load counts
 SMOOTH_S = 0.02  # of force and speed of a standing load
 GRACE_S = 0.08  # that a load has to come to rest when the valve is closed
 RESTLESS_V = 0.03  # mean step of the command that is hunting
-MOST_EDGE = 0.08  # part of the greatest opening that an edge of the dead zone may be learnt to be
 NOISES, LEAST_STEPS = 4.0, 4.0  # within so many standard deviations, and steps, nearly all readings lie
 UNKNOWN_SHARE = 0.1  # of the piston's greatest force that nobody may know of without being doubted
 DOUBT_S, DOUBT_SHARE = 0.04, 0.3  # more odd readings in such a time are a fault
@@ -246,23 +245,6 @@ def standstill_of(c: Config) -> Standstill:
     )
 
 
-def adaptation_of(c: Config) -> Adaptation:
-    """What is learnt, how fast, and within which bounds."""
-    a, u_max_v, dead_zone_v = c.control.adaptation, c.valve.u_max_v, c.valve.dead_zone_v
-    force = c.control.estimate_force
-    load_n = (c.gas.supply_pa - c.gas.atmosphere_pa) * c.cylinder.piston_area_1_m2
-    return Adaptation(
-        enabled=a.enabled,
-        edges=Rate(1.0 * a.dead_zone, 0.0, max(MOST_EDGE * u_max_v, dead_zone_v)),
-        flow=Rate(1.0 * a.flow, 0.5, 2.0),
-        lag=Rate(20.0 * a.lag, 1.0, 4.0),
-        friction=Rate(3.0 * (a.friction and force), 0.3, 3.0),
-        stiffness=Rate(150.0 * (a.stiffness and force), 1.0, 20.0),
-        load=Rate(1.0 * (a.load and force), -load_n, load_n),
-        mass=Rate(3.0 * a.mass, 0.4, 2.5),
-    )
-
-
 def limits_of(c: Config) -> Limits:
     """What the axis may never exceed, and for how long what may last."""
     k, limits, bus = c.cylinder, c.limits, c.bus
@@ -378,6 +360,7 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
         homing=homing_of(c),
         stop_centres=limits.stop_then == "centre",
         join_at_once=c.reference.join == "at_once",
+        learnt=start_of(c),
     )
 
 

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from pneud.config.learnt import start_of
 from pneud.control.laws import adrc, pid
 from pneud.control.laws.open_loop import OpenLoop
 
@@ -274,6 +275,21 @@ def _check_hurwitz(loop: OpenLoop) -> None:
         raise ValueError(f"gains are not Hurwitz: needs {loop.criterion}")
 
 
+class StartConfig(Section):
+    """Where adaptation starts, as `pneud learnt` writes it from a log; what is not given is as configured."""
+
+    axis: str = ""  # that it was learnt on
+    log: str = ""  # that it comes from
+    dead_zone_positive_v: float | None = None  # edge for u > 0
+    dead_zone_negative_v: float | None = None  # for u < 0, as a distance from zero
+    orifice_area_m2: float | None = None  # as the flow tells
+    bandwidth_hz: float | None = None  # of the spool
+    coulomb_n: float | None = None  # the friction's level; all else of it goes along
+    bristle_stiffness_n_m: float | None = None
+    load_n: float | None = None  # force against the motion that is no friction
+    moving_mass_kg: float | None = None
+
+
 class AdaptationConfig(Section):
     """What is learnt in motion, slowly and within bounds, from its configured value on."""
 
@@ -285,6 +301,7 @@ class AdaptationConfig(Section):
     stiffness: bool = True  # of its bristles, after reversals before which all was explained: 1 to 20 times
     load: bool = True  # force that is no friction, up to what the supply can push
     mass: bool = True  # from a load that shakes: 0.4 to 2.5 times
+    start: StartConfig = StartConfig()
 
 
 class ControlConfig(Section):
@@ -536,4 +553,5 @@ class Config(Section):
                 raise ValueError(
                     f"bus.{key} = {getattr(self.bus, key):g} is shorter than two ticks ({2 * period_ms:g} ms)"
                 )
+        start_of(self)
         return self

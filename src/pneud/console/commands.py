@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from pneud.config.learnt import start_of, values_learnt
 from pneud.console import protocol
 from pneud.console.facts import RunFacts
 from pneud.console.handoff import RequestOutcome
@@ -56,6 +57,8 @@ class AxisDesk:
             "schema": 1,
             "name": r.config.name,
             **self._watch.fields(),
+            "learnt": values_learnt(self._watch.learnt or start_of(r.config), r.config) or None,
+            "learnt_from": r.config.control.adaptation.start.log or None,
             "rate_hz": r.config.loop.rate_hz,
             "limits": self._limits(),
             "bus": r.bus,

@@ -7,6 +7,9 @@ import sys
 import time
 from typing import Any
 
+from pneud.axis.state import learnt_so_far
+from pneud.control.adaptation import Learnt
+from pneud.log.live.amiss import Amiss
 from pneud.log.live.ring import Ring
 from pneud.rt.histogram import Histogram
 from pneud.safety.faults import LOG_LOST, TABLE
@@ -16,9 +19,16 @@ from pneud.signals import State
 class StatusWatch:
     """Follows the records of one run."""
 
-    def __init__(self, ring: Ring) -> None:
-        """Begin with the oldest record that is still in the ring."""
+    def __init__(self, ring: Ring, sync: bool = True) -> None:
+        """Begin with the oldest record that is still in the ring.
+
+        Args:
+            ring: where the records are.
+            sync: every source owes a frame in every tick.
+        """
+        self.learnt: Learnt | None = None  # by the last snapshot
         self._ring = ring
+        self._amiss = Amiss(sync)
         self._reader = ring.reader()
         self._skipped = 0
         self._lateness = Histogram()
@@ -30,11 +40,15 @@ class StatusWatch:
 
         Standard error, under systemd the journal, gets a line when the log is lost and when it goes on.
         """
-        for skipped, lateness_ns, latency_ns in self._reader.skim():
-            self._skipped += skipped
+        for m, lateness_ns, latency_ns in self._reader.skim():
+            self._skipped += m.skipped
+            self._amiss.add(m)
             self._lateness.add(lateness_ns)
             if latency_ns >= 0:
                 self._latency.add(latency_ns)
+        for state in self._reader.states().values():
+            if state is not None:
+                self.learnt = learnt_so_far(state["axis"])
         last = self._reader.latest()
         if last is not None:
             self._say_of_the_log(last.tick.present & LOG_LOST)
@@ -59,6 +73,8 @@ class StatusWatch:
             "silent_s": None,
             "ticks": self._ring.put_count,
             "skipped": self._skipped,
+            "amiss": self._amiss.all._asdict(),
+            "amiss_last_minute": self._amiss.lately()._asdict(),
             "lateness_us": _percentiles_us(self._lateness),
             "sensor_to_command_us": _percentiles_us(self._latency),
         }

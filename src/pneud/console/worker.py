@@ -69,7 +69,7 @@ def serve(post: Post, keeper: int, place: int) -> None:
         print(f"pneud: {error}", file=sys.stderr, flush=True)
 
     teller, ring = Teller(post.words, "console"), post.ring
-    watch = StatusWatch(ring)
+    watch = StatusWatch(ring, post.run.config.bus.sync)
     desk = AxisDesk(post.run, ring, watch, post.memory)
     server = Server(post.listener, post.loop, desk, teller.say, first=place * _NUMBERS)
     if place:

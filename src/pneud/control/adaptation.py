@@ -74,6 +74,20 @@ class Learnt(NamedTuple):
     plain: bool = False  # friction and load explained the force when the bristles were bent for good last
 
 
+def values_of(so_far: Learnt) -> Learnt:
+    """What has been learnt, without what is remembered of the last samples."""
+    return Learnt(
+        so_far.edge_plus_v,
+        so_far.edge_minus_v,
+        so_far.flow,
+        so_far.lag,
+        so_far.friction,
+        so_far.stiffness,
+        so_far.load_n,
+        so_far.mass,
+    )
+
+
 def within(value: float, r: Rate) -> float:
     """A value kept within its bounds."""
     return max(r.least, min(r.most, value))

@@ -15,6 +15,7 @@ from pneud.control.adaptation import (
     friction_learnt,
     learn_force,
     learn_valve,
+    values_of,
     valve_learnt,
 )
 from pneud.control.disturbance import Observer, ObserverState
@@ -115,6 +116,14 @@ def start(position_m: float, p1_pa: float, p2_pa: float, supply_pa: float, p: Co
         bristles_m=0.0,
         force_step_n=0.0,
     )
+
+
+def resume(
+    position_m: float, p1_pa: float, p2_pa: float, supply_pa: float, p: Controller, learnt: Learnt
+) -> ControllerState:
+    """As `start`, with what has been learnt before."""
+    state = start(position_m, p1_pa, p2_pa, supply_pa, as_learnt(p, learnt))
+    return kept(state, state.bristles_m, state.standstill, values_of(learnt))
 
 
 def as_learnt(p: Controller, learnt: Learnt) -> Controller:

@@ -9,8 +9,10 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from pneud import crew
+from pneud.axis.state import learnt_so_far
 from pneud.bus.inbox import Inbox
 from pneud.config import conversions
+from pneud.config.learnt import Values, start_of, values_learnt
 from pneud.console import handoff
 from pneud.console.facts import RunFacts
 from pneud.console.keeper import fork_console
@@ -203,8 +205,13 @@ class Session:
             cures=FAULT_CURES,
             log_path=str(self.ready.log_file),
             sync=config.bus.sync,
+            learnt=values_learnt(start_of(config), config),
         )
-        ends.callback(end_screen, fork_screen(self.ring, info))
+
+        def learnt(state: dict[str, Any]) -> Values:
+            return values_learnt(learnt_so_far(state["axis"]), config)
+
+        ends.callback(end_screen, fork_screen(self.ring, info, learnt))
 
 
 def _header(ready: Ready) -> LogHeader:

@@ -20,6 +20,8 @@ from pneud.log.files.reader import LogReader
 from pneud.log.format.records import LoggedEvent
 from pneud.report.decimate import Envelope, Path, Points
 from pneud.report.health import Health
+from pneud.report.learning import Learning
+from pneud.report.readings import Readings
 from pneud.report.spans import Span, Spans
 from pneud.report.spread import Spread
 from pneud.safety.supervisor import is_engaged
@@ -74,6 +76,8 @@ class LoggedRun(NamedTuple):
     more_events: int
     timing: dict[str, Spread]
     health: Health
+    readings: Readings
+    learning: Learning
     error_against: str
     figures: dict[str, float]  # of tracking and command; empty where the axis did not track for long enough
 
@@ -167,6 +171,7 @@ class _Gatherer:
         self.period_ns = round(1e9 / log.rate_hz)
         codecs = codecs_of(self.config.bus, log.dbc_name, log.dbc)
         self.health = Health(codecs, self.config.bus.sync, self.period_ns)
+        self.readings, self.learning = Readings(self.config.bus.sync), Learning(self.config)
         self.series = Envelope(len(COLUMNS), buckets)
         self.phase = Path(max(1, buckets // 4))
         self.states, self.saturated, self.gaps = Spans(), Spans(), Spans()
@@ -218,6 +223,8 @@ class _Gatherer:
             more_events=self.more_events,
             timing=self.timing,
             health=self.health,
+            readings=self.readings,
+            learning=self.learning,
             error_against="true position" if self.has_truth else "encoder",
             figures=self.judge.figures(),
         )
@@ -232,6 +239,7 @@ class _Gatherer:
                 self.t0_ns = int(t_ns[0])
                 self.start_unix_s = 1e-9 * int(block.log_time_ns[0])
             self._keep_events(block, window)
+            self._keep_states(block, window)
             t_s = (t_ns - self.t0_ns) * 1e-9
             begin, end = np.searchsorted(t_s, (window.begin_s, window.end_s)).tolist()
             if begin < end:
@@ -248,9 +256,16 @@ class _Gatherer:
                 else:
                     self.more_events += 1
 
+    def _keep_states(self, block: Block, window: Window) -> None:
+        for state in block.states:
+            t_s = 1e-9 * state.log_time_ns - self.start_unix_s
+            if window.begin_s <= t_s < window.end_s:
+                self.learning.add(t_s, state)
+
     def _take(self, block: Block, t_s: NDArray[np.float64]) -> None:
         ticks = block.ticks
         jitter_ns = self.health.add(block)
+        self.readings.add(block, t_s)
         columns = self._columns(block, jitter_ns)
         values = np.stack([columns[name] for name in COLUMNS], axis=1)
         self.series.add(t_s, values)

@@ -16,8 +16,10 @@ import numpy as np
 from pneud import __version__
 from pneud.bench.chart import svg
 from pneud.log.format.schema import Level
+from pneud.log.live.amiss import Counts
 from pneud.report.figures import COLOURS, FIGURES, STATE_COLOURS, line, offsets_s
 from pneud.report.gather import AFTER_S, LoggedRun
+from pneud.report.readings import SOURCES
 from pneud.report.spans import Span
 from pneud.report.spread import Spread
 from pneud.signals import State, Timing
@@ -34,6 +36,10 @@ _TIMING_WORDS = {
     "record_ns": "record handed over",
 }
 _SPANS_SHOWN = 4000
+
+
+class Drawn(str):
+    """A cell that is markup."""
 
 
 def page(runs: Sequence[LoggedRun], reference: Reference | None = None) -> str:
@@ -66,6 +72,8 @@ def page(runs: Sequence[LoggedRun], reference: Reference | None = None) -> str:
         _timing(runs, names, reference),
         "</section><section><h2>Bus</h2>",
         *(_bus(run, name if len(runs) > 1 else "") for run, name in zip(runs, names, strict=True)),
+        "</section><section><h2>Learnt</h2>",
+        *(_learnt(run, name if len(runs) > 1 else "") for run, name in zip(runs, names, strict=True)),
         "</section><section><h2>Events</h2>",
         *(_events(run, name if len(runs) > 1 else "") for run, name in zip(runs, names, strict=True)),
         "</section><section><h2>Machine</h2>",
@@ -305,7 +313,33 @@ def _bus(run: LoggedRun, name: str) -> str:
     notes += [f"emergency 0x{code:04X} of node {node}" for node, code in sorted(health.emcy.items())]
     heading = f"<h3>{html.escape(name)}</h3>" if name else ""
     head = ("id", "frame", "", "count", "per second", "lost", "corrupt", "frozen", "late")
-    return f"{heading}{_table(head, rows, words=3)}<p>{', '.join(notes)}.</p>"
+    return f"{heading}{_table(head, rows, words=3)}<p>{', '.join(notes)}.</p>{_readings(run)}"
+
+
+def _readings(run: LoggedRun) -> str:
+    """Ticks without a reading in time that is believed."""
+    length_s = run.ticks / run.log.rate_hz
+    head = (
+        "ticks without",
+        *(cell for kind in Counts._fields for cell in (kind, "a minute", "worst second")),
+    )
+    rows = (
+        (source, *(cell for kind in Counts._fields for cell in run.readings.in_words(source, kind, length_s)))
+        for source in SOURCES
+    )
+    return _table(head, rows)
+
+
+def _learnt(run: LoggedRun, name: str) -> str:
+    heading = f"<h3>{html.escape(name)}</h3>" if name else ""
+    start = run.config.control.adaptation.start.log
+    begun = f"<p>Begun with what was learnt in {html.escape(start)}.</p>" if start else ""
+    if not run.learning.last:
+        return f"{heading}{begun}<p>Nothing: adaptation was off, or no snapshot of the axis tells.</p>"
+    t_s = run.learning.t_s
+    head = ("", "configured", "learnt", "meanwhile", "", f"{t_s[0]:.0f} … {t_s[-1]:.0f} s")
+    rows = ((*words, Drawn(picture)) for *words, picture in run.learning.rows())
+    return f"{heading}{begun}{_table(head, rows, last=2)}"
 
 
 def _events(run: LoggedRun, name: str) -> str:
@@ -347,7 +381,8 @@ def _table(
     def cells(row: Sequence[str], tag: str) -> str:
         left = set(range(words)) | set(range(len(row) - last, len(row)))
         return "".join(
-            f"<{tag}{' class=w' if i in left else ''}>{html.escape(cell)}</{tag}>"
+            f"<{tag}{' class=w' if i in left else ''}>"
+            f"{cell if isinstance(cell, Drawn) else html.escape(cell)}</{tag}>"
             for i, cell in enumerate(row)
         )
 

@@ -55,6 +55,8 @@ def check(
     print(f"axis {c.name}: {stroke:g} m stroke, {mass:g} kg, {c.loop.rate_hz:g} Hz")
     form = "" if entry is not None else f"{c.control.discretisation}, "
     print(f"law {c.control.law}, {form}on {c.bus.channel} with {loaded.dbc.name}")
+    if c.control.adaptation.start.log:
+        print(f"adaptation starts from {c.control.adaptation.start.log}")
     for doubt in doubts:
         print(f"warning: {doubt}")
     return 0

@@ -5,6 +5,7 @@ from typing import Any
 
 from pneud.console.client import Client
 from pneud.verbs import JsonOption, SocketOption
+from pneud.view.learnt import in_brief
 
 _SILENT_S = 0.5
 
@@ -52,6 +53,7 @@ def in_words(s: dict[str, Any]) -> list[str]:
                 f"; {label} {s[key]['p50']:.0f} µs p50, {s[key]['p99']:.0f} p99, {s[key]['max']:.0f} max"
             )
     lines.append(f"{s['ticks']} ticks at {s['rate_hz']:g} Hz, {s['skipped']} skipped{timing}")
+    lines += _readings(s) + _learnt(s)
     lease = s["lease"]
     lines.append(
         f"commanded by uid {lease['uid']} pid {lease['pid']} for {lease['left_s']:.1f} s more"
@@ -63,3 +65,25 @@ def in_words(s: dict[str, Any]) -> list[str]:
     changed = " (changed since it was loaded: pneud tune diff)" if s["config_changed"] else ""
     lines.append(f"configuration {s['config']}{changed}")
     return lines
+
+
+def _readings(s: dict[str, Any]) -> list[str]:
+    """What ticks had to go without."""
+
+    def words(counts: dict[str, int]) -> str:
+        return ", ".join(f"{count} {kind}" for kind, count in counts.items())
+
+    return [f"readings amiss: {words(s['amiss'])}; in the last minute: {words(s['amiss_last_minute'])}"]
+
+
+def _learnt(s: dict[str, Any]) -> list[str]:
+    """What has been learnt, and what of it is as far off as it may be."""
+    if s["learnt"] is None:
+        return []
+    begun = f" (from {s['learnt_from']} on)" if s["learnt_from"] else ""
+    words = ", ".join(f"{label} {text}" for label, text, _ in in_brief(s["learnt"]))
+    return [f"learnt{begun}: {words}"] + [
+        f"{name} = {v['value']:g} is at its bound: check {v['check']}"
+        for name, v in s["learnt"].items()
+        if v["check"]
+    ]

@@ -31,6 +31,7 @@ from pneud.view.terminal import run_child
 _SPEEDS_MM_S = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 _JOG_LEASE_S = 0.3
 _MESSAGE_S = 6.0
+_ASK_S = 2.0  # as often as what is learnt is handed over
 _VERBS = {b" ": "stop", b"d": "disarm", b"c": "clear", b"h": "hold", b"a": "arm"}
 _ARROWS = {b"\x1b[D": -1.0, b"\x1bOD": -1.0, b"\x1b[C": 1.0, b"\x1bOC": 1.0}
 
@@ -128,6 +129,8 @@ class _Link:
         self._keys = keys
         self._message = ""
         self._until_s = 0.0
+        self._ask_s = 0.0
+        self._learnt: dict[str, Any] | None = None
         self._lost = False
 
     @property
@@ -142,7 +145,11 @@ class _Link:
             self.over = True
         if not self._lost:
             try:
+                if now_s >= self._ask_s:
+                    self._ask_s = now_s + _ASK_S
+                    self._client.send("status")
                 for reply in self._client.replies():
+                    self._learnt = reply.get("learnt", self._learnt)
                     if not reply.get("ok"):
                         self._say(str(reply["error"]["message"]), now_s)
             except PlaceError as e:
@@ -151,7 +158,7 @@ class _Link:
         if now_s > self._until_s:
             self._message = ""
         keys = self._keys.help if self._keys is not None and not self._lost else "q or Ctrl-C leaves"
-        return info._replace(message=self._message, keys=keys)
+        return info._replace(message=self._message, keys=keys, learnt=self._learnt)
 
     def _say(self, message: str, now_s: float) -> None:
         self._message, self._until_s = message, now_s + _MESSAGE_S

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 from pathlib import Path
 from typing import Annotated, Any
 
-import tomlkit
 import typer
-from tomlkit.exceptions import TOMLKitError
 
 from pneud.config.models import ConfigError
 from pneud.config.reading import load_config
+from pneud.config.writing import put, rewrite
 from pneud.console.client import Client
 from pneud.console.endpoint import PlaceError
 from pneud.console.results import ask, show
 from pneud.console.tuning import NAMES, Values, difference, keys, values_of
-from pneud.rt.outputs import replacing
 from pneud.verbs import JsonOption, SocketOption
 
 
@@ -116,9 +112,7 @@ def save(socket: SocketOption = None, json: JsonOption = False) -> int:
     changes = difference(found, running)
     if changes:
         try:
-            _replace(path, _with(path.read_text(encoding="utf-8-sig"), found, running))
-        except TOMLKitError as e:
-            raise ConfigError(f"{path}: {e}") from None
+            rewrite(path, lambda document: _put(document, found, running))
         except OSError as e:
             raise PlaceError(f"{path}: cannot be written: {e.strerror}; try sudo") from None
     show({"config": str(path), "changed": changes}, json, f"{path}: {changes or 'has these values'}")
@@ -134,25 +128,10 @@ def _running(socket: str | None) -> tuple[Values, Path]:
     return reply["gains"], Path(reply["config"])
 
 
-def _with(text: str, old: Values, new: Values) -> str:
-    document = tomlkit.parse(text)
+def _put(document: Any, old: Values, new: Values) -> None:
     for name, value in new.items():
         if value == old[name]:
             continue
         parts = value.split("-") if isinstance(value, str) else [value]
         for key, part in zip(keys(name), parts, strict=False):  # not each law has a form
-            table: Any = document
-            for step in key[:-1]:
-                table = table.setdefault(step, tomlkit.table())
-            table[key[-1]] = part
-    return tomlkit.dumps(document)
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write a file at once or not at all; what could not be loaded is not written."""
-    before = path.stat()
-    with replacing(path) as beside:
-        beside.write_text(text, encoding="utf-8")
-        load_config(beside)
-        with contextlib.suppress(PermissionError):
-            os.chown(beside, before.st_uid, before.st_gid)
+            put(document, key, part)

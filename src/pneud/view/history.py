@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from pneud.log.live.amiss import NEVER_NS, Amiss
 from pneud.rt.histogram import Histogram
 from pneud.signals import ALL_SOURCES, Defect, Measurement, Record, RequestKind, Tick
 
@@ -14,7 +15,6 @@ BUCKET_NS = 20_000_000
 SPAN_S = 10.0
 _SPAN_BUCKETS = round(SPAN_S * 1e9 / BUCKET_NS)
 _LARGEST = 1e30  # squares of smaller values and their sums stay finite
-_SEEN_NS = 2**61  # a source's age above this means that it was never seen
 _EVENTS = 16
 _BLOCKS = " ▁▂▃▄▅▆▇█"
 
@@ -148,16 +148,14 @@ class History:
     """
 
     def __init__(self, sync: bool = True) -> None:
-        self._sync = sync
         self.last: Record | None = None
         self.ticks = 0
         self.skipped = 0
         self.saturated = 0
         self.received = 0
-        self.lost = 0  # expected frames that did not come, of sources that had come before
-        self.corrupt = 0  # ticks times sources, as are the next two
+        self.amiss = Amiss(sync)
+        self.corrupt = 0  # ticks times sources, as is the next one
         self.frozen = 0
-        self.late = 0
         self.log_written: int | None = None
         self.log_dropped: int | None = None
         self.silent_s = 0.0  # since the newest record came
@@ -198,7 +196,8 @@ class History:
         if timing.latency_ns >= 0:
             self.latency.add(timing.latency_ns)
         if m.fresh != ALL_SOURCES:
-            self._count_missing(m)
+            self._count_defects(m)
+        self.amiss.add(m)
         self.error.add(t_ns, tick.reference.position_m - tick.estimate.position_m)
         self.command.add(t_ns, tick.command.voltage_v)
         self.p1.add(t_ns, m.p1_pa)
@@ -222,16 +221,14 @@ class History:
             and (last.what, last.then) == (now.request.kind, now.answer)
         )
 
-    def _count_missing(self, m: Measurement) -> None:
+    def _count_defects(self, m: Measurement) -> None:
         sources = (
             (1, m.encoder_age_ns, m.encoder_defects),
             (2, m.pressure_age_ns, m.pressure_defects),
             (4, m.valve_age_ns, m.valve_defects),
         )
         for bit, age_ns, defects in sources:
-            if m.fresh & bit or age_ns > _SEEN_NS:
+            if m.fresh & bit or age_ns > NEVER_NS:
                 continue
             self.corrupt += bool(defects & Defect.CORRUPT)
             self.frozen += bool(defects & Defect.FROZEN)
-            self.late += bool(defects & Defect.LATE)
-            self.lost += self._sync and not defects

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 
 class ScreenInfo(NamedTuple):
@@ -21,3 +22,4 @@ class ScreenInfo(NamedTuple):
     cures: tuple[str, ...] = ()  # by bit
     message: str = ""  # for the moment, in place of the note
     keys: str = "Ctrl-C stops"
+    learnt: Mapping[str, Mapping[str, Any]] | None = None  # as in the status, values by name

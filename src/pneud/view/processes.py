@@ -8,8 +8,8 @@ from __future__ import annotations
 import signal
 import socket
 import sys
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pneud import crew
 from pneud.log.format.header import LogHeader
@@ -24,9 +24,20 @@ LEAVE_SCREEN = "\x1b[?1049l\x1b[?25h\x1b[0m"
 
 SCREEN_PATIENCE_S = 3.0
 
+Learnt: TypeAlias = Callable[[Any], Mapping[str, Mapping[str, Any]]]
 
-def fork_screen(ring: Ring, info: ScreenInfo) -> int:
-    """The live screen on this terminal, until the ring is closed; returns its process id."""
+
+def fork_screen(ring: Ring, info: ScreenInfo, learnt: Learnt) -> int:
+    """The live screen on this terminal, until the ring is closed.
+
+    Args:
+        ring: where the records are.
+        info: what they belong to.
+        learnt: makes of a state, as it was handed over, what it has learnt.
+
+    Returns:
+        Its process id.
+    """
 
     def main() -> None:
         from pneud.view.terminal import run_child  # noqa: PLC0415
@@ -35,7 +46,13 @@ def fork_screen(ring: Ring, info: ScreenInfo) -> int:
             status = ring.status()
             return status.written, status.lost
 
-        run_child(ring.reader().poll, info, lambda: ring.closed, log_counts=log_counts)
+        def attend(info: ScreenInfo) -> ScreenInfo:
+            for state in filter(None, reader.states().values()):
+                info = info._replace(learnt=learnt(state))
+            return info
+
+        reader = ring.reader()
+        run_child(reader.poll, info, lambda: ring.closed, log_counts=log_counts, attend=attend)
 
     return crew.fork(main, terminal=True, orphaned=signal.SIGTERM)
 

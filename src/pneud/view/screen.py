@@ -16,6 +16,7 @@ from pneud.rt.histogram import Histogram
 from pneud.signals import Answer, Host, Record, RequestKind, State, ValveState
 from pneud.view.history import Column, Event, History, Trace, shape, span_s, sparkline
 from pneud.view.info import ScreenInfo
+from pneud.view.learnt import in_brief
 from pneud.view.text import (
     DIM,
     HAT,
@@ -34,7 +35,8 @@ from pneud.view.text import (
 SILENT_S = 0.5
 
 _RANGE = 18  # width of what stands to the right of a curve
-_FIXED_ROWS = 19  # all rows but curves and further events
+_WIDE = 100
+_FIXED_ROWS = 20  # all rows but curves and further events
 _MANY_EVENTS_ROWS, _MANY_EVENTS = 34, 5
 _SHAPE_NS, _SHAPE_WIDTH, _SHAPE_LABEL = (1e3, 1e7), 22, " 1 µs … 10 ms, logarithmic"
 # no curve is drawn on a finer scale than this, so that noise does not look like motion
@@ -242,6 +244,7 @@ def _pneumatics(rows: Rows, record: Record, info: ScreenInfo, history: History, 
         (f"d{HAT}", number(e.d_hat_n_s, "+8.0f", "N/s"), PLAIN),
         ("valve", name_of(ValveState, m.valve_state), _VALVES.get(m.valve_state, _WARN)),  # type: ignore[call-overload]
     )
+    _learnt(rows, info)
     rows.row("command")
     rows.put(number(c.voltage_v, "+7.3f", "V"), _BAD if c.saturated else _COMMAND, 10)
     left, right = f"{-info.u_max_v:g} ├", f"┤ {info.u_max_v:+g} V"
@@ -258,10 +261,23 @@ def _pneumatics(rows: Rows, record: Record, info: ScreenInfo, history: History, 
     _curve(rows, "", columns, (-peak, peak), labels, heights[2], _COMMAND)
 
 
+def _learnt(rows: Rows, info: ScreenInfo) -> None:
+    """What has been learnt; what stands at its bound stands out."""
+    rows.row("learnt")
+    if info.learnt is None:
+        rows.put("-")
+        return
+    for label, text, at_bound in in_brief(info.learnt):
+        rows.put(f"{label} ", DIM)
+        rows.put(text, _WARN if at_bound else PLAIN)
+        rows.put("  " if rows.width < _WIDE else "     ")
+
+
 def _loop(rows: Rows, history: History) -> None:
     for label, histogram in (("lateness", history.lateness), ("latency", history.latency)):
         _distribution(rows, label, histogram)
     h = history
+    amiss = h.amiss.all
     _counts(
         rows, "ticks", ("run", h.ticks, False), ("skipped", h.skipped, True), ("saturated", h.saturated, True)
     )
@@ -269,10 +285,12 @@ def _loop(rows: Rows, history: History) -> None:
         rows,
         "frames",
         ("rx", h.received, False),
-        ("missing", h.lost, True),
+        ("missing", amiss.missing, True),
+        ("late", amiss.late, True),
+        ("odd", amiss.odd, True),
+        ("per min", sum(h.amiss.lately()), True),
         ("crc", h.corrupt, True),
         ("frozen", h.frozen, True),
-        ("late", h.late, True),
     )
     if h.log_written is None or h.log_dropped is None:
         rows.row("log")
@@ -315,7 +333,7 @@ def _counts(rows: Rows, label: str, *counts: tuple[str, int, bool]) -> None:
     for name, count, unwanted in counts:
         rows.put(f"{name} ", DIM)
         rows.put(f"{count:,}", _WARN if unwanted and count else PLAIN)
-        rows.put("   ")
+        rows.put("  ")
 
 
 def _distribution(rows: Rows, label: str, histogram: Histogram) -> None:

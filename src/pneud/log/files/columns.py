@@ -13,7 +13,7 @@ import numpy as np
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
-from pneud.log.files.reader import LogReader, RawBatch
+from pneud.log.files.reader import LoggedState, LogReader, RawBatch
 from pneud.log.format.frames import FrameBlock
 from pneud.log.format.records import LAYOUTS, LoggedEvent, TickLayout
 from pneud.signals import Request
@@ -46,13 +46,14 @@ class Block(NamedTuple):
     frames: FrameColumns
     requests: tuple[tuple[int, Request], ...]  # with the index of their tick within the block
     events: tuple[LoggedEvent, ...]
+    states: tuple[LoggedState, ...]
 
     def real(self, name: str) -> Floats:
         """A field of the ticks as doubles."""
         return np.asarray(self.ticks[name], dtype=np.float64)
 
     def part(self, begin: int, end: int) -> Block:
-        """Some of the ticks, with all of the events."""
+        """Some of the ticks, with all of the events and snapshots."""
         kept = (self.frames.tick >= begin) & (self.frames.tick < end)
         frames = FrameColumns._make(column[kept] for column in self.frames)
         return Block(
@@ -62,6 +63,7 @@ class Block(NamedTuple):
             frames._replace(tick=frames.tick - begin),
             tuple((index - begin, request) for index, request in self.requests if begin <= index < end),
             self.events,
+            self.states,
         )
 
 
@@ -74,28 +76,33 @@ def blocks(log: LogReader, ticks: int = BLOCK) -> Iterator[Block]:
     """
     waiting: list[RawBatch] = []
     events: list[LoggedEvent] = []
+    states: list[LoggedState] = []
     count = 0
     for raw in log.raw():
         if isinstance(raw, LoggedEvent):
             events.append(raw)
+        elif isinstance(raw, LoggedState):
+            states.append(raw)
         elif isinstance(raw, RawBatch):
             if count >= ticks or (waiting and waiting[0].ticks[0].schema != raw.ticks[0].schema):
-                yield from _decoded(log, waiting, events)
-                waiting, events, count = [], [], 0
+                yield from _decoded(log, waiting, events, states)
+                waiting, events, states, count = [], [], [], 0
             waiting.append(raw)
             count += len(raw.ticks)
-    if waiting or events:
-        yield from _decoded(log, waiting, events)
+    if waiting or events or states:
+        yield from _decoded(log, waiting, events, states)
 
 
-def _decoded(log: LogReader, batches: list[RawBatch], events: list[LoggedEvent]) -> Iterator[Block]:
+def _decoded(
+    log: LogReader, batches: list[RawBatch], events: list[LoggedEvent], states: list[LoggedState]
+) -> Iterator[Block]:
     try:
-        yield _block(batches, events)
+        yield _block(batches, events, states)
     except (DecodeError, KeyError, ValueError) as e:
         log.damaged_at(batches[0].ticks[0].number, e)
 
 
-def _block(batches: Sequence[RawBatch], events: list[LoggedEvent]) -> Block:
+def _block(batches: Sequence[RawBatch], events: list[LoggedEvent], states: list[LoggedState]) -> Block:
     raws = [tick for batch in batches for tick in batch.ticks]
     layout = LAYOUTS[raws[0].schema if raws else "pneud.Tick"]
     ticks, requests = _ticks(layout, [r.data for r in raws])
@@ -106,6 +113,7 @@ def _block(batches: Sequence[RawBatch], events: list[LoggedEvent]) -> Block:
         _frames([FrameBlock(batch.frames) for batch in batches], ticks["t_ns"].astype(np.int64)),
         requests,
         tuple(events),
+        tuple(states),
     )
 
 

@@ -88,16 +88,16 @@ def _frames(found: tuple[Any, ...]) -> tuple[Frame, ...]:
 class Skimmed(NamedTuple):
     """A few fields of a record."""
 
-    skipped: int
+    measurement: Measurement
     lateness_ns: int
     latency_ns: int
 
 
-_MEASUREMENT, _SKIPPED = Tick._fields.index("measurement"), Measurement._fields.index("skipped")
+_MEASUREMENT = Tick._fields.index("measurement")
 _LATENESS, _LATENCY = map(Timing._fields.index, ("lateness_ns", "latency_ns"))
 
 
 def skimmed(data: bytes) -> Skimmed:
     """As `unpacked`, but for a few fields, at a fraction of the cost."""
     tick, timing, *_ = loads(data)
-    return Skimmed(tick[_MEASUREMENT][_SKIPPED], timing[_LATENESS], timing[_LATENCY])
+    return Skimmed(Measurement._make(tick[_MEASUREMENT]), timing[_LATENESS], timing[_LATENCY])

@@ -1,0 +1,77 @@
+"""Readings that their tick had to go without: how many were missing, late or odd, and how many lately.
+
+A run bears them one at a time. Only their share over a window is a fault; how often they come tells before.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+from pneud.signals import ALL_SOURCES, Defect, Measurement, Source
+
+LATELY_S = 60
+NEVER_NS = 2**61  # a source's age above this means that it has never been heard
+
+_LATE, _ODD, _CONFIRMED = int(Defect.LATE), int(Defect.ODD), int(Defect.CONFIRMED)
+_MARKED = _ODD | _CONFIRMED
+_ENCODER, _PRESSURE, _VALVE = int(Source.ENCODER), int(Source.PRESSURE), int(Source.VALVE)
+
+
+class Counts(NamedTuple):
+    """Readings of all three sources."""
+
+    missing: int = 0  # expected, but not there in time
+    late: int = 0  # answered an earlier SYNC
+    odd: int = 0  # beyond physics, and not confirmed by the next one
+
+
+class Amiss:
+    """Counts them, tick by tick."""
+
+    def __init__(self, sync: bool = True) -> None:
+        """None so far.
+
+        Args:
+            sync: every source owes a frame in every tick; of free-running ones nothing is ever missing.
+        """
+        self._sync = sync
+        self._now_s = 0
+        self._seconds: deque[tuple[int, Counts]] = deque(maxlen=LATELY_S)  # of those that had any
+        self.all = Counts()
+
+    def add(self, m: Measurement) -> None:
+        """Take the measurement of the next tick."""
+        self._now_s = m.t_ns // 1_000_000_000
+        if m.fresh == ALL_SOURCES and not (m.encoder_defects | m.pressure_defects) & _MARKED:
+            return
+        found = self.of(m)
+        self.all = _sum(self.all, found)
+        last = self._seconds.pop() if self._seconds and self._seconds[-1][0] == self._now_s else (0, Counts())
+        self._seconds.append((self._now_s, _sum(last[1], found)))
+
+    def of(self, m: Measurement) -> Counts:
+        """Those of one tick; an odd one that is confirmed takes back that it was."""
+        missing = late = odd = 0
+        for bit, age_ns, defects in (
+            (_ENCODER, m.encoder_age_ns, m.encoder_defects),
+            (_PRESSURE, m.pressure_age_ns, m.pressure_defects),
+            (_VALVE, m.valve_age_ns, m.valve_defects),
+        ):
+            odd += (defects & _ODD != 0) - (defects & _CONFIRMED != 0)
+            if not m.fresh & bit and age_ns <= NEVER_NS:
+                late += defects & _LATE != 0
+                missing += self._sync and not defects
+        return Counts(missing, late, odd)
+
+    def lately(self) -> Counts:
+        """Those of the last minute."""
+        total = Counts()
+        for second, counts in self._seconds:
+            if second > self._now_s - LATELY_S:
+                total = _sum(total, counts)
+        return total
+
+
+def _sum(a: Counts, b: Counts) -> Counts:
+    return Counts(a.missing + b.missing, a.late + b.late, a.odd + b.odd)
