@@ -37,7 +37,7 @@ from test_view import INFO
 
 LOG = Path(__file__).parent / "golden" / "composite.mcap"
 C = load("virtual.toml").config
-DIFFERENT = Learnt(0.02, -0.01, 1.1, 1.25, 0.8, 1.0, -12.0, 0.9)
+DIFFERENT = Learnt(0.02, -0.01, 1.1, 1.25, 0.8, 2.0, -12.0, 0.9)
 
 
 def started(axis: str = "virtual", **values: float) -> Config:
@@ -65,6 +65,7 @@ def test_values_are_told_as_the_configuration_has_them() -> None:
             "orifice_area_m2": 1.1 * C.valve.orifice_area_m2,
             "bandwidth_hz": C.valve.bandwidth_hz / 1.25,
             "coulomb_n": 0.8 * C.control.friction.coulomb_n,
+            "bristle_stiffness_n_m": 2.0 * C.control.friction.bristle_stiffness_n_m,
             "load_n": -12.0,
             "moving_mass_kg": 0.9 * C.cylinder.moving_mass_kg,
         },
@@ -75,7 +76,7 @@ def test_values_are_told_as_the_configuration_has_them() -> None:
 
 def test_what_is_at_its_bound_says_what_to_check_and_what_is_configured_there_does_not() -> None:
     p = adaptation_of(C)
-    found = values_learnt(Learnt(p.edges.most - 0.1, -0.1, 0.5, 4.0, 3.0, 1.0, p.load.most, 0.4), C)
+    found = values_learnt(Learnt(p.edges.most - 0.1, -0.1, 0.5, 4.0, 3.0, 20.0, p.load.most, 0.4), C)
     assert all(v["check"] for v in found.values())
     assert found["dead_zone_negative_v"]["check"] == "valve.dead_zone_v, the valve's centre"
     assert not any(
@@ -90,7 +91,6 @@ def test_nothing_is_told_where_nothing_is_learnt() -> None:
     part = load("virtual.toml", None, {"control": {"adaptation": {"flow": False}}}).config
     assert "orifice_area_m2" not in values_learnt(Learnt(), part)
     assert "orifice_area_m2" in values_learnt(DIFFERENT, part)  # begun elsewhere, and kept
-    assert "bristle_stiffness_n_m" not in values_learnt(Learnt(), C)
     rigid = load("paper-case1.toml").config
     assert not {"bandwidth_hz", "coulomb_n"} & set(values_learnt(Learnt(), rigid))
 
@@ -157,7 +157,7 @@ def test_the_verb_tells_and_writes_and_the_file_says_where_it_comes_from(rig: Pa
     told = pneud_here("learnt", LOG, "--json")
     values = json.loads(told.stdout)["learnt"]
     assert told.returncode == 0
-    assert list(values) == [q.name for q in QUANTITIES if q.of != "stiffness"]
+    assert list(values) == [q.name for q in QUANTITIES]
     before = rig.read_text()
     for _ in range(2):  # what was there is replaced
         done = pneud_here("learnt", LOG, "--into", rig)
@@ -290,7 +290,7 @@ def test_status_has_what_is_learnt_and_what_was_amiss(desk: Bench) -> None:
     assert desk.ask(client, "status")["learnt"] == found["learnt"]
     words = "\n".join(in_words(found))
     assert "readings amiss: 1 missing, 0 late, 0 odd; in the last minute: 1 missing" in words
-    assert "learnt: zone 120/90 mV, flow +10%, valve -20%, dry -20%, mass -60%, load -12 N" in words
+    assert "learnt: zone 120/90 mV, flow +10%, valve -20%, dry -20%, bristles +100%, mass -60%, load -12 N" in words
     assert "moving_mass_kg = 6 is at its bound: check cylinder.moving_mass_kg, the load" in words
     begun = "\n".join(in_words({**found, "learnt_from": "x.mcap"}))
     assert "learnt (from x.mcap on): zone" in begun
@@ -299,8 +299,8 @@ def test_status_has_what_is_learnt_and_what_was_amiss(desk: Bench) -> None:
 
 def test_a_few_words_say_what_stands_at_its_bound() -> None:
     words = list(in_brief(values_learnt(Learnt(edge_plus_v=0.3, flow=0.999), C)))
-    assert [w.text for w in words] == ["400/100 mV", "+0%", "+0%", "+0%", "+0%", "+0 N"]
-    assert [w.at_bound for w in words] == [True, False, False, False, False, False]
+    assert [w.text for w in words] == ["400/100 mV", "+0%", "+0%", "+0%", "+0%", "+0%", "+0 N"]
+    assert [w.at_bound for w in words] == [True, False, False, False, False, False, False]
 
 
 def test_the_report_counts_as_the_run_does_and_shows_what_was_learnt() -> None:
