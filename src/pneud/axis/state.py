@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from pneud.axis.standing import AT_WORK, Expected, Standing
 from pneud.control.homing import NOWHERE, Homing, HomingParameters
 from pneud.control.plan import IDLE, Plan
 from pneud.control.profile import Profile
@@ -57,6 +58,7 @@ class AxisParameters(NamedTuple):
     homing: HomingParameters
     stop_centres: bool  # after a stop that was asked for
     join_at_once: bool  # start on the reference without a transfer
+    expected: Expected  # of the load at its target
 
 
 class AxisState(NamedTuple):
@@ -79,6 +81,7 @@ class AxisState(NamedTuple):
     homing: Homing
     reference: Sine | None = None  # the configured one, where it has been changed
     doubt: Doubt = Doubt()
+    standing: Standing = AT_WORK
     outside_m: float = INSIDE  # innermost position since it has been armed outside its travel
 
     @property

@@ -10,7 +10,7 @@ from typing import Any
 from pneud.log.live.ring import Ring
 from pneud.rt.histogram import Histogram
 from pneud.safety.faults import LOG_LOST, TABLE
-from pneud.signals import State
+from pneud.signals import Hunting, State
 
 
 class StatusWatch:
@@ -54,6 +54,8 @@ class StatusWatch:
             "state": State.STARTING.label,
             "faults": [],
             **dict.fromkeys(("position_mm", "velocity_mm_s", "reference_mm", "error_mm")),
+            "in_position": False,
+            "hunting": None,
             "pressures_bar": None,
             "command_v": None,
             "silent_s": None,
@@ -74,6 +76,10 @@ class StatusWatch:
         fields["velocity_mm_s"] = _scaled(tick.estimate.velocity_m_s, 1e3)
         fields["reference_mm"] = _scaled(reference_m, 1e3)
         fields["error_mm"] = _scaled(reference_m - position_m, 1e3)
+        fields["in_position"] = bool(tick.in_position)
+        if tick.hunting:
+            cause = Hunting(tick.hunting)
+            fields["hunting"] = {"cause": cause.name.lower(), "check": cause.check}
         pressures = (("p1", m.p1_pa), ("p2", m.p2_pa), ("supply", m.supply_pa))
         fields["pressures_bar"] = {name: _scaled(pa, 1e-5) for name, pa in pressures}
         fields["command_v"] = _scaled(tick.command.voltage_v, 1.0)
