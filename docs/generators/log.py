@@ -60,6 +60,8 @@ MEANINGS = {
     "answer": "what became of this tick's request",
     "truth_m": "true position at SYNC, where a software plant tells it, else NaN",
     "check": "CRC-32 over the doubles of estimate, reference and command (voltage, law, s, u*), little-endian",
+    "in_position": "1 where the load has come to rest at the end of the reference, within the tolerances",
+    "hunting": "at its target the load or the command swings: what it most likely comes from",
     "request.kind": "what was asked for; only ticks with a request have it",
     "request.values": "its numbers",
 }

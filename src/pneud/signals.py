@@ -119,17 +119,18 @@ class Hunting(IntEnum):
     FRICTION = 3  # the load sticks and breaks away
 
     @property
-    def check(self) -> str:
-        """The parameters that it most likely comes from."""
-        return _CHECKS[self]
+    def label(self) -> str:
+        """The cause as written in logs, JSON and on the screen."""
+        return self.name.lower()
 
 
-_CHECKS = {
-    Hunting.NONE: "",
-    Hunting.ENCODER: "encoder step and noise: lower the bandwidth, or that of control.motion",
-    Hunting.VALVE: "lower the bandwidth; valve.bandwidth_hz, bus.command_delay_us, cylinder.moving_mass_kg",
+HUNTING_CURES: dict[int, str] = {
+    Hunting.ENCODER: "encoder step or noise: a lower bandwidth, or a lower one of control.motion",
+    Hunting.VALVE: "valve.bandwidth_hz, bus.command_delay_us, cylinder.moving_mass_kg, or a lower bandwidth",
     Hunting.FRICTION: "control.friction, valve.dead_zone_v",
 }
+"""What to look at, by `Hunting`."""
+
 REQUEST_VALUES = 12  # the most that a request carries
 
 

@@ -101,7 +101,9 @@ def cycle(
         in_position=standing.in_position,
         hunting=standing.hunting,
     )
-    state = put_away(state, t_ns, belief, watch, course, asked, law, after, driven, doubt, outside_m, standing)
+    state = put_away(
+        state, t_ns, belief, watch, course, asked, law, after, driven, doubt, outside_m, standing
+    )
     return state, tick
 
 

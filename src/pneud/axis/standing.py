@@ -81,11 +81,13 @@ def judge(
     turn = 1.0 if step_v * s.last_step_v < 0.0 else 0.0
     mean_v = s.step_v + p.share * (abs(step_v) - s.step_v)
     reversals = s.reversals + p.share * (turn - s.reversals)
+    half_ns = (turned_ns - first_ns) / (turns - 1) if turns > 1 else 0.0
+    swings = turns >= TURNS and turned_ns - first_ns >= LASTING_NS
     hunting = 0
     if mean_v > (OVER * p.step_v if s.hunting else p.step_v) and t_ns - since_ns >= LASTING_NS:
         hunting = s.hunting if s.hunting else cause(p.period_ns / max(reversals, 1e-9), p)
-    elif turns >= TURNS and turned_ns - first_ns >= LASTING_NS:
-        hunting = s.hunting if s.hunting else cause((turned_ns - first_ns) / (turns - 1), p)
+    elif swings and t_ns - turned_ns <= LASTING_NS + 2.0 * half_ns:
+        hunting = s.hunting if s.hunting else cause(half_ns, p)
     return Standing(
         since_ns,
         within_ns,

@@ -10,7 +10,7 @@ from typing import Any
 from pneud.log.live.ring import Ring
 from pneud.rt.histogram import Histogram
 from pneud.safety.faults import LOG_LOST, TABLE
-from pneud.signals import Hunting, State
+from pneud.signals import HUNTING_CURES, Hunting, State
 
 
 class StatusWatch:
@@ -78,8 +78,7 @@ class StatusWatch:
         fields["error_mm"] = _scaled(reference_m - position_m, 1e3)
         fields["in_position"] = bool(tick.in_position)
         if tick.hunting:
-            cause = Hunting(tick.hunting)
-            fields["hunting"] = {"cause": cause.name.lower(), "check": cause.check}
+            fields["hunting"] = {"cause": Hunting(tick.hunting).label, "cure": HUNTING_CURES[tick.hunting]}
         pressures = (("p1", m.p1_pa), ("p2", m.p2_pa), ("supply", m.supply_pa))
         fields["pressures_bar"] = {name: _scaled(pa, 1e-5) for name, pa in pressures}
         fields["command_v"] = _scaled(tick.command.voltage_v, 1.0)

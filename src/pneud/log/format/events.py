@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from pneud.log.format.records import LoggedEvent
 from pneud.log.format.schema import Level
-from pneud.signals import Answer, Defect, Hunting, Record, RequestKind, State
+from pneud.signals import HUNTING_CURES, Answer, Defect, Hunting, Record, RequestKind, State
 
 _QUIET_NS = 1_000_000_000
 _ODD, _CONFIRMED = int(Defect.ODD), int(Defect.CONFIRMED)
@@ -72,7 +72,11 @@ class EventSource:
             yield from self._limited(t_ns, Level.WARNING, "loop", f"skipped {tick.measurement.skipped} ticks")
         if tick.hunting != self._hunting:
             self._hunting = tick.hunting
-            words = "over" if not tick.hunting else f"{_label(Hunting, tick.hunting)}: {_check(tick.hunting)}"
+            words = (
+                "over"
+                if not tick.hunting
+                else f"{_label(Hunting, tick.hunting)}: check {HUNTING_CURES.get(tick.hunting)}"
+            )
             yield from self._limited(t_ns, Level.WARNING if tick.hunting else Level.INFO, "hunting", words)
         m = tick.measurement
         for name, defects in (("encoder", m.encoder_defects), ("pressure", m.pressure_defects)):
@@ -119,10 +123,6 @@ class EventSource:
 
     def _event(self, t_ns: int, level: Level, name: str, words: str) -> LoggedEvent:
         return LoggedEvent(t_ns + self._offset_ns, level, name, words)
-
-
-def _check(hunting: int) -> str:
-    return Hunting(hunting).check if hunting in Hunting else "unknown"
 
 
 def _label(names: type[Answer | Hunting | RequestKind | State], value: int) -> str:

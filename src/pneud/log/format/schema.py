@@ -53,7 +53,8 @@ class Field(NamedTuple):
 
 _TYPES = {"q": F.TYPE_SFIXED64, "Q": F.TYPE_FIXED64, "I": F.TYPE_FIXED32, "B": F.TYPE_ENUM}  # by code
 _ENUMS = {"state": "State", "answer": "Answer", "hunting": "Hunting"}
-_LATER = ("in_position", "hunting")  # fields that messages of schema 2 lack: they keep the others' numbers
+STANDING = ("in_position", "hunting")  # fields that messages of schema 2 lack: they stand behind the others
+WITHOUT_STANDING = frozenset({"2"})
 
 
 def tick_fields(detail: Detail) -> tuple[str, list[Field], dict[str, list[Field]]]:
@@ -70,7 +71,7 @@ def tick_fields(detail: Detail) -> tuple[str, list[Field], dict[str, list[Field]
         part, _, own = number.rpartition(".")
         field = Field(own, _TYPES.get(code, real), _ENUMS.get(number, ""))
         if not part:
-            (later if number in _LATER else fields).append(field)
+            (later if number in STANDING else fields).append(field)
             continue
         inner = PARTS[part].__name__
         if inner not in nested:
