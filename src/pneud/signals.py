@@ -125,8 +125,8 @@ class Hunting(IntEnum):
 
 
 HUNTING_CURES: dict[int, str] = {
-    Hunting.ENCODER: "encoder step or noise: a lower bandwidth, or a lower one of control.motion",
-    Hunting.VALVE: "valve.bandwidth_hz, bus.command_delay_us, cylinder.moving_mass_kg, or a lower bandwidth",
+    Hunting.ENCODER: "encoder step and noise; lower gains or control.motion.bandwidth",
+    Hunting.VALVE: "valve.bandwidth_hz, bus.command_delay_us, the mass; lower gains",
     Hunting.FRICTION: "control.friction, valve.dead_zone_v",
 }
 """What to look at, by `Hunting`."""
