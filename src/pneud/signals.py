@@ -125,7 +125,7 @@ class Hunting(IntEnum):
 
 
 HUNTING_CURES: dict[int, str] = {
-    Hunting.ENCODER: "encoder step and noise; lower gains or control.motion.bandwidth",
+    Hunting.ENCODER: "encoder noise; lower gains or control.motion.bandwidth_rad_s",
     Hunting.VALVE: "valve.bandwidth_hz, bus.command_delay_us, the mass; lower gains",
     Hunting.FRICTION: "control.friction, valve.dead_zone_v",
 }
