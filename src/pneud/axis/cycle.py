@@ -207,9 +207,9 @@ def put_away(
         referenced=course.referenced and not cut,
         homing=course.homing,
         reference=reference,
+        standing=standing,
         doubt=doubt,
         outside_m=outside_m,
-        standing=standing,
     )
 
 

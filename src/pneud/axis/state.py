@@ -51,6 +51,7 @@ class AxisParameters(NamedTuple):
     output: OutputLimits
     limits: Limits
     gate: Gate
+    expected: Expected  # of the load at its target
     reference: Sine
     transfer: Bounds  # of ways that join a reference
     motion: Bounds  # of all other ways
@@ -58,7 +59,6 @@ class AxisParameters(NamedTuple):
     homing: HomingParameters
     stop_centres: bool  # after a stop that was asked for
     join_at_once: bool  # start on the reference without a transfer
-    expected: Expected  # of the load at its target
 
 
 class AxisState(NamedTuple):
@@ -80,8 +80,8 @@ class AxisState(NamedTuple):
     referenced: bool  # whether that is known
     homing: Homing
     reference: Sine | None = None  # the configured one, where it has been changed
-    doubt: Doubt = Doubt()
     standing: Standing = AT_WORK
+    doubt: Doubt = Doubt()
     outside_m: float = INSIDE  # innermost position since it has been armed outside its travel
 
     @property

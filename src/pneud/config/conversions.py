@@ -388,6 +388,7 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
         output=OutputLimits(c.valve.u_max_v, limits.slew_v_s, command_lsb_v),
         limits=limits_of(c),
         gate=gate_of(c),
+        expected=expected_of(c),
         reference=reference_of(c),
         transfer=Bounds(
             limits.transfer.speed_m_s, limits.transfer.acceleration_m_s2, limits.transfer.jerk_m_s3
@@ -401,7 +402,6 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
         homing=homing_of(c),
         stop_centres=limits.stop_then == "centre",
         join_at_once=c.reference.join == "at_once",
-        expected=expected_of(c),
     )
 
 
