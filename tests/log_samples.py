@@ -24,6 +24,7 @@ from pneud.signals import (
     Command,
     Estimate,
     Frame,
+    Hunting,
     Measurement,
     Record,
     Reference,
@@ -164,6 +165,8 @@ _ticks = st.builds(
     _mask,
     _mask,
     st.sampled_from(Answer).map(int),
+    st.integers(0, 1),
+    st.sampled_from(Hunting).map(int),
 )
 
 

@@ -12,6 +12,7 @@ from pneud.axis.cycle import CENTRED_COMMAND, actuate, put_away
 from pneud.axis.guidance import LOSES_REFERENCE, Course, guide, redirect
 from pneud.axis.requests import NOTHING, Asked
 from pneud.axis.sensing import Belief, Driven, believe, sense
+from pneud.axis.standing import Standing
 from pneud.axis.state import AxisParameters, AxisState, Doubt, configured, switched_on
 from pneud.config import conversions
 from pneud.control import homing
@@ -324,7 +325,7 @@ def test_homing_asks_without_the_law(monkeypatch: pytest.MonkeyPatch) -> None:
     assert names(actuate(course, int(State.HOMING), m, e, 0.0, state.law, P).faults) == ["not_finite"]
 
 
-DOUBT = Doubt(encoder_share=0.1)
+DOUBT, STANDING = Doubt(encoder_share=0.1), Standing(turns=2)
 
 
 def kept(state: AxisState, m: Measurement, after: State, **asked: Any) -> AxisState:
@@ -333,7 +334,18 @@ def kept(state: AxisState, m: Measurement, after: State, **asked: Any) -> AxisSt
     supervisor = state.supervisor._replace(state=int(after))
     law = state.law._replace(h=0.002)
     return put_away(
-        state, m.t_ns, belief, state.watch, course, Asked(1, **asked), law, supervisor, driven, DOUBT, 0.001
+        state,
+        m.t_ns,
+        belief,
+        state.watch,
+        course,
+        Asked(1, **asked),
+        law,
+        supervisor,
+        driven,
+        DOUBT,
+        0.001,
+        STANDING,
     )
 
 
@@ -346,7 +358,7 @@ def test_all_of_a_tick_is_remembered() -> None:
     assert (after.last_v, after.limited, after.law.h) == (1.5, 1, 0.002)
     assert (after.plan, after.controller, after.plan.phase) == (course.plan, course.controller, JOINING)
     assert (after.profile, after.reference, after.watch) == (state.profile, state.reference, state.watch)
-    assert (after.doubt, after.outside_m) == (DOUBT, 0.001)
+    assert (after.doubt, after.outside_m, after.standing) == (DOUBT, 0.001, STANDING)
 
 
 def test_an_axis_that_is_not_engaged_keeps_no_plan() -> None:

@@ -27,7 +27,8 @@ from pneud.console.peer import Peer, may_command
 from pneud.console.protocol import VERBS, Error, parse
 from pneud.console.server import BOUNDS
 from pneud.safety.faults import F
-from pneud.signals import Answer, Record, Request, RequestKind, State, Timing
+from pneud.signals import HUNTING_CURES, Answer, Hunting, Record, Request, RequestKind, State, Timing
+from pneud.verbs.status import in_words
 
 
 @pytest.fixture
@@ -390,6 +391,22 @@ def test_status_has_what_an_operator_needs(desk: Bench) -> None:
     assert found["log"] == "/tmp/x.mcap"
     assert found["silent_s"] > 1.0  # the last record is from long ago
     assert found["config_changed"] is False
+
+
+def test_status_tells_how_the_load_stands_at_its_target(desk: Bench) -> None:
+    client = desk.connect()
+    assert not desk.ask(client, "status")["in_position"]
+    for n, (in_position, hunting) in enumerate(((1, 0), (0, int(Hunting.VALVE)))):
+        tick = tick_at(n)._replace(in_position=in_position, hunting=hunting)
+        desk.ring.put(Record(tick, Timing(21_000, 1, 1, 1, 84_000, 1), (), 0, (), 0.0))
+        found = desk.ask(client, "status")
+        assert found["in_position"] == bool(in_position)
+        words = "\n".join(in_words(found))
+        assert (", in position" in words, "hunting (valve): check valve.bandwidth_hz" in words) == (
+            bool(in_position),
+            bool(hunting),
+        )
+    assert found["hunting"] == {"cause": "valve", "cure": HUNTING_CURES[Hunting.VALVE]}
 
 
 def test_the_journal_has_a_line_when_the_log_is_lost_and_when_it_goes_on(

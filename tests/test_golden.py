@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from pneud.axis import sensing
+from pneud.axis import cycle, sensing
 from pneud.config.reading import with_settings
 from pneud.log.files.reader import read_log
 from pneud.log.format.fingerprint import numeric_fingerprint
@@ -98,3 +98,23 @@ def test_one_ulp_in_the_law_is_told_with_tick_variable_and_both_values(
     assert was == tick.command.law_v
     assert now == math.nextafter(was, math.inf)
     assert str(outcome.first) == f"tick {tick.number - 1}: command.law_v logged {was!r}, replayed {now!r}"
+
+
+def test_how_the_load_stands_is_replayed_from_the_start_and_from_a_snapshot(
+    refresh: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    golden = refresh.LOGS["requests"]
+    monkeypatch.setitem(refresh.LOGS, "requests", golden._replace(duration_s=1.0, requests={60: refresh.ARM}))
+    refresh.simulated("requests", tmp_path / "holding.mcap")
+    log = read_log(tmp_path / "holding.mcap")
+    assert {t.state for t in log if t.in_position} == {State.HOLDING}
+    assert sum(t.in_position for t in log) > 250
+    for from_s in (0.0, 0.6):
+        assert replaying.replay(log, from_s=from_s).identical
+    interpreted = with_settings(log.config_text, log.config_name, ["loop.compiled=off"])
+    judge = vars(cycle)["judge"]
+    monkeypatch.setattr(cycle, "judge", lambda *seen: judge(*seen)._replace(hunting=2))
+    outcome = replaying.replay(log, interpreted, from_s=0.6)
+    assert not outcome.good
+    assert outcome.first is not None
+    assert str(outcome.first).endswith("hunting logged 0, replayed 2")

@@ -375,6 +375,14 @@ def test_events_tell_states_requests_and_faults(tmp_path: Path) -> None:
     ]
 
 
+def test_events_tell_when_the_load_begins_to_hunt_and_when_it_ends(tmp_path: Path) -> None:
+    t = [tick_at(n * 1_000_000)._replace(hunting=n // 4 % 2 * 3) for n in range(1, 12)]
+    assert told(tmp_path / "x.mcap", t)[1:] == [
+        (Level.WARNING, "hunting", "friction: check control.friction, valve.dead_zone_v"),
+        (Level.INFO, "hunting", "over"),
+    ]
+
+
 def test_events_that_repeat_are_held_back_and_counted(tmp_path: Path) -> None:
     ticks = []
     for n in range(2500):

@@ -82,6 +82,9 @@ def test_without_a_daemon_the_exit_status_is_3_and_one_line_says_what_helps(
             "goto here",
             "goto nan",
             "goto 5 --speed -1",
+            "goto 5 --tolerance 0.1",
+            "goto 5 --wait --timeout 0",
+            "goto 5 --wait --tolerance -1",
             "jog inf",
             "jog 5 --for 0",
             "mark",
@@ -234,6 +237,7 @@ def test_results_and_refusals_as_objects(tmp_path: Path) -> None:
             "schema": 1,
             "ok": True,
             "axis": "virtual",
+            "order": 1,
             "state": "holding",
         }
         assert object_of(pneud_here("status", *at))["name"] == "virtual"

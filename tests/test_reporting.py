@@ -16,11 +16,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from commands import pneud_here
-from mangled import mangle, simulated
+from log_samples import tick_at
+from mangled import header_of, mangle, simulated
 from pneud.config.reading import load_config
 from pneud.loading import load
 from pneud.log.files.columns import blocks
+from pneud.log.files.naming import create_log
 from pneud.log.files.reader import read_log
+from pneud.log.files.writer import LogWriter
 from pneud.report.decimate import Envelope
 from pneud.report.decimate import Path as Curve
 from pneud.report.figures import FIGURES
@@ -29,7 +32,7 @@ from pneud.report.health import Health
 from pneud.report.page import page
 from pneud.report.spans import Span, Spans
 from pneud.report.spread import Spread
-from pneud.signals import State
+from pneud.signals import Record, State, Timing
 
 
 def in_pieces(rng: random.Random, n: int) -> list[slice]:
@@ -279,3 +282,18 @@ def test_a_truncated_log_is_shown_as_far_as_it_goes(mangled_log: Any, tmp_path: 
 
 def test_bare_configuration_is_the_logs_own(run: LoggedRun) -> None:
     assert run.config == load_config("virtual.toml")
+
+
+def test_a_report_says_for_how_long_the_load_hunted_and_was_in_position(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    ticks = [tick_at((n + 1) * 1_000_000) for n in range(4000)]
+    ticks = [t._replace(in_position=n // 1000 % 2, hunting=n // 2000 * 3) for n, t in enumerate(ticks)]
+    writer = LogWriter(create_log(path), header_of("virtual.toml"))
+    for tick in ticks:
+        writer.write(Record(tick, Timing(0, 0, 0, 0, 0, 0), (), 0, (), 0.0))
+    writer.close()
+    run = gather(read_log(path))
+    assert [round(s.end_s - s.begin_s, 3) for s in run.in_position] == [1.0, 1.0]
+    assert [(round(s.end_s - s.begin_s, 3), s.value) for s in run.hunting] == [(2.0, 3)]
+    text = page([run])
+    assert "2.0 s: check control.friction, valve.dead_zone_v" in text

@@ -24,11 +24,13 @@ from pneud import crew
 from pneud.log.live.amiss import Counts
 from pneud.signals import (
     ALL_SOURCES,
+    HUNTING_CURES,
     Command,
     Defect,
     Estimate,
     Frame,
     Host,
+    Hunting,
     Measurement,
     Record,
     Reference,
@@ -168,6 +170,21 @@ def test_latched_and_present_faults_are_named_and_so_is_what_the_host_says() -> 
     ]
 
 
+def test_how_the_load_stands_at_its_target_is_shown_with_what_to_look_at() -> None:
+    holding = RECORD._replace(tick=TICK._replace(state=int(State.HOLDING), in_position=1))
+    assert drawn(history_of(holding))[0].rstrip().endswith("holding, in position")
+    hunting = holding._replace(tick=holding.tick._replace(in_position=0, hunting=int(Hunting.FRICTION)))
+    history = history_of(at(0, holding), at(1, hunting))
+    lines = drawn(history)
+    assert lines[0].rstrip().endswith("holding, hunting")
+    assert lines[1].rstrip() == f"hunting: check {HUNTING_CURES[Hunting.FRICTION]}"
+    assert any("hunting: friction" in line for line in lines)
+    assert "holding, hunting" in status_line(ScreenState(history.last, INFO), history)
+    history.add([at(2, holding)])
+    assert any("hunting over" in line for line in drawn(history))
+    assert all(len(f"hunting: check {cure}") <= 80 for cure in HUNTING_CURES.values())
+
+
 def test_before_the_first_tick_and_in_silence_the_screen_says_so() -> None:
     history = History()
     assert any("waiting for the first tick" in line for line in drawn(history))
@@ -199,6 +216,8 @@ def records(draw: st.DrawFn) -> Record:
         reference=Reference(*(draw(numbers) for _ in Reference._fields)),
         command=Command(draw(numbers), 1, draw(st.integers(0, 1)), draw(numbers), 0.0, 0.0),
         state=draw(st.integers(0, 20)),
+        in_position=draw(st.integers(0, 1)),
+        hunting=draw(st.integers(0, 5)),
         present=draw(st.integers(0, 2**40)),
         latched=draw(st.integers(0, 2**40)),
     )

@@ -61,6 +61,8 @@ MEANINGS = {
     "answer": "what became of this tick's request",
     "truth_m": "true position at SYNC, where a software plant tells it, else NaN",
     "check": "CRC-32 over the doubles of estimate, reference and command (voltage, law, s, u*), little-endian",
+    "in_position": "1 where the load has come to rest at the end of the reference, within the tolerances",
+    "hunting": "at its target the load or the command swings: what it most likely comes from",
     "request.kind": "what was asked for; only ticks with a request have it",
     "request.values": "its numbers",
 }
@@ -105,7 +107,7 @@ fingerprint; `setup` holds the report of the real-time set-up.
 Reals are floats of 32 bits in `pneud.Tick` (of estimate and reference but their positions, and of `law_v`, `s`, `ustar`, the
 last byte is zero) and doubles in `pneud.FullTick`; `check` is of the doubles in both, so that a replay compares to the
 bit. Units are SI and stand at the end of each name. Negative times mean that there was none;
-an age of 2⁶² ns means that the source has never been heard.
+an age of 2⁶² ns means that the source has never been heard. Logs of schema 2 lack `in_position` and `hunting`, which read as 0 then.
 
 | field | unit | type | meaning |
 |---|---|---|---|

@@ -110,6 +110,27 @@ class RequestKind(IntEnum):
     GAINS = 13  # a law's code and its gains; behind them the configured reference, where it changes
 
 
+class Hunting(IntEnum):
+    """What a load that swings at its target, or a command that does, most likely suffers from."""
+
+    NONE = 0
+    ENCODER = 1  # the command follows single readings
+    VALVE = 2  # the loop is as fast as valve and transport
+    FRICTION = 3  # the load sticks and breaks away
+
+    @property
+    def label(self) -> str:
+        """The cause as written in logs, JSON and on the screen."""
+        return self.name.lower()
+
+
+HUNTING_CURES: dict[int, str] = {
+    Hunting.ENCODER: "encoder noise; lower gains or control.motion.bandwidth_rad_s",
+    Hunting.VALVE: "valve.bandwidth_hz, bus.command_delay_us, the mass; lower gains",
+    Hunting.FRICTION: "control.friction, valve.dead_zone_v",
+}
+"""What to look at, by `Hunting`."""
+
 REQUEST_VALUES = 12  # the most that a request carries
 
 
@@ -210,6 +231,8 @@ class Tick(NamedTuple):
     present: int  # bits of the fault table that hold now
     latched: int  # bits of the fault table that hold the axis in FAULT
     answer: int = 0  # an `Answer`: what became of the request
+    in_position: int = 0  # 1 where the load has come to rest at the end of the reference
+    hunting: int = 0  # a `Hunting`: why it does not
 
 
 class Frame(NamedTuple):

@@ -10,6 +10,7 @@ from pneud.axis.doubt import listen
 from pneud.axis.guidance import NO_REFERENCE, Course, guide, redirect
 from pneud.axis.requests import ARM, BLOCKED, HOME, NOTHING, TAKEN, Asked, ask
 from pneud.axis.sensing import NAN, NO_ESTIMATE, Belief, Driven, drive, sense
+from pneud.axis.standing import AT_WORK, Standing, judge
 from pneud.axis.state import INSIDE, AxisParameters, AxisState, Doubt, configured, learnt_so_far, switched_on
 from pneud.axis.stops import UNHELD, excused, gentle, outside
 from pneud.control import homing
@@ -18,9 +19,9 @@ from pneud.control.step import Controller
 from pneud.safety import checks
 from pneud.safety.faults import F
 from pneud.safety.output import emit
-from pneud.safety.supervisor import DISARMED, HOMING, Supervisor, advance, is_engaged, trip
+from pneud.safety.supervisor import DISARMED, HOLDING, HOMING, Supervisor, advance, is_engaged, trip
 from pneud.safety.watch import Watch, forget_position, remember
-from pneud.signals import Command, Estimate, Measurement, Request, RequestKind, Tick
+from pneud.signals import Command, Estimate, Measurement, Reference, Request, RequestKind, Tick
 
 __all__ = ["FOLLOWING", "Axis", "AxisParameters", "AxisState"]
 
@@ -85,6 +86,7 @@ def cycle(
         present |= SATURATED
     if present & NOT_FINITE:
         driven = driven._replace(controller=None)  # it would remember
+    standing = stand(state, after.state, belief.estimate, course.reference, driven.command, t_ns, p)
     tick = Tick(
         t_ns=t_ns,
         measurement=m,
@@ -96,8 +98,33 @@ def cycle(
         present=present,
         latched=after.latched,
         answer=asked.answer,
+        in_position=standing.in_position,
+        hunting=standing.hunting,
     )
-    return put_away(state, t_ns, belief, watch, course, asked, law, after, driven, doubt, outside_m), tick
+    state = put_away(
+        state, t_ns, belief, watch, course, asked, law, after, driven, doubt, outside_m, standing
+    )
+    return state, tick
+
+
+def stand(
+    state: AxisState, now: int, e: Estimate, r: Reference, command: Command, t_ns: int, p: AxisParameters
+) -> Standing:
+    """How the load stands at its target; not at all where the reference has not come to its end.
+
+    Args:
+        state: after the last tick.
+        now: state of this tick.
+        e: the estimate.
+        r: the reference.
+        command: that leaves.
+        t_ns: this tick's SYNC.
+        p: parameters.
+    """
+    if now != HOLDING:
+        return AT_WORK
+    step_v, error_m = command.voltage_v - state.last_v, r.position_m - e.position_m
+    return judge(state.standing, t_ns, error_m, e.velocity_m_s, step_v, p.expected)
 
 
 def actuate(
@@ -136,6 +163,7 @@ def put_away(
     driven: Driven,
     doubt: Doubt,
     outside_m: float,
+    standing: Standing,
 ) -> AxisState:
     """All that has to be remembered of this tick.
 
@@ -151,6 +179,7 @@ def put_away(
         driven: what leaves for the valve.
         doubt: of readings.
         outside_m: where it lies outside, from `stops.outside`.
+        standing: at its target.
     """
     plan, profile, reference = course.plan, state.profile, state.reference
     if plan.phase != NONE and not is_engaged(after.state):
@@ -178,6 +207,7 @@ def put_away(
         referenced=course.referenced and not cut,
         homing=course.homing,
         reference=reference,
+        standing=standing,
         doubt=doubt,
         outside_m=outside_m,
         learnt=learnt_so_far(state),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from pneud.axis.standing import AT_WORK, Expected, Standing
 from pneud.control.adaptation import Learnt
 from pneud.control.homing import NOWHERE, Homing, HomingParameters
 from pneud.control.plan import IDLE, Plan
@@ -51,6 +52,7 @@ class AxisParameters(NamedTuple):
     output: OutputLimits
     limits: Limits
     gate: Gate
+    expected: Expected  # of the load at its target
     reference: Sine
     transfer: Bounds  # of ways that join a reference
     motion: Bounds  # of all other ways
@@ -80,6 +82,7 @@ class AxisState(NamedTuple):
     referenced: bool  # whether that is known
     homing: Homing
     reference: Sine | None = None  # the configured one, where it has been changed
+    standing: Standing = AT_WORK
     doubt: Doubt = Doubt()
     outside_m: float = INSIDE  # innermost position since it has been armed outside its travel
     learnt: Learnt = Learnt()  # up to the last tick, for a controller that starts anew

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from pneud.axis.standing import Expected
 from pneud.axis.state import AxisParameters, Gate
 from pneud.config.learnt import adaptation_of, start_of
 from pneud.config.models import BusConfig, Config, ControlConfig, FrictionConfig, RealtimeConfig
@@ -36,6 +37,12 @@ RESTLESS_V = 0.03  # mean step of the command that is hunting
 NOISES, LEAST_STEPS = 4.0, 4.0  # within so many standard deviations, and steps, nearly all readings lie
 UNKNOWN_SHARE = 0.1  # of the piston's greatest force that nobody may know of without being doubted
 DOUBT_S, DOUBT_SHARE = 0.04, 0.3  # more odd readings in such a time are a fault
+LEAST_TOLERANCE_M, TOLERANCE_STEPS = 2e-5, 2.0  # error in position: at least, and in encoder steps
+LEAST_REST_M_S, REST_STEPS_S = 2e-3, 50.0  # speed in position likewise, in steps a second
+SWING = 1.5  # times the tolerance does the error of a hunting load go to and fro
+MEAN_STEP_S = 0.3  # in which the mean step of the command is taken
+FAST = 16.0  # times the lead: a loop that swings faster is as fast as the valve
+FAST_S = 0.01  # where there is no lead
 BLEND_S = 0.1  # in which one set of gains gives way to another
 
 
@@ -292,6 +299,24 @@ def gate_of(c: Config) -> Gate:
     )
 
 
+def expected_of(c: Config) -> Expected:
+    """What counts as in position, and what as hunting."""
+    step_m, h = c.control.motion.encoder_resolution_m, 1.0 / c.loop.rate_hz
+    i, hunting = c.in_position, c.hunting
+    tolerance_m = i.tolerance_m or max(LEAST_TOLERANCE_M, TOLERANCE_STEPS * step_m)
+    return Expected(
+        tolerance_m=tolerance_m,
+        velocity_m_s=i.velocity_m_s or LEAST_REST_M_S + REST_STEPS_S * step_m,
+        time_ns=round(i.time_s * 1e9),
+        swing_m=hunting.swing_m or SWING * tolerance_m,
+        longest_ns=round(0.5e9 * hunting.longest_period_s),
+        step_v=hunting.command_step_v,
+        share=1.0 - math.exp(-h / MEAN_STEP_S),
+        fast_ns=round(1e9 * max(FAST_S, FAST * lead_s(min(command_delay_s(c.bus), h), valve_of(c)))),
+        period_ns=round(1e9 * h),
+    )
+
+
 def _swings_pa_m_s(c: Config) -> tuple[float, float]:
     """Fastest change of each chamber's pressure by valve and piston together, times the chamber's length."""
     g, k = gas_of(c), cylinder_of(c)
@@ -347,6 +372,7 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
         output=OutputLimits(c.valve.u_max_v, limits.slew_v_s, command_lsb_v),
         limits=limits_of(c),
         gate=gate_of(c),
+        expected=expected_of(c),
         reference=reference_of(c),
         transfer=Bounds(
             limits.transfer.speed_m_s, limits.transfer.acceleration_m_s2, limits.transfer.jerk_m_s3

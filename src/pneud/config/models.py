@@ -432,6 +432,22 @@ class LimitsConfig(Section):
         return self
 
 
+class InPositionConfig(Section):
+    """When a load counts as having come to its target."""
+
+    tolerance_m: Positive | None = None  # of the error; none: 0.02 mm, or two steps of the encoder
+    velocity_m_s: Positive | None = None  # none: 2 mm/s, more with a coarse encoder
+    time_s: Annotated[float, Field(ge=0, le=60)] = 0.05  # for so long
+
+
+class HuntingConfig(Section):
+    """When a load at its target counts as hunting; it is shown and logged, and stops nothing."""
+
+    swing_m: Positive | None = None  # the error goes to and fro by more; none: 1.5 in_position.tolerance_m
+    longest_period_s: Annotated[float, Field(gt=0, le=120)] = 10.0  # of such a swing
+    command_step_v: Positive = 0.05  # or the command's mean step from tick to tick is more
+
+
 class LogConfig(Section):
     """The record."""
 
@@ -501,6 +517,8 @@ class Config(Section):
     control: ControlConfig
     reference: ReferenceConfig
     limits: LimitsConfig
+    in_position: InPositionConfig = InPositionConfig()
+    hunting: HuntingConfig = HuntingConfig()
     log: LogConfig = LogConfig()
     plant: PlantConfig = PlantConfig()
 

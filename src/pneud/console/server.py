@@ -185,6 +185,7 @@ class Server:
         self._jogging: _Client | None = None
         self._unfinished: tuple[_Client | None, Orders] | None = None
         self._jog_words = ""
+        self._order: dict[str, Any] | None = None  # of motion, the last one that was taken
         self._selector = selectors.DefaultSelector()
         listener.setblocking(False)
         loop.setblocking(False)
@@ -401,7 +402,8 @@ class Server:
         match message:
             case protocol.Status():
                 lease = self._lease_fields()
-                self._send(client, self._reply(number, **self._desk.status(), lease=lease))
+                fields = {**self._desk.status(), "lease": lease, "order": self._order}
+                self._send(client, self._reply(number, **fields))
             case protocol.TuneGet():
                 self._send(client, self._reply(number, **self._desk.gains()))
             case protocol.Observe():
@@ -560,6 +562,9 @@ class Server:
     def _done(self, job: _Job, outcome: handoff.RequestOutcome) -> None:
         more = job.plan.done() if job.plan.done is not None else {}
         kind = job.plan.requests[0].kind
+        if kind in _MOTION or kind == RequestKind.JOG:
+            self._order = {"number": outcome.number, "words": job.plan.words}
+            more["order"] = outcome.number
         if job.plan.undo is not None:
             self._unfinished = (job.client, job.plan) if job.plan.unfinished else None
             if not job.plan.unfinished:

@@ -13,7 +13,7 @@ from pneud.log.live.amiss import Amiss
 from pneud.log.live.ring import Ring
 from pneud.rt.histogram import Histogram
 from pneud.safety.faults import LOG_LOST, TABLE
-from pneud.signals import State
+from pneud.signals import HUNTING_CURES, Hunting, State
 
 
 class StatusWatch:
@@ -68,6 +68,8 @@ class StatusWatch:
             "state": State.STARTING.label,
             "faults": [],
             **dict.fromkeys(("position_mm", "velocity_mm_s", "reference_mm", "error_mm")),
+            "in_position": False,
+            "hunting": None,
             "pressures_bar": None,
             "command_v": None,
             "silent_s": None,
@@ -90,6 +92,9 @@ class StatusWatch:
         fields["velocity_mm_s"] = _scaled(tick.estimate.velocity_m_s, 1e3)
         fields["reference_mm"] = _scaled(reference_m, 1e3)
         fields["error_mm"] = _scaled(reference_m - position_m, 1e3)
+        fields["in_position"] = bool(tick.in_position)
+        if tick.hunting:
+            fields["hunting"] = {"cause": Hunting(tick.hunting).label, "cure": HUNTING_CURES[tick.hunting]}
         pressures = (("p1", m.p1_pa), ("p2", m.p2_pa), ("supply", m.supply_pa))
         fields["pressures_bar"] = {name: _scaled(pa, 1e-5) for name, pa in pressures}
         fields["command_v"] = _scaled(tick.command.voltage_v, 1.0)

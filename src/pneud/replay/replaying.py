@@ -19,6 +19,7 @@ from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LoggedState, LogReader
 from pneud.log.format.fingerprint import numeric_fingerprint
 from pneud.log.format.records import COARSE, COARSE_ERROR, FLOAT_ERROR, LoggedTick, crc_of
+from pneud.log.format.schema import STANDING, WITHOUT_STANDING
 from pneud.log.format.snapshot import SnapshotError, from_json
 from pneud.loop.turn import Turn
 from pneud.safety.supervisor import is_engaged
@@ -109,6 +110,7 @@ def replay(
     same_states = True
     gap = ""
     exact = log.metadata.get("detail") == "full"
+    told = log.metadata["schema"] not in WITHOUT_STANDING
     gains = _Gains(p.controller, None if config is None else _configured(log, codecs))
     expected = 1
     from_ns = log.start_ns() + round(from_s * 1e9) if from_s > 0.0 else 0
@@ -132,7 +134,7 @@ def replay(
         turn.sent(next((f.stamp_ns for f in logged.sent if f.can_id == command.can_id), -1))
         if logged.log_time_ns < from_ns:
             continue
-        states_differ = _states(tick) != _states(logged)
+        states_differ = _states(tick, told) != _states(logged, told)
         different = states_differ or crc_of(tick) != logged.check
         same_states = same_states and not states_differ
         sent = {f.can_id: f.data for f in logged.sent}
@@ -150,7 +152,7 @@ def replay(
         if different:
             mismatches += 1
             if first is None:
-                first = _difference(logged.number - 1, logged, tick, whole, exact)
+                first = _difference(logged.number - 1, logged, tick, whole, exact, told)
         if look is not None:
             look(logged, tick)
         engaged += is_engaged(tick.state)
@@ -214,17 +216,24 @@ def _thawed(log: LogReader, state: LoggedState) -> Snapshot:
     return found
 
 
-def _states(t: Tick | LoggedTick) -> tuple[int, int, int, int, int]:
-    return t.state, t.present, t.latched, t.answer, t.command.enable
+def _states(t: Tick | LoggedTick, told: bool) -> tuple[int, ...]:
+    """What may not differ at all; `told` where the log says how the load stands at its target."""
+    states = t.state, t.present, t.latched, t.answer, t.command.enable
+    return (*states, t.in_position, t.hunting) if told else states
 
 
-def _difference(number: int, logged: LoggedTick, tick: Tick, whole: bool, exact: bool) -> Difference:
+def _difference(
+    number: int, logged: LoggedTick, tick: Tick, whole: bool, exact: bool, told: bool
+) -> Difference:
     """The first value that differs, in the order in which a cycle makes them."""
     if not whole:
         return Difference(number, "frames sent", "not one valid SYNC and one valid command", "both")
     for name, was, now in pairs(logged, tick):
         if differ(name, was, now, exact=exact):
             return Difference(number, name, f"{was!r}", f"{now!r}")
+    for name in STANDING if told else ():
+        if getattr(logged, name) != getattr(tick, name):
+            return Difference(number, name, f"{getattr(logged, name)}", f"{getattr(tick, name)}")
     return Difference(number, "the checksum of the states", f"{logged.check:08x}", f"{crc_of(tick):08x}")
 
 

@@ -70,6 +70,8 @@ class LoggedRun(NamedTuple):
     latched: dict[int, list[Span]]
     saturated: list[Span]
     gaps: list[Span]  # ticks skipped, or records missing
+    in_position: list[Span]
+    hunting: list[Span]  # with the `Hunting` as value
     marks: list[RunMark]
     more_marks: int
     events: list[LoggedEvent]
@@ -175,6 +177,7 @@ class _Gatherer:
         self.series = Envelope(len(COLUMNS), buckets)
         self.phase = Path(max(1, buckets // 4))
         self.states, self.saturated, self.gaps = Spans(), Spans(), Spans()
+        self.in_position, self.hunting = Spans(), Spans()
         self.present: dict[int, Spans] = {}
         self.latched: dict[int, Spans] = {}
         self.timing = {name: Spread() for name in Timing._fields}
@@ -217,6 +220,8 @@ class _Gatherer:
             latched={bit: spans.finish(end_s) for bit, spans in sorted(self.latched.items())},
             saturated=self.saturated.finish(end_s),
             gaps=self.gaps.finish(end_s),
+            in_position=self.in_position.finish(end_s),
+            hunting=self.hunting.finish(end_s),
             marks=self.marks,
             more_marks=self.more_marks,
             events=self.events,
@@ -275,6 +280,8 @@ class _Gatherer:
         state = ticks["state"].astype(np.int64)
         self.states.add(t_s, state + 1)
         self.saturated.add(t_s, ticks["command.saturated"].astype(np.int64))
+        self.in_position.add(t_s, ticks["in_position"].astype(np.int64))
+        self.hunting.add(t_s, ticks["hunting"].astype(np.int64))
         for name, kept in (("present", self.present), ("latched", self.latched)):
             _bits(t_s, ticks[name], kept)
         dropped = np.diff(block.number, prepend=self.number if self.number else block.number[0] - 1) > 1

@@ -22,7 +22,7 @@ from pneud.report.gather import AFTER_S, LoggedRun
 from pneud.report.readings import SOURCES
 from pneud.report.spans import Span
 from pneud.report.spread import Spread
-from pneud.signals import State, Timing
+from pneud.signals import HUNTING_CURES, State, Timing
 
 Reference = Mapping[str, Any]  # the object that `pneud bench --json` prints
 
@@ -220,6 +220,8 @@ def _summary(runs: Sequence[LoggedRun], names: Sequence[str]) -> str:
     rows: list[tuple[str, list[str]]] = [
         ("state at the end", [_state(run.states[-1].value) if run.states else "–" for run in runs]),
         ("faults latched", [", ".join(map(run.fault_name, run.latched)) or "none" for run in runs]),
+        ("hunting", [_hunting(run) for run in runs]),
+        ("in position [s]", [f"{_seconds_of(run.in_position):.1f}" for run in runs]),
         ("ticks", [f"{run.ticks:,}" for run in runs]),
         ("ticks skipped", [f"{run.skipped:,}" for run in runs]),
         (f"error RMS from {AFTER_S:g} s of tracking [mm]", [figure(run, "rms_mm", ".4f") for run in runs]),
@@ -232,6 +234,19 @@ def _summary(runs: Sequence[LoggedRun], names: Sequence[str]) -> str:
         ("sensor to command p50 / p99 / max [µs]", [_three(run, "latency_ns") for run in runs]),
     ]
     return _table(("", *names), ((words, *cells) for words, cells in rows))
+
+
+def _seconds_of(spans: Sequence[Span]) -> float:
+    return sum(span.end_s - span.begin_s for span in spans)
+
+
+def _hunting(run: LoggedRun) -> str:
+    """For how long the load hunted by which cause, and what to look at."""
+    found = []
+    for cause in sorted({span.value for span in run.hunting}):
+        seconds = _seconds_of([span for span in run.hunting if span.value == cause])
+        found.append(f"{seconds:.1f} s: check {HUNTING_CURES.get(cause)}")
+    return "; ".join(found) or "none"
 
 
 def _three(run: LoggedRun, name: str) -> str:

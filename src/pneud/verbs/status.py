@@ -39,8 +39,10 @@ def in_words(s: dict[str, Any]) -> list[str]:
         lines.append(f"fault {fault['name']} ({kind}; {fault['effect']}): {fault['cure']}")
     lines.append(
         f"position {number(s['position_mm'], '.3f')} mm, reference {number(s['reference_mm'], '.3f')} mm,"
-        f" error {number(s['error_mm'], '.3f')} mm"
+        f" error {number(s['error_mm'], '.3f')} mm{', in position' if s['in_position'] else ''}"
     )
+    if s["hunting"]:
+        lines.append(f"hunting ({s['hunting']['cause']}): check {s['hunting']['cure']}")
     bar = s["pressures_bar"] or dict.fromkeys(("p1", "p2", "supply"))
     lines.append(
         f"p1 {number(bar['p1'], '.2f')} bar, p2 {number(bar['p2'], '.2f')} bar,"

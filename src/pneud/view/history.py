@@ -135,8 +135,8 @@ class Event(NamedTuple):
     """Something that happened in a tick."""
 
     t_ns: int
-    kind: str  # request, fault or state
-    what: int  # a RequestKind, bits of faults, or the state before
+    kind: str  # request, fault, state or hunting
+    what: int  # a RequestKind, bits of faults, the state before, or a Hunting
     then: int  # the Answer, nothing, or the state after
 
 
@@ -210,6 +210,8 @@ class History:
             self.events.append(Event(now.t_ns, "fault", now.latched & ~before.latched, 0))
         if now.state != before.state:
             self.events.append(Event(now.t_ns, "state", before.state, now.state))
+        if now.hunting != before.hunting:
+            self.events.append(Event(now.t_ns, "hunting", now.hunting, 0))
 
     def _repeats(self, now: Tick) -> bool:
         """Whether a request is one of many alike, as those of a jog and an upload are."""

@@ -13,7 +13,7 @@ from rich.segment import Segment
 from rich.style import Style
 
 from pneud.rt.histogram import Histogram
-from pneud.signals import Answer, Host, Record, RequestKind, State, ValveState
+from pneud.signals import HUNTING_CURES, Answer, Host, Hunting, Record, RequestKind, State, ValveState
 from pneud.view.history import Column, Event, History, Trace, shape, span_s, sparkline
 from pneud.view.info import ScreenInfo
 from pneud.view.learnt import in_brief
@@ -53,6 +53,7 @@ _P1 = Style(color="bright_blue")
 _P2 = Style(color="magenta")
 _COMMAND = Style(color="yellow")
 _ENGAGED = Style(color="black", bgcolor="green", bold=True)
+_HUNTING = Style(color="black", bgcolor="yellow", bold=True)
 _BADGES = {
     State.STARTING: Style(color="black", bgcolor="yellow", bold=True),
     State.WAITING: Style(color="black", bgcolor="yellow", bold=True),
@@ -146,12 +147,13 @@ def _curve_heights(height: int) -> list[int]:
 def _head(rows: Rows, snapshot: ScreenState, history: History) -> None:
     info, record = snapshot.info, snapshot.record
     rows.row()
-    badge = "" if record is None else f" {name_of(State, record.tick.state)} "
+    badge = "" if record is None else f" {name_of(State, record.tick.state)}{_standing(record)} "
     rows.put(clean(f"pneud · {info.name}")[: max(rows.room - len(badge) - 1, 0)], _BOLD)
     rest = f" · {info.bus} · {info.rate_hz:g} Hz · {clock(history.elapsed_s)}"
     rows.put(clean(rest)[: max(rows.room - len(badge) - 1, 0)])
     if record is not None:
-        rows.right(badge, _BADGES.get(record.tick.state, _ENGAGED))  # type: ignore[call-overload]
+        style = _HUNTING if record.tick.hunting else _BADGES.get(record.tick.state, _ENGAGED)  # type: ignore[call-overload]
+        rows.right(badge, style)
     rows.row()
     if history.silent_s > SILENT_S:
         rows.put(f"no ticks for {history.silent_s:.1f} s", _BAD)
@@ -175,13 +177,19 @@ def _head(rows: Rows, snapshot: ScreenState, history: History) -> None:
         rows.put("none", _GOOD)
 
 
+def _standing(record: Record) -> str:
+    """How the load stands at its target."""
+    return ", hunting" if record.tick.hunting else ", in position" if record.tick.in_position else ""
+
+
 def _cure(record: Record, info: ScreenInfo) -> str:
-    """What a person can do about the first fault that is latched, or else present."""
-    bits = record.tick.latched or record.tick.present
+    """What a person can do about the first fault that is latched, or else present, or about hunting."""
+    tick = record.tick
+    bits = tick.latched or tick.present
     first = (bits & -bits).bit_length() - 1
-    return (
-        f"{bit_names(bits, info.fault_names)[0]}: {info.cures[first]}" if 0 <= first < len(info.cures) else ""
-    )
+    if 0 <= first < len(info.cures):
+        return f"{bit_names(bits, info.fault_names)[0]}: {info.cures[first]}"
+    return f"hunting: check {HUNTING_CURES.get(tick.hunting)}" if tick.hunting else ""
 
 
 def _motion(rows: Rows, record: Record, info: ScreenInfo, history: History, height: int) -> None:
@@ -315,6 +323,8 @@ def _in_words(event: Event, info: ScreenInfo) -> str:
         return "fault " + ", ".join(bit_names(event.what, info.fault_names))
     if event.kind == "state":
         return f"{name_of(State, event.what)} > {name_of(State, event.then)}"
+    if event.kind == "hunting":
+        return f"hunting: {name_of(Hunting, event.what)}" if event.what else "hunting over"
     return f"{name_of(RequestKind, event.what)}: {name_of(Answer, event.then)}"
 
 
@@ -404,7 +414,7 @@ def status_line(snapshot: ScreenState, history: History) -> str:
     late = history.lateness.percentiles((99, 100))
     return "  ".join(
         (
-            f"{clean(info.name)} {clock(history.elapsed_s)} {name_of(State, tick.state)}",
+            f"{clean(info.name)} {clock(history.elapsed_s)} {name_of(State, tick.state)}{_standing(record)}",
             f"x {number(tick.estimate.position_m * 1e3, '.3f', 'mm')}",
             f"error {length(error).strip()}",
             f"command {number(tick.command.voltage_v, '+.3f', 'V')}",

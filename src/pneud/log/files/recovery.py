@@ -31,7 +31,7 @@ from pneud.log.format.framing import (
     metadata,
     open_mcap,
 )
-from pneud.log.format.schema import COPY, METADATA, SCHEMA, Topic, topics
+from pneud.log.format.schema import COPY, METADATA, READABLE, Topic, topics
 
 _COMPRESSION = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")  # in a chunk's head
 _COMPRESSION_BYTES = 8
@@ -215,7 +215,7 @@ class _Rescue:
         """Know the channels of a log of this schema before its first chunk is read; they number from 1."""
         head: dict[str, Any] = next((m.metadata for m in self._metadata if m.name == METADATA), {})
         detail = head.get("detail")
-        if head.get("schema") != str(SCHEMA) or detail not in ("compact", "full"):
+        if head.get("schema") not in READABLE or detail not in ("compact", "full"):
             return
         for number, t in enumerate(topics(detail), start=1):
             self._channels.assume(number, t)

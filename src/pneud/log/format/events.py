@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from pneud.log.format.records import LoggedEvent
 from pneud.log.format.schema import Level
-from pneud.signals import Answer, Defect, Record, RequestKind, State
+from pneud.signals import HUNTING_CURES, Answer, Defect, Hunting, Record, RequestKind, State
 
 _QUIET_NS = 1_000_000_000
 _ODD, _CONFIRMED = int(Defect.ODD), int(Defect.CONFIRMED)
@@ -48,6 +48,7 @@ class EventSource:
         self._latched = 0
         self._saturated = 0
         self._saturated_ticks = 0
+        self._hunting = 0
 
     def after(self, record: Record) -> Iterator[LoggedEvent]:
         """The events of one record, given those before it."""
@@ -69,6 +70,14 @@ class EventSource:
             yield from self._fault_changes(t_ns, tick.present, tick.latched)
         if tick.measurement.skipped:
             yield from self._limited(t_ns, Level.WARNING, "loop", f"skipped {tick.measurement.skipped} ticks")
+        if tick.hunting != self._hunting:
+            self._hunting = tick.hunting
+            words = (
+                "over"
+                if not tick.hunting
+                else f"{_label(Hunting, tick.hunting)}: check {HUNTING_CURES.get(tick.hunting)}"
+            )
+            yield from self._limited(t_ns, Level.WARNING if tick.hunting else Level.INFO, "hunting", words)
         m = tick.measurement
         for name, defects in (("encoder", m.encoder_defects), ("pressure", m.pressure_defects)):
             if defects & _ODD:
@@ -116,7 +125,7 @@ class EventSource:
         return LoggedEvent(t_ns + self._offset_ns, level, name, words)
 
 
-def _label(names: type[Answer] | type[RequestKind] | type[State], value: int) -> str:
+def _label(names: type[Answer | Hunting | RequestKind | State], value: int) -> str:
     try:
         return names(value).name.lower()
     except ValueError:

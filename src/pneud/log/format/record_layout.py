@@ -36,6 +36,8 @@ NUMBERS: dict[str, str] = {
     "latched": "Q",
     "answer": "B",
     "truth_m": "d",
+    "in_position": "I",
+    "hunting": "B",
 }
 """All numbers of a record but those of its request and frames, with their codes of `struct`.
 
@@ -69,6 +71,8 @@ def numbers_of(record: Record) -> tuple[Any, ...]:
         tick.latched,
         tick.answer,
         record.truth_m,
+        tick.in_position,
+        tick.hunting,
     )
 
 
@@ -81,6 +85,6 @@ def record_of(
 ) -> Record:
     """The record with these numbers; what stands behind those of `NUMBERS` is left out."""
     m, e, r, c, timing = [of._make(numbers[place]) for of, place in _PLACES]
-    state, present, latched, answer, truth_m = numbers[_STATE : len(NUMBERS)]
-    tick = Tick(numbers[0], m, request, e, r, c, state, present, latched, answer)
+    state, present, latched, answer, truth_m, in_position, hunting = numbers[_STATE : len(NUMBERS)]
+    tick = Tick(numbers[0], m, request, e, r, c, state, present, latched, answer, in_position, hunting)
     return Record(tick, timing, frames, before, sent, truth_m)

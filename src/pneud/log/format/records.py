@@ -17,7 +17,7 @@ from google.protobuf.descriptor_pb2 import FieldDescriptorProto as F
 from pneud.log.format.frames import FrameBlock
 from pneud.log.format.header import Detail
 from pneud.log.format.record_layout import NUMBERS, numbers_of, record_of
-from pneud.log.format.schema import Field, Level, message_class, tick_fields
+from pneud.log.format.schema import REQUEST, Field, Level, message_class, tick_fields
 from pneud.signals import Command, Estimate, Frame, Measurement, Record, Reference, Request, Tick, Timing
 
 _CODES = {
@@ -28,7 +28,7 @@ _CODES = {
     F.TYPE_SFIXED64: (1, "q"),
     F.TYPE_ENUM: (0, "B"),  # below 128, hence one byte
 }
-_REQUEST = len(tick_fields("compact")[1])  # number of its field
+_REQUEST = 1 + [field.name for field in tick_fields("compact")[1]].index(REQUEST)  # number of its field
 _SHORT = [bytes((i,)) for i in range(128)]
 
 # Of these a compact log keeps 16 significant bits in place of 24, since nobody needs more and the others are
@@ -80,6 +80,8 @@ class Place(NamedTuple):
 
 def _places(fields: list[Field], nested: dict[str, list[Field]], group: str = "") -> Iterator[Place]:
     for number, field in enumerate(fields, start=1):
+        if field.name == REQUEST:
+            continue
         if field.type == F.TYPE_MESSAGE:
             first, *rest = _places(nested[field.of.rpartition(".")[2]], nested, f"{field.name}.")
             size = sum(len(place.constant) + place.width for place in (first, *rest))
@@ -99,7 +101,8 @@ class TickLayout:
 
     def __init__(self, detail: Detail) -> None:
         name, fields, nested = tick_fields(detail)
-        self.places = tuple(_places(fields[:-1], nested))
+        places = {place.name: place for place in _places(fields, nested)}
+        self.places = tuple(places[name] for name in (*NUMBERS, "check"))
         self._class = message_class(f"pneud.{name}")
         self._values = attrgetter(*(place.name for place in self.places))
         self._struct = struct.Struct("<" + "".join(f"{len(p.constant)}x{p.code}" for p in self.places))
@@ -209,6 +212,8 @@ class LoggedTick(NamedTuple):
     present: int
     latched: int
     answer: int
+    in_position: int
+    hunting: int
     # as in `Record`
     timing: Timing
     frames: tuple[Frame, ...]

@@ -20,16 +20,18 @@ from google.protobuf.descriptor_pb2 import (
 
 from pneud.log.format.header import Detail
 from pneud.log.format.record_layout import NUMBERS, PARTS
-from pneud.signals import Answer, RequestKind, State
+from pneud.signals import Answer, Hunting, RequestKind, State
 
-SCHEMA = 2
-READABLE = frozenset({"2"})  # fields that a message of one of them lacks are read as 0
+SCHEMA = 3
+READABLE = frozenset({"2", "3"})  # fields that a message of one of them lacks are read as 0
 
 METADATA = "pneud"  # name of the metadata on the run
 SETUP = "setup"  # name of the metadata on the real-time set-up
 
 KEPT = "kept"  # name of the metadata on why a part of a log is kept
 COPY = "copy"  # name of the metadata that repeats the head, in case that it is damaged
+
+REQUEST = "request"  # field of a tick
 
 TICK = "/axis/tick"
 STATE = "/axis/state"
@@ -50,30 +52,33 @@ class Field(NamedTuple):
 
 
 _TYPES = {"q": F.TYPE_SFIXED64, "Q": F.TYPE_FIXED64, "I": F.TYPE_FIXED32, "B": F.TYPE_ENUM}  # by code
-_ENUMS = {"state": "State", "answer": "Answer"}
+_ENUMS = {"state": "State", "answer": "Answer", "hunting": "Hunting"}
+STANDING = ("in_position", "hunting")  # fields that messages of schema 2 lack: they stand behind the others
+WITHOUT_STANDING = frozenset({"2"})
 
 
 def tick_fields(detail: Detail) -> tuple[str, list[Field], dict[str, list[Field]]]:
     """Name, fields and nested messages of `/axis/tick`.
 
-    Every field is of fixed width and always present, but for the last, which only a tick with a request has.
+    Every field is of fixed width and always present, but for the request, which only a tick with one has.
     """
     real = F.TYPE_FLOAT if detail == "compact" else F.TYPE_DOUBLE
     name = "Tick" if detail == "compact" else "FullTick"
     fields: list[Field] = []
+    later: list[Field] = []
     nested: dict[str, list[Field]] = {}
     for number, code in NUMBERS.items():
         part, _, own = number.rpartition(".")
         field = Field(own, _TYPES.get(code, real), _ENUMS.get(number, ""))
         if not part:
-            fields.append(field)
+            (later if number in STANDING else fields).append(field)
             continue
         inner = PARTS[part].__name__
         if inner not in nested:
             nested[inner] = []
             fields.append(Field(part, F.TYPE_MESSAGE, f"{name}.{inner}"))
         nested[inner].append(field)
-    fields += [Field("check", F.TYPE_FIXED32), Field("request", F.TYPE_MESSAGE, f"{name}.Request")]
+    fields += [Field("check", F.TYPE_FIXED32), Field(REQUEST, F.TYPE_MESSAGE, f"{name}.Request"), *later]
     nested["Request"] = [
         Field("kind", F.TYPE_ENUM, "RequestKind"),
         Field("values", F.TYPE_DOUBLE, repeated=True),
@@ -136,6 +141,7 @@ def _pneud_file() -> FileDescriptorProto:
     file.enum_type.append(_enum("State", "STATE_", State))
     file.enum_type.append(_enum("RequestKind", "REQUEST_", RequestKind, none=True))
     file.enum_type.append(_enum("Answer", "ANSWER_", Answer))
+    file.enum_type.append(_enum("Hunting", "HUNTING_", Hunting))
     file.message_type.append(_tick_message("compact"))
     file.message_type.append(_tick_message("full"))
     file.message_type.append(_message("Column", _COLUMN))
