@@ -14,6 +14,7 @@ from pneud.log.files.naming import LogError
 from pneud.log.files.reader import read_log
 from pneud.replay import exporting as to
 from pneud.replay.traffic import FORMATS
+from pneud.verbs import whole
 
 
 def export(
@@ -31,7 +32,7 @@ def export(
     """Write a log in another format, which the suffix names.
 
     Returns:
-        Exit status: 0, or 1 where no frame was written since none is in its ticks.
+        Exit status: 0, or 1 where the log could not be read to its end, or no frame is in its ticks.
 
     Raises:
         ConfigError: the format is not known, or the log's configuration cannot be used by this version.
@@ -59,6 +60,6 @@ def export(
     print(f"{', '.join(map(str, done.files))}: {done.rows} {what}")
     if done.unsent_ticks:
         print(f"left out: {done.unsent_ticks} ticks whose SYNC could not be sent")
-    if reader.truncated:
-        print(f"the log: {reader.damage}")
-    return 0 if done.rows else 1
+    if reader.missing:
+        print(f"the log lacks {reader.missing} ticks, which were never recorded")
+    return 0 if whole(reader) and done.rows else 1

@@ -27,7 +27,7 @@ from pneud.replay.replaying import replay as run
 from pneud.report.gather import gather
 from pneud.report.pictures import require
 from pneud.report.timing import in_words
-from pneud.verbs import JsonOption
+from pneud.verbs import JsonOption, whole
 
 _ROWS = 12  # of the table of differences
 
@@ -225,7 +225,7 @@ def _against(one: LogReader, other: LogReader, output: Path | None, json: bool) 
         print("there is no tick that both have, so there is nothing to compare")
     else:
         print(f"the same in {d.ticks} ticks, {c.engaged_ticks} of them engaged")
-    _tell_of_damage(one, other)
+    whole(one, other)
     if c.shift_ticks and not json:
         print(f"the second log is engaged {c.shift_ticks:+} ticks later and was shifted by that")
     return 0 if d.ticks and not spreads else 1
@@ -262,14 +262,8 @@ def _play(log: LogReader, channel: str, speed: float, begin_s: float, json: bool
         print(f"{done.frames} frames on {channel}, the latest {done.late_ms:.1f} ms after its time")
         if done.failed:
             print(f"pneud: {done.failed} frames could not be sent", file=sys.stderr)
-        _tell_of_damage(log)
+        whole(log)
     return 0 if done.frames and not done.failed else 1
-
-
-def _tell_of_damage(*logs: LogReader) -> None:
-    for log in logs:
-        if log.truncated:
-            print(f"pneud: {log.path}: not whole: {log.damage}", file=sys.stderr)
 
 
 def _first(log: LogReader) -> list[tuple[Any, ...]]:

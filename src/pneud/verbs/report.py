@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +15,7 @@ from pneud.report.gather import Window, gather
 from pneud.report.page import is_reference, page
 from pneud.rt.inputs import read_whole
 from pneud.rt.outputs import write_whole
+from pneud.verbs import whole
 
 _BUCKETS = 8192  # of a page, shared by its logs
 _FEWEST = 1024
@@ -41,7 +41,7 @@ def report(
     """Write a report on one log, or a comparison of several.
 
     Returns:
-        Exit status: 0.
+        Exit status: 0, or 1 where a log could not be read to its end.
 
     Raises:
         ConfigError: an option, or the configuration in a log, cannot be used.
@@ -59,9 +59,6 @@ def report(
     buckets = max(_FEWEST, _BUCKETS // len(logs))
     readers = [read_log(log) for log in logs]
     runs = [gather(reader, window, buckets) for reader in readers]
-    for reader in readers:
-        if reader.truncated:
-            print(f"pneud: {reader.path}: not whole: {reader.damage}", file=sys.stderr)
     try:
         write_whole(output, page(runs, setting))
         written = [output]
@@ -71,7 +68,7 @@ def report(
         raise ConfigError(f"{e.filename or output}: cannot be written: {e.strerror}") from None
     for path in written:
         print(path)
-    return 0
+    return 0 if whole(*readers) else 1
 
 
 def _reference(path: Path) -> Any:
