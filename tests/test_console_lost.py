@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import time
 from pathlib import Path
 
@@ -92,6 +93,34 @@ def test_it_comes_to_rest_and_is_operated_again(tmp_path: Path, activity: str, n
     assert "the console was started again" in told
     again = object_of(pneud("replay", run.log, "--json"))
     assert again["identical"] is True, again
+
+
+SLOW_FILES = """
+import time
+from pneud.console.tuning import Tuning
+Tuning.read = lambda _: time.sleep(60.0)
+from pneud.cli import main
+main()
+"""
+
+
+@pytest.mark.slow
+def test_a_console_whose_disk_stalls_lives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What an operator has engaged goes on while a file does not come, and can be stopped."""
+    monkeypatch.setattr("running.PNEUD", [sys.executable, "-c", SLOW_FILES])
+    with running(tmp_path) as run:
+        with Client(run.socket) as client:
+            begin(client, "tracking")
+            run.process.send_signal(signal.SIGHUP)
+            reload = pneud_here("tune", "reload", "--socket", run.socket)
+            assert "cannot be read within 3 s" in reload.stderr
+            for _ in range(5):
+                status = client.ask("status")
+                assert (status["state"], status["faults"]) == ("tracking", [])
+            client.ask("disarm")
+        eventually(lambda: run.status() == ("disarmed", []))
+        end(run)
+    assert not any(tick.present & 1 << F.CONSOLE_LOST for tick in read_log(run.log))
 
 
 def test_a_disarmed_axis_stays_as_it_is(tmp_path: Path) -> None:
