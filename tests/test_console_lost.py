@@ -16,7 +16,7 @@ from pneud.log.files.reader import read_log
 from pneud.safety.faults import F
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Answer, RequestKind, State
-from running import Running, running
+from running import Running, patient_axis, running
 
 pytestmark = pytest.mark.realtime
 
@@ -158,3 +158,12 @@ def test_an_axis_that_armed_itself_goes_on_until_an_operator_steers_it(tmp_path:
     kinds = [t.request.kind for t in asked if t.request is not None]
     assert kinds == [RequestKind.ARM, RequestKind.HOLD, RequestKind.SHUTDOWN]
     assert not any(is_engaged(t.state) for t in asked[2:])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["console-killed", "console-stands"])
+def test_a_scenario_takes_the_console_away(name: str, tmp_path: Path) -> None:
+    words = ("--virtual", "--scenario", name, "--headless", "--json", "--duration", 5, "--log", tmp_path)
+    done = pneud(*words, "--config", patient_axis(tmp_path))
+    assert object_of(done)["scenario"]["met"], done.stderr
+    assert done.returncode == 1, "a fault is latched"
