@@ -27,6 +27,8 @@ def recover(
     print(f"{output}: {report.messages} messages{chunks}")
     if report.damaged_chunks:
         print(f"left out: {report.damaged_chunks} damaged chunks")
+    if report.parted:
+        print(f"left out: {report.parted} messages of ticks that are not whole")
     if report.damage:
         print(f"the source: {report.damage}")
     return 1 if report.damage and not report.messages else 0
