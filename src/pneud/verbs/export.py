@@ -61,5 +61,5 @@ def export(
     if done.unsent_ticks:
         print(f"left out: {done.unsent_ticks} ticks whose SYNC could not be sent")
     if reader.missing:
-        print(f"the log lacks {reader.missing} ticks, which were never recorded")
+        print(f"the log lacks {reader.missing} ticks")
     return 0 if whole(reader) and done.rows else 1
