@@ -97,7 +97,7 @@ class Tuning:
         try:
             self._in_file = self._path.read_text(encoding="utf-8-sig")
         except (OSError, UnicodeDecodeError) as e:
-            self._in_file = ConfigError(f"{self._path}: cannot be read: {e}")
+            self._in_file = ConfigError(f"{self._path}: cannot be read: {getattr(e, 'strerror', e)}")
 
     def changed_on_disk(self) -> bool:
         """Whether the file, as it was read last, is another one than that whose values were taken."""
