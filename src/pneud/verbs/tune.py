@@ -120,7 +120,7 @@ def save(socket: SocketOption = None, json: JsonOption = False) -> int:
         except TOMLKitError as e:
             raise ConfigError(f"{path}: {e}") from None
         except OSError as e:
-            raise PlaceError(f"{path}: cannot be written: {e.strerror}; try sudo") from None
+            raise PlaceError(f"{path}: {e.strerror}; try sudo") from None
     show({"config": str(path), "changed": changes}, json, f"{path}: {changes or 'has these values'}")
     return 0
 

@@ -19,7 +19,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
-from pneud.log.files.naming import LogError, new_log
+from pneud.log.files.naming import new_log
 from pneud.log.files.part import CONFIG_TEXT, CRC, DBC, check_intact, checked
 from pneud.log.files.writer import CHUNK_BYTES
 from pneud.log.format import framing
@@ -62,16 +62,16 @@ def recover(src: Path, dst: Path) -> RecoverReport:
         dst: the new file.
 
     Raises:
-        LogError: the source is no MCAP file, or the new file exists or cannot be written.
+        LogError: the source is no MCAP file, or the new file exists or cannot be created.
+        OSError: it cannot be written.
     """
-    with open_mcap(src, damaged=True) as source:
-        try:
-            with new_log(dst) as descriptor, os.fdopen(descriptor, "wb") as target:
-                rescue = _Rescue(Writer(target, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD))
-                report = rescue.run(source)
-        except OSError as e:
-            raise LogError(f"{dst}: cannot be written: {e.strerror}") from None
-    return report
+    with (
+        open_mcap(src, damaged=True) as source,
+        new_log(dst) as descriptor,
+        os.fdopen(descriptor, "wb") as target,
+    ):
+        writer = Writer(target, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        return _Rescue(writer).run(source)
 
 
 class _Channels:
