@@ -20,7 +20,7 @@ def recover(
         Exit status: 0, or 1 where not a message could be saved of a source that is not whole.
 
     Raises:
-        LogError: not a log, or the new one cannot be created.
+        LogError: not a log, or the new one exists.
         OSError: it cannot be written.
     """
     report = mend(Path(log), output)

@@ -62,7 +62,7 @@ def recover(src: Path, dst: Path) -> RecoverReport:
         dst: the new file.
 
     Raises:
-        LogError: the source is no MCAP file, or the new file exists or cannot be created.
+        LogError: the source is no MCAP file, or the new file exists.
         OSError: it cannot be written.
     """
     with (
