@@ -39,7 +39,7 @@ CORE = (
     "supply-lost", "piston-seized", "other-controller", "babble", "bus-off", "frames-lost-now-and-then",
     "set-late", "encoder-behind", "sync-skipped",
     "emcy", "unreachable", "no-realtime", "daemon-stands", "plant-stands", "recorder-stands",
-    "recorder-killed", "log-full", "no-descriptors",
+    "console-killed", "recorder-killed", "log-full", "no-descriptors",
 )  # fmt: skip
 # what only a real interface and the rights over a machine show
 CORE_VM = (

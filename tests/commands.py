@@ -39,8 +39,13 @@ def pneud_here(*args: object) -> subprocess.CompletedProcess[str]:
     return subprocess.CompletedProcess(words, result.exit_code, result.stdout, result.stderr)
 
 
-def pneud_forked(*args: object) -> subprocess.CompletedProcess[str]:
-    """One command to its end in a fork of this process: with streams of its own, and nothing to load."""
+def pneud_forked(*args: object, out_to: str = "") -> subprocess.CompletedProcess[str]:
+    """One command to its end in a fork of this process: with streams of its own, and nothing to load.
+
+    Args:
+        args: its words.
+        out_to: a device that takes its standard output.
+    """
     from pneud import cli  # noqa: PLC0415
 
     words = [str(arg) for arg in args]
@@ -49,9 +54,12 @@ def pneud_forked(*args: object) -> subprocess.CompletedProcess[str]:
         if not child:
             status: object = 70
             try:
-                os.dup2(out.fileno(), 1)
+                os.dup2(os.open(out_to, os.O_WRONLY) if out_to else out.fileno(), 1)
                 os.dup2(err.fileno(), 2)
-                sys.stdout, sys.stderr = (open(i, "w", encoding="utf-8", closefd=False) for i in (1, 2))  # noqa: SIM115
+                sys.stdout, sys.stderr = (
+                    open(number, "w", buffering, encoding="utf-8", closefd=False)  # noqa: SIM115
+                    for number, buffering in ((1, -1), (2, 1))  # by blocks and by lines, as ever
+                )
                 sys.argv = ["pneud", *words]
                 cli.main()
             except SystemExit as e:

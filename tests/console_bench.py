@@ -13,6 +13,7 @@ from log_samples import tick_at
 from pneud import crew, resources
 from pneud.config.reading import load_config
 from pneud.console import handoff
+from pneud.console.beside import Beside
 from pneud.console.commands import AxisDesk
 from pneud.console.facts import RunFacts
 from pneud.console.server import BOUNDS, ClientBounds, Server
@@ -33,10 +34,17 @@ COMMANDS: dict[str, dict[str, Any]] = {  # fields of requests that have some
 LOOKS = ("status", "attach", "observe", "tune_get")
 
 
+def at_once(work: Callable[[], None]) -> None:
+    """Do what a console leaves to a thread."""
+    work()
+
+
 class Bench:
     """The console, its clients and its loop, all in one thread; time passes only where a test says so."""
 
-    def __init__(self, folder: Path, bounds: ClientBounds = BOUNDS, config: Path = CONFIG) -> None:
+    def __init__(
+        self, folder: Path, bounds: ClientBounds = BOUNDS, config: Path = CONFIG, *, slow_files: bool = False
+    ) -> None:
         self.now_s = 1000.0
         self.path = folder / "console.sock"
         listener = socket.socket(socket.AF_UNIX)
@@ -49,13 +57,15 @@ class Bench:
         self.watch = StatusWatch(self.ring)
         run = RunFacts(load_config(config), config, config.read_text(), "unixcan:x", "", "/tmp/x.mcap")
         self.said: list[str] = []
+        desk = AxisDesk(run, self.ring, self.watch)
         self.server = Server(
             listener,
             ours,
-            AxisDesk(run, self.ring, self.watch),
+            desk,
             lambda _, words: self.said.append(words),
             bounds,
             lambda: self.now_s,
+            files=Beside(desk.read, lambda: self.now_s, *([] if slow_files else [at_once])),
         )
         self.requests: list[Request] = []  # that the loop has taken
         self.answer: Callable[[Request], int | None] = lambda _: Answer.TAKEN  # None: it does not answer
@@ -116,8 +126,10 @@ def message(verb: str, **fields: Any) -> dict[str, Any]:
 
 
 @contextmanager
-def bench(folder: Path, bounds: ClientBounds = BOUNDS, config: Path = CONFIG) -> Iterator[Bench]:
-    b = Bench(folder, bounds, config)
+def bench(
+    folder: Path, bounds: ClientBounds = BOUNDS, config: Path = CONFIG, *, slow_files: bool = False
+) -> Iterator[Bench]:
+    b = Bench(folder, bounds, config, slow_files=slow_files)
     try:
         yield b
     finally:

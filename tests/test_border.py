@@ -17,11 +17,14 @@ from matplotlib.figure import Figure
 
 from commands import PNEUD, background, eventually, pneud, pneud_forked, pneud_here
 from mangled import simulated
-from pneud import resources
+from pneud import cli, resources
+from pneud.config.reading import load_config
+from pneud.console import results
+from pneud.console.tuning import values_of
 from pneud.log.files.naming import LogError
 from pneud.service import machine
 from pneud.study import paper
-from pneud.verbs import bench, track
+from pneud.verbs import bench, jog, status, track, tune
 
 pytestmark = pytest.mark.realtime
 
@@ -388,16 +391,47 @@ def streams(words: list[str], redirection: str, **more: Any) -> subprocess.Compl
     )  # fmt: skip
 
 
-SAYING = ["--help", "--version", "check virtual.toml --json", "sim --duration 0.01", "replay LOG"]
+SAYING = ["--help", "--version", "check virtual.toml", "sim --duration 0.01", "replay LOG"]
+WORKING = [*SAYING, "sim --duration 0.01 --json", "sim --help", "doctor", "doctor --json", "check SCENARIO"]
+WORKING += ["replay LOG --json", "replay LOG --against LOG", "replay LOG --set control.k1=1"]
+WORKING += ["export LOG -o OUT.csv", "export LOG -o OUT.log", "import RECORDING --dbc DBC -o OUT.mcap"]
+WORKING += ["recover LOG -o OUT.mcap", "report LOG -o OUT.html", "install-service --destdir OUT"]
+WORKING += ["design virtual.toml --bandwidth 50 --error-mm 1", "bench --pairs 1 --disturb --json"]
+TELLING = ["status --json", "arm", "disarm", "stop", "clear", "home", "hold", "goto 1", "jog 1 --for 0.01"]
+TELLING += ["mark x", "track sine", "track steps 2 3", "tune get", "tune set k1=1", "tune diff", "tune save"]
+TELLING += ["tune reload", *(f"{words} --json" for words in ("arm", "tune get", "jog 1 --for 0.01"))]
+MUTE = {"plant", "top", "reproduce"}  # says nothing before it is told to end; draws; takes half a minute
 
 
-@pytest.mark.parametrize("words", SAYING)
-def test_a_full_device_as_standard_output(words: str, good: dict[str, str]) -> None:
-    done = streams([good.get(word, word) for word in words.split()], ">/dev/full")
+class Console(Daemon):
+    """Whom all verbs ask that print an answer."""
+
+    def ask(self, verb: str, **fields: object) -> dict[str, Any]:
+        config = resources.configs() / "virtual.toml"
+        gains = values_of(load_config(config))
+        return {**super().ask("status"), "axis": "x", "state": "holding", "changed": "", "gains": gains,
+                "config": str(config)}  # fmt: skip
+
+
+def test_all_that_print_are_tried() -> None:
+    assert {words.split()[0] for words in (*WORKING, *TELLING)} | MUTE >= set(cli.verbs())
+
+
+@pytest.mark.parametrize("words", [*WORKING, *TELLING])
+def test_a_full_device_as_standard_output(
+    words: str, good: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (results, status, jog, track, tune):
+        monkeypatch.setattr(module, "Client", Console)
+    for name in ("_track", "_disturb"):
+        monkeypatch.setattr(bench, name, lambda *_: {})
+    scenario = str(resources.scenarios() / "babble.toml")
+    done = pneud_forked(
+        *words_of(Taken(words), "", {**good, "SCENARIO": scenario}, tmp_path / "out"), out_to="/dev/full"
+    )
     assert done.returncode == 3, done
     said = [line for line in done.stderr.splitlines() if not line.startswith(REMARKS)]
-    assert len(said) == 1, said
-    assert said[0].endswith("No space left on device")
+    assert said == ["pneud: standard output: No space left on device"], done
 
 
 @pytest.mark.slow

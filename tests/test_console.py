@@ -6,6 +6,7 @@ import json
 import os
 import random
 import re
+import socket
 import tempfile
 import time
 from collections.abc import Iterator
@@ -304,6 +305,47 @@ def test_a_silent_loop_is_reported_and_what_it_missed_does_not_happen_later(desk
     assert desk.requests == []
     assert desk.ask(client, "goto", x_mm=200)["ok"]
     assert [r.values[0] for r in desk.requests] == [0.2]
+
+
+def test_a_disk_that_stalls_holds_up_nobody(tmp_path: Path) -> None:
+    file = tmp_path / "axis.toml"
+    text = (resources.configs() / "virtual.toml").read_text()
+    file.write_text(text)
+    with bench(tmp_path, config=file, slow_files=True) as b:
+        looking, commanding = b.connect(), b.connect()
+
+        def send(client: socket.socket, verb: str) -> None:
+            client.sendall(json.dumps(message(verb)).encode() + b"\n")
+            b.turn()
+
+        def comes(client: socket.socket) -> dict[str, Any]:
+            deadline = time.monotonic() + 10.0
+            while not (found := b.replies(client)):
+                assert time.monotonic() < deadline, "no reply"
+                b.turn(1, 0.01)
+            (reply,) = found
+            return reply
+
+        send(looking, "status")
+        assert comes(looking)["config_changed"] is False
+        file.unlink()
+        os.mkfifo(file)
+        assert b.tell(looking, message("status")) == b.tell(commanding, message("tune_reload")) == []
+        assert b.ask(commanding, "stop")["ok"]
+        b.now_s += 0.25
+        assert comes(looking)["config_changed"] is False, "as far as is known"
+        assert b.tell(commanding, message("tune_get"))[0]["ok"]
+        b.now_s += 3.0
+        error = comes(commanding)["error"]
+        assert error["type"] == "configuration"
+        assert "cannot be read within 3 s; nothing has been taken" in error["message"]
+        file.write_text(text.replace("k1 = 95000.0", "k1 = 91000.0"))  # whoever reads goes on
+        file.unlink()
+        file.write_text(text.replace("k1 = 95000.0", "k1 = 90000.0"))
+        send(looking, "status")
+        assert comes(looking)["config_changed"] is True
+        send(commanding, "tune_reload")
+        assert comes(commanding)["changed"] == "k1 95000 → 90000"
 
 
 def test_a_signal_asks_without_a_client_and_every_refusal_is_told(tmp_path: Path) -> None:

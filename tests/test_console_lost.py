@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import time
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from pneud.log.files.reader import read_log
 from pneud.safety.faults import F
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Answer, RequestKind, State
-from running import Running, running
+from running import Running, patient_axis, running
 
 pytestmark = pytest.mark.realtime
 
@@ -94,6 +95,34 @@ def test_it_comes_to_rest_and_is_operated_again(tmp_path: Path, activity: str, n
     assert again["identical"] is True, again
 
 
+SLOW_FILES = """
+import time
+from pneud.console.tuning import Tuning
+Tuning.read = lambda _: time.sleep(60.0)
+from pneud.cli import main
+main()
+"""
+
+
+@pytest.mark.slow
+def test_a_console_whose_disk_stalls_lives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What an operator has engaged goes on while a file does not come, and can be stopped."""
+    monkeypatch.setattr("running.PNEUD", [sys.executable, "-c", SLOW_FILES])
+    with running(tmp_path) as run:
+        with Client(run.socket) as client:
+            begin(client, "tracking")
+            run.process.send_signal(signal.SIGHUP)
+            reload = pneud_here("tune", "reload", "--socket", run.socket)
+            assert "cannot be read within 3 s" in reload.stderr
+            for _ in range(5):
+                status = client.ask("status")
+                assert (status["state"], status["faults"]) == ("tracking", [])
+            client.ask("disarm")
+        eventually(lambda: run.status() == ("disarmed", []))
+        end(run)
+    assert not any(tick.present & 1 << F.CONSOLE_LOST for tick in read_log(run.log))
+
+
 def test_a_disarmed_axis_stays_as_it_is(tmp_path: Path) -> None:
     with running(tmp_path) as run:
         lost(run, signal.SIGKILL)
@@ -129,3 +158,12 @@ def test_an_axis_that_armed_itself_goes_on_until_an_operator_steers_it(tmp_path:
     kinds = [t.request.kind for t in asked if t.request is not None]
     assert kinds == [RequestKind.ARM, RequestKind.HOLD, RequestKind.SHUTDOWN]
     assert not any(is_engaged(t.state) for t in asked[2:])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["console-killed", "console-stands"])
+def test_a_scenario_takes_the_console_away(name: str, tmp_path: Path) -> None:
+    words = ("--virtual", "--scenario", name, "--headless", "--json", "--duration", 5, "--log", tmp_path)
+    done = pneud(*words, "--config", patient_axis(tmp_path))
+    assert object_of(done)["scenario"]["met"], done.stderr
+    assert done.returncode == 1, "a fault is latched"

@@ -17,8 +17,8 @@ from pneud.physics.valve import SpoolTransition, Valve
 from pneud.resources import configs
 from pneud.rig.dynamics import initial_state
 from pneud.signals import Estimate, Reference
-from pneud.study.closed_loop import LoopOutcome, run_sine
 from pneud.study.jit import jitted
+from sine_loop import LoopOutcome, run_sine
 
 COMMAND_LSB_V = 5e-4
 

@@ -28,6 +28,7 @@ VERBS = {
     "frames": "export {} -o OUT.log",
     "recover": "recover {} -o OUT.mcap",
 }
+TOOLS = ("report", "compared", "table", "frames")
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +72,22 @@ def test_all_verbs_read_up_to_the_damage(kind: str, count: int, log: Path, tmp_p
             assert (reader.damage or "cannot be read") in said or not reader.truncated, (name, done)
             if done.returncode == 2:
                 assert (done.stdout, done.stderr.count("\n")) == ("", 1), (name, done)
-            elif name == "table":
+            elif name in TOOLS:
+                assert done.returncode == int(reader.truncated), (name, done)
+                assert done.stderr.count("\n") == int(reader.truncated), (name, done)
+            if name == "table" and done.returncode != 2:
                 assert (tmp_path / "out.csv").read_text().count("\n") == ticks + 1, done
-            elif name == "recover":
+            elif name == "recover" and done.returncode != 2:
                 assert f"left out: {int(reader.truncated)} damaged" in said or not reader.truncated, done
+
+
+@pytest.mark.parametrize("name", TOOLS)
+def test_the_status_tells_whether_all_was_read(name: str, log: Path, tmp_path: Path) -> None:
+    """Of a log that is whole, one that ends in the middle, and what is recovered of that."""
+    (tmp_path / "cut.mcap").write_bytes(log.read_bytes()[: log.stat().st_size // 2])
+    assert pneud_here("recover", tmp_path / "cut.mcap", "-o", tmp_path / "mended.mcap").returncode == 0
+    for path, status in ((log, 0), (tmp_path / "cut.mcap", 1), (tmp_path / "mended.mcap", 0)):
+        line = VERBS[name].replace("{}", str(path)).replace("LOG", str(log))
+        done = pneud_here(*line.replace("OUT", str(tmp_path / "out")).split())
+        assert done.returncode == status, (path, done)
+        assert ("cut.mcap: not whole: cut short at byte" in done.stderr) == bool(status), done

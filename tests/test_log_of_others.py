@@ -118,6 +118,29 @@ def test_cut_or_damaged_it_is_read_as_far_as_it_goes_and_said(
         mended.unlink()
 
 
+@pytest.mark.parametrize("chunked", [True, False])
+def test_what_is_recovered_of_it_is_whole(log: Path, tmp_path: Path, chunked: bool) -> None:
+    """Chunks of others end between ticks and their frames: what has lost its other half is left out."""
+    rewrite(log, tmp_path / "other.mcap", chunked=chunked, chunk_bytes=3000, compression=CompressionType.LZ4)
+    whole = (tmp_path / "other.mcap").read_bytes()
+    wanted = {item.number: bits(item) for item in read_log(log)}
+    rng, parted, behind = random.Random(1), 0, 0
+    for n in range(8):
+        data, at = bytearray(whole), rng.randrange(len(whole) // 4, len(whole) * 3 // 4)
+        data[at : at + 30] = rng.randbytes(30)
+        (tmp_path / "bad.mcap").write_bytes(data if n % 2 and chunked else data[:at])
+        (tmp_path / "mended.mcap").unlink(missing_ok=True)
+        parted += recover(tmp_path / "bad.mcap", tmp_path / "mended.mcap").parted
+        mended = read_log(tmp_path / "mended.mcap")
+        before, found = list(read_log(tmp_path / "bad.mcap")), list(mended)
+        assert not mended.truncated, mended.damage
+        assert all(bits(item) == wanted[item.number] for item in found)
+        assert {item.number for item in before} <= {item.number for item in found}
+        behind += len(found) > len(before)
+    assert parted
+    assert bool(behind) == chunked
+
+
 def test_a_damaged_lz4_chunk_is_damage_in_words(log: Path, tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     rewrite(log, path, compression=CompressionType.LZ4, chunk_bytes=4000)

@@ -276,7 +276,8 @@ def test_a_truncated_log_is_shown_as_far_as_it_goes(mangled_log: Any, tmp_path: 
     whole = mangled_log[0].read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) * 2 // 3])
     done = pneud_here("report", tmp_path / "cut.mcap", "-o", tmp_path / "r.html")
-    assert done.returncode == 0
+    assert done.returncode == 1
+    assert "cut.mcap: not whole: cut short at byte" in done.stderr
     assert "cut short at byte" in (tmp_path / "r.html").read_text()
 
 

@@ -9,7 +9,8 @@ import importlib
 import io
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -258,12 +259,49 @@ def refusal_of(e: OSError) -> str:
     return f"{names}: {e.strerror or e}" if names else str(e.strerror or e)
 
 
+class OutputError(OSError):
+    """Standard output takes no more."""
+
+    exit_code = MACHINE
+
+
+class Output(io.TextIOWrapper):
+    """Standard output that is named where it takes no more; a closed pipe is as ever."""
+
+    def write(self, text: str) -> int:
+        """Write.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        with _named():
+            return super().write(text)
+
+    def flush(self) -> None:
+        """Write out what is kept back; raises as `write` does."""
+        with _named():
+            super().flush()
+
+
+@contextmanager
+def _named() -> Iterator[None]:
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as e:
+        raise OutputError(e.errno, e.strerror, "standard output") from None
+
+
 def main() -> None:
     """Entry point of the `pneud` command."""
     fill_closed_streams()
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal without Greek letters is no reason to fail
+    # a terminal without Greek letters is no reason to fail
+    if isinstance(out := sys.stdout, io.TextIOWrapper):
+        lines, through = out.line_buffering, out.write_through
+        sys.stdout = Output(out.buffer, out.encoding, "replace", None, lines, through)
+    if isinstance(sys.stderr, io.TextIOWrapper):
+        sys.stderr.reconfigure(errors="replace")
     gc.disable()  # else a sixth of the start would be a search for garbage in what is being imported
     said = False  # a second line would be one too many
     try:
@@ -277,7 +315,7 @@ def main() -> None:
         sys.exit(DONE)
     except OSError as e:  # what is raised out of a verb does not get here, but help and version do
         said = True
-        print(f"pneud: standard output: {e.strerror}", file=sys.stderr)
+        print(f"pneud: {refusal_of(e)}", file=sys.stderr)
         sys.exit(MACHINE)
     finally:
         _flush(said)
@@ -304,7 +342,7 @@ def _flush(said: bool) -> None:
     except OSError as e:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         if sys.stderr is not None and not said:
-            print(f"pneud: standard output: {e.strerror}", file=sys.stderr)
+            print(f"pneud: {refusal_of(e)}", file=sys.stderr)
         os._exit(MACHINE)
 
 

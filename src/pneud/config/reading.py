@@ -86,7 +86,7 @@ def load_with_text(file: str | Path) -> tuple[Config, str, Path]:
     except FileNotFoundError as e:
         raise ConfigError(str(e)) from None
     except (OSError, UnicodeDecodeError) as e:
-        raise ConfigError(f"{file}: cannot be read: {e}") from None
+        raise ConfigError(f"{file}: cannot be read: {getattr(e, 'strerror', e)}") from None
     return parse(text, str(path)), text, path
 
 

@@ -49,6 +49,10 @@ class AxisDesk:
         self._memory = memory
         self._tuning = Tuning(run.config, run.path, run.text, memory)
 
+    def read(self) -> None:
+        """Read the axis's file, for the next `status` or `tune_reload`."""
+        self._tuning.read()
+
     def status(self) -> dict[str, Any]:
         """The fields of the reply to `status`."""
         r = self._run

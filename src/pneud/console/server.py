@@ -16,6 +16,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 from pneud.console import handoff, protocol
+from pneud.console.beside import Beside, Then
 from pneud.console.lease import LEASE_S, Lease
 from pneud.console.line_stream import MAX_LINE
 from pneud.console.peer import GROUP, Peer, commanding_group, may_command, peer_of
@@ -43,6 +44,8 @@ class ClientBounds(NamedTuple):
     unsent_bytes: int = 256 * 1024
     unsent_s: float = 5.0  # after which who does not read is dropped
     silent_s: float = 1.0  # after which the loop counts as silent
+    look_s: float = 0.2  # that a status waits for a file; then it has what was read before
+    read_s: float = 3.0  # that a reload waits for a file
     lease_s: float = LEASE_S
 
 
@@ -66,6 +69,9 @@ class Desk(Protocol):
 
     name: str
     """Of the axis; every reply has it."""
+
+    def read(self) -> None:
+        """Read what `status` and the plan of a reload depend on; called in another thread."""
 
     def status(self) -> dict[str, Any]:
         """The fields of the reply to `status`."""
@@ -157,6 +163,7 @@ class Server:
         bounds: ClientBounds = BOUNDS,
         clock: Callable[[], float] = time.monotonic,
         first: int = 0,
+        files: Beside | None = None,
     ) -> None:
         """A server that is ready to take its turns.
 
@@ -168,6 +175,7 @@ class Server:
             bounds: what clients may use up.
             clock: seconds.
             first: its requests' numbers begin after it.
+            files: has the desk read its files, in a thread unless it is given.
         """
         self.over = False  # the loop is gone
         self._listener = listener
@@ -183,6 +191,7 @@ class Server:
         self._flight: tuple[int, _Job, float] | None = None  # number, whose, given up at
         self._number = first
         self._jogging: _Client | None = None
+        self._files = files or Beside(desk.read, clock)
         self._unfinished: tuple[_Client | None, Orders] | None = None
         self._jog_words = ""
         self._order: dict[str, Any] | None = None  # of motion, the last one that was taken
@@ -191,6 +200,7 @@ class Server:
         loop.setblocking(False)
         self._selector.register(listener, selectors.EVENT_READ)
         self._selector.register(loop, selectors.EVENT_READ)
+        self._selector.register(self._files.descriptor, selectors.EVENT_READ)
         left = desk.left_half_done()
         if left is not None:
             self._undo(left, "the console")
@@ -212,6 +222,7 @@ class Server:
             self._give_up(self._flight[1])
         for client in list(self._clients):
             self._serve(client, now_s)
+        self._files.go_on()
         self._hand_over()
 
     def ask(self, message: protocol.Request, label: str, refused: Callable[[ProtocolError], None]) -> None:
@@ -222,8 +233,13 @@ class Server:
             label: who asks, for the log.
             refused: is told why it is not done, now or later.
         """
+        self._read_first(message, lambda read: self._ask(message, label, refused, read))
+
+    def _ask(
+        self, message: protocol.Request, label: str, refused: Callable[[ProtocolError], None], read: bool
+    ) -> None:
         try:
-            plan = self._desk.plan(message)
+            plan = self._plan(message, read)
         except ProtocolError as e:
             self._say(WARNING, f"{label}: {message.verb} → {e.kind}: {e.message}")
             refused(e)
@@ -240,6 +256,7 @@ class Server:
         for client in list(self._clients):
             self._drop(client)
         self._selector.close()
+        self._files.close()
         self._listener.close()
         self._loop.close()
 
@@ -401,9 +418,7 @@ class Server:
         number = message.id
         match message:
             case protocol.Status():
-                lease = self._lease_fields()
-                fields = {**self._desk.status(), "lease": lease, "order": self._order}
-                self._send(client, self._reply(number, **fields))
+                self._files.do(self._bounds.look_s, lambda _: self._tell_status(client, number))
             case protocol.TuneGet():
                 self._send(client, self._reply(number, **self._desk.gains()))
             case protocol.Observe():
@@ -412,7 +427,12 @@ class Server:
             case protocol.Attach():
                 self._attach(client, number)
             case _:
-                self._command(client, message)
+                self._read_first(message, lambda read: self._command(client, message, read))
+
+    def _tell_status(self, client: _Client, number: int) -> None:
+        lease = self._lease_fields()
+        fields = {**self._desk.status(), "lease": lease, "order": self._order}
+        self._send(client, self._reply(number, **fields))
 
     def _lease_fields(self) -> dict[str, Any] | None:
         now_s = self._clock()
@@ -441,13 +461,30 @@ class Server:
         if sent < len(line):
             self._send(client, line[sent:])
 
-    def _command(self, client: _Client, message: protocol.Request) -> None:
+    def _read_first(self, message: protocol.Request, then: Then) -> None:
+        """Go on when what a request depends on is read: at once, where that is nothing."""
+        if isinstance(message, protocol.TuneReload):
+            self._files.do(self._bounds.read_s, then)
+        else:
+            then(True)
+
+    def _plan(self, message: protocol.Request, read: bool) -> Orders:
+        if not read:
+            raise ProtocolError(
+                Error.CONFIGURATION,
+                f"the file cannot be read within {self._bounds.read_s:g} s; nothing has been taken",
+            )
+        return self._desk.plan(message)
+
+    def _command(self, client: _Client, message: protocol.Request, read: bool) -> None:
+        if client not in self._clients:  # has gone meanwhile
+            return
         number = message.id
         words: str = message.verb
         try:
             if client.read_only:
                 raise ProtocolError(Error.READ_ONLY, _why_read_only(client.peer))
-            plan = self._desk.plan(message)
+            plan = self._plan(message, read)
             words = plan.words
             now_s = self._clock()
             if not plan.free and not self._lease.take(client, now_s, by_force=plan.urgent):

@@ -7,7 +7,7 @@ from typing import Any
 
 from pneud.config.conversions import reference_of
 from pneud.config.models import Config, ConfigError
-from pneud.config.reading import load_config
+from pneud.config.reading import parse
 from pneud.console.memory import Memory
 from pneud.console.protocol import Error, ProtocolError
 from pneud.console.server import Orders
@@ -77,9 +77,11 @@ class Tuning:
         self._path = path
         self._text = text
         self._memory = memory
+        self._in_file: str | ConfigError = text
         kept = memory.kept() if memory is not None else None
         if kept is not None:
             self._values, self._text = kept["values"], kept["text"]
+            self._in_file = self._text
 
     def _keep(self) -> None:
         if self._memory is not None:
@@ -90,12 +92,16 @@ class Tuning:
         """The values of the law that runs, and the reference."""
         return chosen(self._values)
 
-    def changed_on_disk(self) -> bool:
-        """Whether the file is another one than that whose values were taken last."""
+    def read(self) -> None:
+        """See what is in the file, for the next two; this takes as long as the disk does."""
         try:
-            return self._path.read_text(encoding="utf-8") != self._text
-        except (OSError, UnicodeDecodeError):
-            return True
+            self._in_file = self._path.read_text(encoding="utf-8-sig")
+        except (OSError, UnicodeDecodeError) as e:
+            self._in_file = ConfigError(f"{self._path}: cannot be read: {getattr(e, 'strerror', e)}")
+
+    def changed_on_disk(self) -> bool:
+        """Whether the file, as it was read last, is another one than that whose values were taken."""
+        return self._in_file != self._text
 
     def set(self, values: Values) -> Orders:
         """Change some of the values.
@@ -120,15 +126,17 @@ class Tuning:
         return self._plan("tune", wanted, {})
 
     def reload(self) -> Orders:
-        """Take the values of the file; limits never, and everything else at the next start.
+        """Take the values of the file as it was read last; limits never, all else at the next start.
 
         Raises:
             ProtocolError: the file cannot be used, or has other limits.
         """
+        text = self._in_file
         try:
-            config = load_config(self._path)
-            text = self._path.read_text(encoding="utf-8")
-        except (ConfigError, OSError, UnicodeDecodeError) as e:
+            if isinstance(text, ConfigError):
+                raise text
+            config = parse(text, str(self._path))
+        except ConfigError as e:
             raise ProtocolError(Error.CONFIGURATION, str(e)) from None
         tunable = {".".join(key) for name in NAMES for key in keys(name)}
         running, found = _flat(self._config.model_dump()), _flat(config.model_dump())

@@ -94,7 +94,7 @@ class Session:
         if ready.viewers is not None:
             self._start_viewers(ends, ready.viewers)
         if stage is not None and stage.scenario.orders:
-            self._start_saboteur(ends, stage, recorder, plant)
+            self._start_saboteur(ends, stage, recorder, plant, console)
         if not o.headless and sys.stdout.isatty() and not o.json:
             self._start_screen(ends)
         self.reports += setup.apply(wanted.priority, cpu, wanted.lock_memory)
@@ -183,11 +183,12 @@ class Session:
         viewers = fork_viewers(self.ring, self._header, parameters, at.listener, at.admission)
         ends.callback(crew.end, viewers, VIEWERS_PATIENCE_S)
 
-    def _start_saboteur(self, ends: ExitStack, stage: Stage, recorder: int, plant: int) -> None:
+    def _start_saboteur(self, ends: ExitStack, stage: Stage, recorder: int, plant: int, console: int) -> None:
         from pneud.scenario.sabotage import Victims, fork_saboteur  # noqa: PLC0415 - for a few runs only
 
         kind, _, name = self.ready.link.name.partition(":")
-        victims = Victims(os.getpid(), recorder, plant, name if kind == "socketcan" else "")
+        interface, socket = name if kind == "socketcan" else "", str(self.ready.socket.path)
+        victims = Victims(os.getpid(), recorder, plant, console, socket, interface)
         saboteur = fork_saboteur(stage.scenario, stage.orders, victims)
         ends.callback(crew.end, saboteur, SCENARIO_PATIENCE_S)
 

@@ -3,10 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+
+def require_folder(output: Path) -> None:
+    """Find out before the work, not after it, that there is no place for what comes of it.
+
+    Raises:
+        OSError: so it is.
+    """
+    if not output.parent.is_dir():
+        why = f"there is no folder {output.parent}; create it or name another file"
+        raise OSError(errno.ENOENT, why, str(output))
 
 
 @contextmanager
@@ -17,7 +29,7 @@ def replacing(path: Path) -> Iterator[Path]:
     is. A link stays, and what it points to is replaced.
 
     Raises:
-        OSError: nothing can be made there.
+        OSError: it cannot be written.
     """
     with replacing_all(path) as (beside,):
         yield beside
@@ -30,7 +42,7 @@ def replacing_all(*paths: Path) -> Iterator[tuple[Path, ...]]:
     Should the system die between one and the next, the first are the new ones and the rest the old.
 
     Raises:
-        OSError: nothing can be made at one of them.
+        OSError: one of them cannot be written; it is named, and not what is written beside it.
     """
     places: list[_Place] = []
     try:
@@ -40,10 +52,14 @@ def replacing_all(*paths: Path) -> Iterator[tuple[Path, ...]]:
             place.settle()
         for place in places:
             place.take(alone=len(places) == 1)
-    except BaseException:
+    except BaseException as e:
         for place in places:
             with contextlib.suppress(OSError):
                 place.undo()
+        if isinstance(e, OSError):
+            names = {str(place.beside): path for place, path in zip(places, paths, strict=False)}
+            name = names.get(str(e.filename), e.filename or paths[0])
+            raise OSError(e.errno, f"cannot be written: {e.strerror or e}", str(name)) from None
         raise
     for place in places:
         place.finish()

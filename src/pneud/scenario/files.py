@@ -49,7 +49,7 @@ def load_scenario(file: str | Path) -> Scenario:
             f"{file}: no such scenario; those of pneud are in {resources.scenarios()}"
         ) from None
     except (OSError, UnicodeDecodeError) as e:
-        raise ConfigError(f"{file}: cannot be read: {e}") from None
+        raise ConfigError(f"{file}: cannot be read: {getattr(e, 'strerror', e)}") from None
     try:
         return parse_scenario(text)
     except TomlError as e:

@@ -18,7 +18,7 @@ Probability = Annotated[float, Field(gt=0, le=1)]
 
 Role = Literal["sync", "encoder", "pressure", "valve_status", "valve_command"]
 Node = Literal["encoder", "pressure", "valve"]
-Who = Literal["daemon", "recorder", "plant"]
+Who = Literal["daemon", "recorder", "plant", "console"]
 _OTHERWISE = {"status": "encoder_status", "state": "valve_state"}  # among the values of all frames
 SIGNALS = {  # the frame that each is in, and its place among the frame's values
     _OTHERWISE.get(value, value): (role, place)
@@ -277,7 +277,14 @@ class Kill(InjectedFault):
     """A process is killed (SIGKILL)."""
 
     kind: Literal["kill"]
-    who: Literal["recorder", "plant"]
+    who: Literal["recorder", "plant", "console"]
+
+
+class Operator(InjectedFault):
+    """No fault: an operator asks for something, and from then on the axis needs its console."""
+
+    kind: Literal["operator"]
+    verb: Literal["arm", "disarm", "stop", "clear", "hold", "track"]
 
 
 class Hog(InjectedFault):
@@ -317,7 +324,7 @@ class InterfaceFault(InjectedFault):
 BUS = Drop | Duplicate | Reorder | Corrupt | Freeze | Delay | Babble | BusOff | ErrorFrames
 NODES = Silence | Skip | Reboot | Emcy | Heartbeat | ValveFailure | Value
 PLANT = Supply | Leak | ValveStuck | Seized | Mass | FrictionFault | Force
-MACHINE = StopProcess | Overload | Kill | Hog | ClockStep | LogFull | Descriptors | InterfaceFault
+MACHINE = StopProcess | Overload | Kill | Operator | Hog | ClockStep | LogFull | Descriptors | InterfaceFault
 AnyFault = Annotated[BUS | NODES | PLANT | MACHINE, Field(discriminator="kind")]
 
 
@@ -373,7 +380,7 @@ class Scenario(PlantPart):
     @property
     def needs_machine(self) -> bool:
         """Whether it takes a real machine: the simulation has neither processes nor clock nor files."""
-        real = (Kill, Hog, ClockStep, LogFull, Descriptors)
+        real = (Kill, Operator, Hog, ClockStep, LogFull, Descriptors)
         return self.interface or not self.simulated or any(isinstance(fault, real) for fault in self.fault)
 
     @property

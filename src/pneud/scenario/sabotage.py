@@ -14,9 +14,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from pneud import crew
+from pneud.console.client import Client, RefusedError
+from pneud.console.endpoint import PlaceError
 from pneud.rt import setup
 from pneud.scenario.format import (
     ClockStep,
@@ -25,6 +28,7 @@ from pneud.scenario.format import (
     InterfaceFault,
     Kill,
     LogFull,
+    Operator,
     Overload,
     Scenario,
     StopProcess,
@@ -39,11 +43,18 @@ class Victims(NamedTuple):
     daemon: int  # process ids
     recorder: int
     plant: int
+    keeper: int  # of the console
+    socket: str  # of the console
     interface: str  # "" without one
 
     def pid(self, who: str) -> int:
         """The process id of a victim by its name in a scenario."""
-        return int(getattr(self, who))
+        if who != "console":
+            return int(getattr(self, who))
+        found = Path(f"/proc/{self.keeper}/task/{self.keeper}/children").read_text().split()
+        if not found:  # the next one has not been started yet
+            raise ProcessLookupError
+        return int(found[0])
 
 
 Undo = Callable[[], None]
@@ -95,6 +106,8 @@ def act(fault: Any, victims: Victims) -> Undo | None:
 
     Raises:
         OSError: the machine does not let us.
+        PlaceError: there is no console to ask.
+        RefusedError: the axis says no.
     """
     if isinstance(fault, StopProcess):
         pid = victims.pid(fault.who)
@@ -104,6 +117,9 @@ def act(fault: Any, victims: Victims) -> Undo | None:
         return _overload(victims.daemon, fault.stand_s, fault.run_s)
     if isinstance(fault, Kill):
         os.kill(victims.pid(fault.who), signal.SIGKILL)
+    elif isinstance(fault, Operator):
+        with Client(victims.socket) as client:
+            client.ask(fault.verb, **({"what": "reference"} if fault.verb == "track" else {}))
     elif isinstance(fault, Hog):
         return _hog(fault.processes)
     elif isinstance(fault, ClockStep):
@@ -125,6 +141,8 @@ def _attempt(action: Callable[[], Undo | None]) -> Undo | None:
         return None
     except OSError as e:
         print(f"pneud: scenario: {e.strerror or e}", file=sys.stderr, flush=True)
+    except (PlaceError, RefusedError) as e:
+        print(f"pneud: scenario: {e}", file=sys.stderr, flush=True)
     except subprocess.CalledProcessError as e:
         print(f"pneud: scenario: {' '.join(e.cmd)}: {e.stderr.strip()}", file=sys.stderr, flush=True)
     return None

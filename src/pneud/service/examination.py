@@ -61,8 +61,15 @@ def diagnose(
     if json:
         print(json_.dumps(as_object(str(loaded.path), facts, findings)))
     else:
-        _print(f"{facts.kernel}, {facts.cpu_model}", loaded.config.name, findings, Console(highlight=False))
+        _print(f"{facts.kernel}, {facts.cpu_model}", loaded.config.name, findings, _Paper(highlight=False))
     return 0 if ok else 1
+
+
+class _Paper(Console):
+    """A console whose reader may go away, as any other's."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError
 
 
 def wanted_by(c: Config) -> Wanted:

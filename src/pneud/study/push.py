@@ -7,10 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from pneud.axis.state import AxisParameters
+from pneud.control.reference import sine
 from pneud.control.step import start
 from pneud.physics.plant import PlantParameters
 from pneud.rig.dynamics import initial_state
-from pneud.study.closed_loop import LoopOutcome, run_sine
+from pneud.study.closed_loop import run
 from pneud.study.jit import jitted
 
 SETTLE_S, JUDGE_S = 5.0, 2.0
@@ -44,18 +45,20 @@ def service(
     Raises:
         JitError: numba is missing.
     """
-    run = jitted(run_sine) if compiled else run_sine
     p, limits = axis.controller, axis.limits
     x = axis.reference.centre_m + start_error_m
     x = max(limits.travel_min_m, min(limits.travel_max_m, x))
     rig = initial_state(plant._replace(initial_x1=x + plant.cylinder.x_e1))
-    begin = LoopOutcome(start(x, rig.p1, rig.p2, plant.gas.supply_pa, p), rig, 0.0)
+    state = start(x, rig.p1, rig.p2, plant.gas.supply_pa, p)
     ticks, judged = round((SETTLE_S + JUDGE_S) / p.h), round(JUDGE_S / p.h)
+    references = np.array([sine(k * p.h, axis.reference) for k in range(ticks)])
     noise = np.random.default_rng(seed).normal(0.0, plant.pressure_noise_pa, (ticks, 3))
-    trace = np.zeros((ticks, 8))
+    commands, trace = np.zeros(ticks), np.zeros((ticks, 4))
     step = 2.0 * p.valve.u_max_v / 2**plant.dac_bits if plant.dac_bits else 0.0
-    run(begin, p, plant, axis.reference, 0.0, step, noise, np.zeros(ticks), trace)
-    error, u = trace[-judged:, 0], trace[-judged:, 1]
+    (jitted(run) if compiled else run)(
+        state, rig, p, plant, p.delay_s, step, references, noise, np.zeros(ticks), commands, trace
+    )
+    error, u = trace[-judged:, 0], commands[-judged:]
     return Pushed(
         float(np.sqrt(np.mean(error**2))),
         float(np.max(np.abs(error))),

@@ -5,9 +5,13 @@ has the options as its signature and returns the exit status. A verb that has ve
 `VERBS`. `run` is the daemon, which is no verb.
 """
 
-from typing import Annotated
+import sys
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from pneud.log.files.reader import LogReader
 
 ConfigOption = Annotated[
     str | None, typer.Option("--config", metavar="FILE", help="Configuration; default virtual.toml.")
@@ -25,6 +29,19 @@ SeedOption = Annotated[int, typer.Option("--seed", help="Seed of the plant's noi
 
 # of a verb that names it as its `SETTINGS`
 NEGATIVE_NUMBERS = {"ignore_unknown_options": True}  # numbers with a minus sign are no options
+
+
+def whole(*logs: "LogReader") -> bool:
+    """Say of logs that have been read what is wrong with them.
+
+    Returns:
+        Whether nothing is.
+    """
+    for log in logs:
+        if log.truncated:
+            saved = "pneud recover may save more"
+            print(f"pneud: {log.path}: not whole: {log.damage}; {saved}", file=sys.stderr)
+    return not any(log.truncated for log in logs)
 
 
 class VerbError(Exception):

@@ -14,6 +14,8 @@ from pneud.log.files.naming import LogError
 from pneud.log.files.reader import read_log
 from pneud.replay import exporting as to
 from pneud.replay.traffic import FORMATS
+from pneud.rt.outputs import require_folder
+from pneud.verbs import whole
 
 
 def export(
@@ -31,34 +33,31 @@ def export(
     """Write a log in another format, which the suffix names.
 
     Returns:
-        Exit status: 0, or 1 where no frame was written since none is in its ticks.
+        Exit status: 0, or 1 where the log could not be read to its end, or no frame is in its ticks.
 
     Raises:
         ConfigError: the format is not known, or the log's configuration cannot be used by this version.
         DatabaseError: nor its DBC.
-        LogError: not a log, no tick in it, the output is in the way, or a package is missing.
+        LogError: not a log, no tick in it, or a package is missing.
+        OSError: the output cannot be written.
     """
     suffix = output.suffix
     if suffix not in (*to.TABLES, *FORMATS):
         known = ", ".join((*to.TABLES, *FORMATS))
         raise ConfigError(f"{output}: no such format; its name must end in one of {known}")
-    if not output.parent.is_dir():
-        raise ConfigError(f"{output}: there is no folder {output.parent}; create it or name another file")
+    require_folder(output)
     reader = read_log(log)
     if next(iter(reader), None) is None:
         raise LogError(f"{reader.path}: no tick in it{f'; {reader.damage}' if reader.truncated else ''}")
-    try:
-        if suffix in to.TABLES:
-            done, what = to.table(reader, output), "ticks"
-        else:
-            config = parse(reader.config_text, f"{reader.path}:{reader.config_name}")
-            codecs = codecs_of(config.bus, reader.dbc_name, reader.dbc)
-            done, what = to.frames(reader, codecs, output), "frames"
-    except OSError as e:
-        raise ConfigError(f"{e.filename or output}: cannot be written: {e.strerror}") from None
+    if suffix in to.TABLES:
+        done, what = to.table(reader, output), "ticks"
+    else:
+        config = parse(reader.config_text, f"{reader.path}:{reader.config_name}")
+        codecs = codecs_of(config.bus, reader.dbc_name, reader.dbc)
+        done, what = to.frames(reader, codecs, output), "frames"
     print(f"{', '.join(map(str, done.files))}: {done.rows} {what}")
     if done.unsent_ticks:
         print(f"left out: {done.unsent_ticks} ticks whose SYNC could not be sent")
-    if reader.truncated:
-        print(f"the log: {reader.damage}")
-    return 0 if done.rows else 1
+    if reader.missing:
+        print(f"the log lacks {reader.missing} ticks")
+    return 0 if whole(reader) and done.rows else 1

@@ -20,13 +20,16 @@ def recover(
         Exit status: 0, or 1 where not a message could be saved of a source that is not whole.
 
     Raises:
-        LogError: not a log, or the new one cannot be written.
+        LogError: not a log, or the new one exists.
+        OSError: it cannot be written.
     """
     report = mend(Path(log), output)
     chunks = f" from {report.chunks} chunks" if report.chunks else ""
     print(f"{output}: {report.messages} messages{chunks}")
     if report.damaged_chunks:
         print(f"left out: {report.damaged_chunks} damaged chunks")
+    if report.parted:
+        print(f"left out: {report.parted} messages of ticks that are not whole")
     if report.damage:
         print(f"the source: {report.damage}")
     return 1 if report.damage and not report.messages else 0

@@ -16,7 +16,6 @@ from pneud.bus.link import open_link, refuse_if_driven
 from pneud.config.models import Config, ConfigError, check_channel
 from pneud.config.reading import load_with_text as load_text
 from pneud.config.reading import with_settings
-from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LogReader, read_log
 from pneud.loop.summary import finite
 from pneud.replay import courses
@@ -27,7 +26,8 @@ from pneud.replay.replaying import replay as run
 from pneud.report.gather import gather
 from pneud.report.pictures import require
 from pneud.report.timing import in_words
-from pneud.verbs import JsonOption
+from pneud.rt.outputs import require_folder
+from pneud.verbs import JsonOption, whole
 
 _ROWS = 12  # of the table of differences
 
@@ -101,8 +101,7 @@ def _alone(what: str, given: Mapping[str, object], but: tuple[str, ...]) -> None
 def _check_picture(output: Path) -> None:
     if output.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise ConfigError(f"{output}: a picture's name ends in .png, .svg or .pdf")
-    if not output.parent.is_dir():
-        raise ConfigError(f"{output}: there is no folder {output.parent}; create it or name another")
+    require_folder(output)
     require()
 
 
@@ -119,7 +118,7 @@ def _again(log: LogReader, what_if: Config | None, begin_s: float, output: Path 
         differences = Differences(exact=log.metadata.get("detail") == "full")
     outcome = run(log, what_if, begin_s, differences.add if differences is not None else None)
     if differences is not None and output is not None:
-        _draw(differences, ("log", "replay"), output)
+        courses.write(differences.points, ("log", "replay"), output)
     told = differences if what_if is not None else None
     if json:
         print(json_.dumps(_result(outcome) | ({} if told is None else {"differences": _spreads(told)})))
@@ -191,18 +190,11 @@ def _tell(d: Differences) -> None:
         print(f"and {len(spreads) - _ROWS} more (--json lists all)")
 
 
-def _draw(d: Differences, names: tuple[str, str], path: Path) -> None:
-    try:
-        courses.write(d.points, names, path)
-    except OSError as e:
-        raise LogError(f"{path}: cannot be written: {e.strerror or e}") from None
-
-
 def _against(one: LogReader, other: LogReader, output: Path | None, json: bool) -> int:
     c = compare(one, other)
     d = c.differences
     if output is not None:
-        _draw(d, (one.path.name, other.path.name), output)
+        courses.write(d.points, (one.path.name, other.path.name), output)
     spreads = d.spreads()
     if json:
         first = next(iter(spreads.values())).first_tick if spreads else None
@@ -225,7 +217,7 @@ def _against(one: LogReader, other: LogReader, output: Path | None, json: bool) 
         print("there is no tick that both have, so there is nothing to compare")
     else:
         print(f"the same in {d.ticks} ticks, {c.engaged_ticks} of them engaged")
-    _tell_of_damage(one, other)
+    whole(one, other)
     if c.shift_ticks and not json:
         print(f"the second log is engaged {c.shift_ticks:+} ticks later and was shifted by that")
     return 0 if d.ticks and not spreads else 1
@@ -262,14 +254,8 @@ def _play(log: LogReader, channel: str, speed: float, begin_s: float, json: bool
         print(f"{done.frames} frames on {channel}, the latest {done.late_ms:.1f} ms after its time")
         if done.failed:
             print(f"pneud: {done.failed} frames could not be sent", file=sys.stderr)
-        _tell_of_damage(log)
+        whole(log)
     return 0 if done.frames and not done.failed else 1
-
-
-def _tell_of_damage(*logs: LogReader) -> None:
-    for log in logs:
-        if log.truncated:
-            print(f"pneud: {log.path}: not whole: {log.damage}", file=sys.stderr)
 
 
 def _first(log: LogReader) -> list[tuple[Any, ...]]:

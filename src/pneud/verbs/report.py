@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,7 +14,8 @@ from pneud.report import pictures
 from pneud.report.gather import Window, gather
 from pneud.report.page import is_reference, page
 from pneud.rt.inputs import read_whole
-from pneud.rt.outputs import write_whole
+from pneud.rt.outputs import require_folder, write_whole
+from pneud.verbs import whole
 
 _BUCKETS = 8192  # of a page, shared by its logs
 _FEWEST = 1024
@@ -41,37 +41,28 @@ def report(
     """Write a report on one log, or a comparison of several.
 
     Returns:
-        Exit status: 0.
+        Exit status: 0, or 1 where a log could not be read to its end.
 
     Raises:
         ConfigError: an option, or the configuration in a log, cannot be used.
         DatabaseError: nor its DBC.
         LogError: not a log that this version reads, or nothing in it.
+        OSError: a file cannot be written.
     """
     window = Window(begin or 0.0, float("inf") if end is None else end)
     if not window.begin_s < window.end_s:
         raise ConfigError(f"--from {window.begin_s:g} --to {window.end_s:g}: there is nothing between them")
-    if not output.parent.is_dir():
-        raise ConfigError(f"{output}: there is no folder {output.parent}; create it or name another file")
+    require_folder(output)
     if png:
         pictures.require()
     setting = _reference(reference) if reference is not None else None
     buckets = max(_FEWEST, _BUCKETS // len(logs))
     readers = [read_log(log) for log in logs]
     runs = [gather(reader, window, buckets) for reader in readers]
-    for reader in readers:
-        if reader.truncated:
-            print(f"pneud: {reader.path}: not whole: {reader.damage}", file=sys.stderr)
-    try:
-        write_whole(output, page(runs, setting))
-        written = [output]
-        if png:
-            written += pictures.write(runs, output.with_suffix(""))
-    except OSError as e:
-        raise ConfigError(f"{e.filename or output}: cannot be written: {e.strerror}") from None
-    for path in written:
+    write_whole(output, page(runs, setting))
+    for path in (output, *(pictures.write(runs, output.with_suffix("")) if png else ())):
         print(path)
-    return 0
+    return 0 if whole(*readers) else 1
 
 
 def _reference(path: Path) -> Any:

@@ -48,12 +48,9 @@ def reproduce(
     found = paper.reproduce()
     if output is not None:
         drawn = pictures(found)
-        try:
-            for picture in drawn:
-                write_whole(output / f"{picture.name}.png", picture.png)
-            write_whole(output / PAGE, page(found, drawn))
-        except OSError as e:
-            raise ConfigError(f"{output}: cannot be written to: {e.strerror}") from None
+        for picture in drawn:
+            write_whole(output / f"{picture.name}.png", picture.png)
+        write_whole(output / PAGE, page(found, drawn))
     if json:
         print(
             json_.dumps(paper.as_json(found) | {"page": str(output / PAGE) if output is not None else None})

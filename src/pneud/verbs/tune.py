@@ -114,7 +114,7 @@ def save(socket: SocketOption = None, json: JsonOption = False) -> int:
         try:
             rewrite(path, lambda document: _put(document, found, running))
         except OSError as e:
-            raise PlaceError(f"{path}: cannot be written: {e.strerror}; try sudo") from None
+            raise PlaceError(f"{path}: {e.strerror}; try sudo") from None
     show({"config": str(path), "changed": changes}, json, f"{path}: {changes or 'has these values'}")
     return 0
 

@@ -11,6 +11,8 @@ from pathlib import Path
 
 from pneud.rt.outputs import replacing
 
+_NEW, _MODE = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644
+
 
 class LogError(Exception):
     """A log cannot be written or read; the text is one line for a person."""
@@ -106,7 +108,12 @@ def create_log(path: Path) -> int:
     Raises:
         LogError: the file exists or cannot be created.
     """
-    return _created(path, path)
+    try:
+        return os.open(path, _NEW, _MODE)
+    except FileExistsError:
+        raise LogError(f"{path}: exists already; a log is never overwritten, name another file") from None
+    except OSError as e:
+        raise LogError(f"{path}: cannot be created: {e.strerror}; choose another place with --log") from None
 
 
 @contextmanager
@@ -114,22 +121,13 @@ def new_log(path: Path) -> Iterator[int]:
     """As `create_log`, for a log that a tool makes: it has its name when the block is over, and not before.
 
     Raises:
-        LogError: the file exists or cannot be created.
-        OSError: the disk does not keep it.
+        LogError: the file exists.
+        OSError: it cannot be written.
     """
     if path.exists():
         raise LogError(f"{path}: exists already; a log is never overwritten, name another file")
     with replacing(path) as beside:
-        yield _created(beside, path)
-
-
-def _created(file: Path, path: Path) -> int:
-    try:
-        return os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
-    except FileExistsError:
-        raise LogError(f"{path}: exists already; a log is never overwritten, name another file") from None
-    except OSError as e:
-        raise LogError(f"{path}: cannot be created: {e.strerror}; choose another place with --log") from None
+        yield os.open(beside, _NEW, _MODE)
 
 
 def next_part(path: Path, number: int) -> Path:

@@ -14,14 +14,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
+from google.protobuf.message import DecodeError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
-from pneud.log.files.naming import LogError, new_log
+from pneud.log.files.naming import new_log
 from pneud.log.files.part import CONFIG_TEXT, CRC, DBC, check_intact, checked
 from pneud.log.files.writer import CHUNK_BYTES
 from pneud.log.format import framing
+from pneud.log.format.frames import FrameBlock
 from pneud.log.format.framing import (
     DamageError,
     LoggedMessage,
@@ -31,12 +33,14 @@ from pneud.log.format.framing import (
     metadata,
     open_mcap,
 )
-from pneud.log.format.schema import COPY, METADATA, READABLE, Topic, topics
+from pneud.log.format.schema import COPY, FRAMES, METADATA, READABLE, TICK, Topic, topics
 
 _COMPRESSION = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")  # in a chunk's head
 _COMPRESSION_BYTES = 8
 _COMPRESSION_AT = 9 + 8 + 8 + 8 + 4  # from the chunk's beginning
 _SEARCHED_BYTES = 1 << 20
+_LAST_SEQUENCE = (1 << 32) - 1  # of MCAP's messages
+_MOST_TICKS = 1 << 16  # that may wait for one message of frames
 _ASSUMED = 1 << 16  # schemas numbered from here on are ours; MCAP's numbers end below
 
 
@@ -46,6 +50,7 @@ class RecoverReport(NamedTuple):
     messages: int
     chunks: int
     damaged_chunks: int  # left out
+    parted: int  # ticks whose frames are lost, and frames of ticks that are: left out
     damage: str  # the first place that could not be read, and why; empty if the source is whole
 
 
@@ -57,16 +62,16 @@ def recover(src: Path, dst: Path) -> RecoverReport:
         dst: the new file.
 
     Raises:
-        LogError: the source is no MCAP file, or the new file exists or cannot be written.
+        LogError: the source is no MCAP file, or the new file exists.
+        OSError: it cannot be written.
     """
-    with open_mcap(src, damaged=True) as source:
-        try:
-            with new_log(dst) as descriptor, os.fdopen(descriptor, "wb") as target:
-                rescue = _Rescue(Writer(target, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD))
-                report = rescue.run(source)
-        except OSError as e:
-            raise LogError(f"{dst}: cannot be written: {e.strerror}") from None
-    return report
+    with (
+        open_mcap(src, damaged=True) as source,
+        new_log(dst) as descriptor,
+        os.fdopen(descriptor, "wb") as target,
+    ):
+        writer = Writer(target, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        return _Rescue(writer).run(source)
 
 
 class _Channels:
@@ -93,6 +98,10 @@ class _Channels:
             self.learn(Channel(number, topic.topic, topic.encoding, {}, schema))
         self.number(number)
 
+    def topic(self, source: int) -> str:
+        """What the source's channel is about."""
+        return self._channels[source].topic
+
     def number(self, source: int) -> int | None:
         """The channel of the new file; None where the source's was never defined."""
         channel = self._channels.get(source)
@@ -115,6 +124,8 @@ class _Rescue:
         self._channels = _Channels(writer)
         self._messages = 0
         self._strangers = 0
+        self._ticks: dict[int, tuple[int, LoggedMessage]] = {}  # by number, whose frames are still to come
+        self._parted = 0
         self._promised = 0
         self._damage = ""
         self._damaged_chunks = 0
@@ -150,7 +161,8 @@ class _Rescue:
         lost = self._promised - self._messages
         if lost > 0:
             self._damage = self._damage or f"{lost} of {self._promised} messages are not there"
-        return RecoverReport(self._messages, chunks, self._damaged_chunks, self._damage)
+        parted = self._parted + len(self._ticks)
+        return RecoverReport(self._messages, chunks, self._damaged_chunks, parted, self._damage)
 
     def _pieces(self, source: IO[bytes], *, skip_chunks: bool = False) -> Iterator[Piece]:
         """The records, going on at the next chunk where one makes no sense."""
@@ -229,10 +241,34 @@ class _Rescue:
             if channel is None:
                 self._strangers += 1
                 continue
-            self._writer.add_message(
-                channel, item.log_time_ns, item.data, item.publish_time_ns, item.sequence
-            )
-            self._messages += 1
+            topic = self._channels.topic(item.channel)
+            if topic == TICK:
+                self._ticks[item.sequence] = channel, item
+                if len(self._ticks) > _MOST_TICKS:
+                    del self._ticks[next(iter(self._ticks))]
+                    self._parted += 1
+            elif topic != FRAMES:
+                self._write(channel, item)
+            elif ticks := self._ticks_of(item):
+                for its_channel, tick in ticks:
+                    self._write(its_channel, tick)
+                self._write(channel, item)
+
+    def _ticks_of(self, frames: LoggedMessage) -> list[tuple[int, LoggedMessage]]:
+        """The ticks that frames belong to; none where one of them is lost, so that all of them are."""
+        waiting, self._ticks = self._ticks, {}
+        try:
+            numbers = range(frames.sequence, frames.sequence + FrameBlock(frames.data).count)
+            found = [waiting[number & _LAST_SEQUENCE] for number in numbers]
+        except (DecodeError, ValueError, KeyError):
+            self._parted += len(waiting) + 1
+            return []
+        self._parted += len(waiting) - len(found)
+        return found
+
+    def _write(self, channel: int, item: LoggedMessage) -> None:
+        self._writer.add_message(channel, item.log_time_ns, item.data, item.publish_time_ns, item.sequence)
+        self._messages += 1
 
 
 def _next_chunk(file: IO[bytes], start: int) -> int | None:

@@ -14,6 +14,7 @@ from pneud import crew
 from pneud.log.format.header import LogHeader, Rotation
 from pneud.log.live.notes import Note, NotesListener
 from pneud.log.live.ring import RECORDER_FAILED, RecorderStatus, Ring, RingReader
+from pneud.rt.inputs import read_whole
 from pneud.signals import Record
 
 if TYPE_CHECKING:
@@ -198,6 +199,6 @@ class _Recorder:
 
 def _content(path: Path) -> bytes | None:
     try:
-        return path.read_bytes()
+        return read_whole(path)
     except OSError:
         return None
