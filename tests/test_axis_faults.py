@@ -165,7 +165,7 @@ def broken(*_: object) -> None:
 
 def raises(rig: Rig, patch: pytest.MonkeyPatch) -> None:
     patch.setattr(pneud.axis.sensing, "observe", broken)
-    patch.setattr(pneud.axis.sensing, "start", broken)
+    patch.setattr(pneud.axis.sensing, "resume", broken)
 
 
 def too_much(rig: Rig, patch: pytest.MonkeyPatch) -> None:
