@@ -1,0 +1,100 @@
+"""The fastest gains that hold over all plants; where none do, those that miss least."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from pneud.study.judging import BRIEF, WHOLE, Judged, Lengths
+from pneud.study.proposing import Proposal
+
+SLOWEST_RAD_S = 20.0
+MOST_H_OMEGA = 0.4  # faster is left to those who ask for it
+RATIO = 1.5  # from one bandwidth of the first look to the next
+CUTS = 3  # of the interval in which the fastest lies, or of both beside the best
+FINALISTS = 3
+
+
+class Tried(NamedTuple):
+    """A bandwidth and what came of it."""
+
+    bandwidth_rad_s: float
+    proposal: Proposal
+    judged: tuple[Judged, ...]
+
+    @property
+    def missed(self) -> int:
+        """Figures beyond their limit, of all sessions together."""
+        return sum(len(j.missed) for j in self.judged)
+
+    @property
+    def returns(self) -> bool:
+        """Whether the load comes back from a large error."""
+        return not any(f.part == "return" for j in self.judged for f in j.missed)
+
+    @property
+    def rank(self) -> tuple[float, ...]:
+        """Less is better: faster where all holds, else what misses least."""
+        if self.missed == 0:
+            return (0.0, -self.bandwidth_rad_s)
+        excess = sum(math.log(f.ratio) for j in self.judged for f in j.missed)
+        return (1.0 if self.returns else 2.0, self.missed, excess)
+
+
+class Found(NamedTuple):
+    """Outcome of a search."""
+
+    best: Tried
+    faster: Tried | None  # the next one that was looked at, which does not hold, or is worse
+
+
+Propose = Callable[[float], Proposal]
+JudgeAll = Callable[[Proposal, Lengths], tuple[Judged, ...]]
+
+
+def first_look(propose: Propose, h: float) -> dict[float, Proposal]:
+    """The bandwidths to begin with: those that nothing is to be said against, or all."""
+    count = max(1, math.floor(math.log(MOST_H_OMEGA / h / SLOWEST_RAD_S) / math.log(RATIO)) + 1)
+    found = {omega: propose(omega) for omega in (rounded(SLOWEST_RAD_S * RATIO**i) for i in range(count))}
+    sound = {omega: p for omega, p in found.items() if p.sound}
+    return {omega: p for omega, p in sound.items() if not p.doubts} or sound or found
+
+
+def fastest(propose: Propose, judge: JudgeAll, h: float) -> Found:
+    """Look at bandwidths briefly, close in on the fastest that holds or the best, and judge the best in full.
+
+    Args:
+        propose: gains for a bandwidth.
+        judge: runs all sessions, of these lengths.
+        h: sample time [s].
+    """
+    tried = {w: Tried(w, p, judge(p, BRIEF)) for w, p in first_look(propose, h).items()}
+    for _ in range(CUTS):
+        best = min(tried.values(), key=lambda t: t.rank)
+        omega = between(best, tried)
+        proposal = propose(omega) if omega else None
+        if omega is None or proposal is None or not proposal.sound:
+            break
+        tried[omega] = Tried(omega, proposal, judge(proposal, BRIEF))
+    ranked = sorted(tried.values(), key=lambda t: t.rank)
+    whole = [t._replace(judged=judge(t.proposal, WHOLE)) for t in ranked[:FINALISTS]]
+    best = min(whole, key=lambda t: t.rank)
+    tried |= {t.bandwidth_rad_s: t for t in whole}
+    faster = [t for t in tried.values() if t.bandwidth_rad_s > best.bandwidth_rad_s]
+    return Found(best, min(faster, key=lambda t: t.bandwidth_rad_s, default=None))
+
+
+def rounded(omega_rad_s: float) -> float:
+    """To three significant digits: nobody feels a finer difference."""
+    return float(f"{omega_rad_s:.3g}")
+
+
+def between(best: Tried, tried: dict[float, Tried]) -> float | None:
+    """The middle towards the next faster one, or, where the best does not hold, of the wider side."""
+    here = best.bandwidth_rad_s
+    above = min((w for w in tried if w > here), default=None)
+    below = max((w for w in tried if w < here), default=None)
+    if best.missed == 0 or below is None or (above is not None and above / here > here / below):
+        return rounded(math.sqrt(here * above)) if above is not None else None
+    return rounded(math.sqrt(here * below))
