@@ -13,7 +13,7 @@ SLOWEST_RAD_S = 20.0
 MOST_H_OMEGA = 0.4  # faster is left to those who ask for it
 RATIO = 1.5  # from one bandwidth of the first look to the next
 CUTS = 3  # of the interval in which the fastest lies, or of both beside the best
-FINALISTS = 3
+FINALISTS = 2
 
 
 class Tried(NamedTuple):
@@ -38,8 +38,7 @@ class Tried(NamedTuple):
         """Less is better: faster where all holds, else what misses least."""
         if self.missed == 0:
             return (0.0, -self.bandwidth_rad_s)
-        excess = sum(math.log(f.ratio) for j in self.judged for f in j.missed)
-        return (1.0 if self.returns else 2.0, self.missed, excess)
+        return (1.0 if self.returns else 2.0, self.missed, sum(j.excess for j in self.judged))
 
 
 class Found(NamedTuple):

@@ -31,7 +31,7 @@ ROOM_M = 0.025  # travel to each side that the long ones need
 AFTER_S, SETTLING_S = 1.5, 3.0  # after a step; at rest, before it is judged
 PUSH_SHARE = 0.08  # of the greatest force of the supply
 SLACK = 2.0  # of the limits, where the model errs
-WORST_RATIO = 100.0
+WORST_RATIO = 10.0  # what never comes to an end, among others
 # limits: of the largest error along the sine and under a push, by the RMS allowed; of mean |Δu|; of times
 PEAK, PUSHED = 5.0, 12.0
 MOVING_V, RESTING_V = 0.15, 0.02
@@ -88,6 +88,11 @@ class Judged(NamedTuple):
     def worst(self) -> Figure:
         """The figure that takes most of its limit."""
         return max(self.figures, key=lambda f: f.ratio)
+
+    @property
+    def excess(self) -> float:
+        """How far all that does not hold is beyond its limits, the logarithms of the ratios together."""
+        return sum(math.log(f.ratio) for f in self.missed)
 
     @property
     def missed(self) -> tuple[Figure, ...]:
@@ -253,8 +258,8 @@ def session(task: Task) -> Judged:
     s.push()
     if task.case == NOMINAL:
         near, far = (service(task.axis, task.plant, error_m) for error_m in (0.0, task.course.far_m))
-        limit_m = 1.5 * near.rms_m + 1e-5
-        s.note("return", "rms_m", far.rms_m if far.recovered(near) else math.inf, limit_m)
+        back_m = max(near.rms_m, far.rms_m) if far.recovered(near) else math.inf
+        s.note("return", "rms_m", back_m, 2.0 * s.figures[0].value + 2e-5)
     return Judged(task.case, tuple(s.figures))
 
 

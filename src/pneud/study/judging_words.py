@@ -59,7 +59,7 @@ def told(f: Figure) -> str:
 
 def ordered(judged: Sequence[Judged]) -> list[Judged]:
     """Worst first."""
-    return sorted(judged, key=lambda j: (-j.worst.ratio, -len(j.missed), j.case))
+    return sorted(judged, key=lambda j: (-j.excess, -j.worst.ratio, j.case))
 
 
 def lines(judged: Sequence[Judged], coloured: bool) -> list[str]:
