@@ -9,9 +9,9 @@ import math
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pneud.axis.state import AxisParameters
 from pneud.config.conversions import axis_of, plant_of
@@ -261,6 +261,19 @@ def session(task: Task) -> Judged:
         back_m = max(near.rms_m, far.rms_m) if far.recovered(near) else math.inf
         s.note("return", "rms_m", back_m, 2.0 * s.figures[0].value + 2e-5)
     return Judged(task.case, tuple(s.figures))
+
+
+def ordered(judged: Sequence[Judged]) -> list[Judged]:
+    """Worst first."""
+    return sorted(judged, key=lambda j: (-j.excess, -j.worst.ratio, j.case))
+
+
+def as_json(judged: Sequence[Judged]) -> list[dict[str, Any]]:
+    """All figures, worst rig first."""
+    return [
+        {"case": j.case, "figures": [{**f._asdict(), "holds": f.ratio <= 1.0} for f in j.figures]}
+        for j in ordered(judged)
+    ]
 
 
 Judge = Callable[[list[Task]], Iterator[Judged]]

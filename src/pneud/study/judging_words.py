@@ -1,17 +1,16 @@
-"""What sessions came to: a table for a person, worst first, laws beside each other, and all of it as JSON."""
+"""What sessions came to, for a person: a table, worst first, and laws beside each other."""
 
 from __future__ import annotations
 
 import io
 import math
 from collections.abc import Sequence
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from pneud.study.judging import NOMINAL, SLACK, Figure, Judged
+from pneud.study.judging import NOMINAL, SLACK, Figure, Judged, ordered
 
 SHOWN = 8  # rigs in the table
 WIDTH = 108
@@ -55,11 +54,6 @@ def told(f: Figure) -> str:
     value, limit = number(f.part, f.what, f.value), number(f.part, f.what, f.limit)
     of = unit(f.part, f.what)
     return f"{f.part}: {NAMES[f.what]} {value}{f' {of}' if value != 'never' else ''} (at most {limit} {of})"
-
-
-def ordered(judged: Sequence[Judged]) -> list[Judged]:
-    """Worst first."""
-    return sorted(judged, key=lambda j: (-j.excess, -j.worst.ratio, j.case))
 
 
 def lines(judged: Sequence[Judged], coloured: bool) -> list[str]:
@@ -137,11 +131,3 @@ def _worst(judged: Sequence[Judged]) -> dict[tuple[str, str], float]:
     for f in (f for j in judged for f in j.figures):
         found[f.part, f.what] = max(f.value, found.get((f.part, f.what), 0.0))
     return found
-
-
-def as_json(judged: Sequence[Judged]) -> list[dict[str, Any]]:
-    """All figures, worst rig first."""
-    return [
-        {"case": j.case, "figures": [{**f._asdict(), "holds": f.ratio <= 1.0} for f in j.figures]}
-        for j in ordered(judged)
-    ]

@@ -187,8 +187,6 @@ def _from_large_errors(aim: Aim, found: Design) -> list[tuple[float, Pushed]]:
 
 
 def _as_json(designs: dict[str, Design], runs: list[tuple[float, Pushed]]) -> str:
-    from pneud.study import judging_words  # noqa: PLC0415 - needs rich, which is slow to load
-
     found = next(iter(designs.values()))
     c = found.proposal.config
     whole: dict[str, Any] = {
@@ -199,19 +197,19 @@ def _as_json(designs: dict[str, Design], runs: list[tuple[float, Pushed]]) -> st
         "control": rules.table_of(c),
         "prediction": found.proposal.prediction._asdict(),
         "simulated": [{"start_error_m": e, **s._asdict()} for e, s in runs],
-        "judged": judging_words.as_json(found.judged),
+        "judged": judging.as_json(found.judged),
         "faster": None
         if found.faster is None
         else {
             "bandwidth_rad_s": found.faster.bandwidth_rad_s,
-            "judged": judging_words.as_json(found.faster.judged),
+            "judged": judging.as_json(found.faster.judged),
         },
         "compared": {
             law: {
                 "bandwidth_rad_s": d.omega_rad_s,
                 "ok": d.holds,
                 "control": rules.table_of(d.proposal.config),
-                "judged": judging_words.as_json(d.judged),
+                "judged": judging.as_json(d.judged),
             }
             for law, d in list(designs.items())[1:]
         },
@@ -258,7 +256,7 @@ def _judged(aim: Aim, designs: dict[str, Design]) -> list[str]:
 
 def _limit(found: Design) -> str:
     """What keeps the gains from being faster."""
-    from pneud.study import judging_words as words  # noqa: PLC0415
+    from pneud.study import judging_words as words  # noqa: PLC0415 - needs rich, which is slow to load
 
     here = f"{found.omega_rad_s:.4g} rad/s"
     if not found.holds:
@@ -266,7 +264,7 @@ def _limit(found: Design) -> str:
     faster = found.faster
     if faster is None:
         return f"{here} holds on all rigs; nothing faster was looked at, since it would have warnings"
-    case = words.ordered(faster.judged)[0]
+    case = judging.ordered(faster.judged)[0]
     return (
         f"{here} is the fastest that holds; at {faster.bandwidth_rad_s:.4g} rad/s"
         f" {case.case} does not: {words.told(case.worst)}"
