@@ -36,6 +36,7 @@ WORST_RATIO = 10.0  # what never comes to an end, among others
 PEAK, PUSHED = 5.0, 12.0
 MOVING_V, RESTING_V = 0.15, 0.02
 ARRIVED_S, BACK_S = 0.4, 1.0
+BRISTLES_N_M = (0.5e5, 1e5, 5e5, 20e5)
 SHORT = (NOMINAL, "dead zone x0", "dead zone x2")  # where nothing is compiled
 
 
@@ -128,7 +129,7 @@ def plants(plant: PlantParameters) -> dict[str, PlantParameters]:
         found[f"mass x{by:g}"] = plant._replace(cylinder=plant.cylinder._replace(M=by * plant.cylinder.M))
     slow = plant.valve._replace(omega_rad_s=0.5 * plant.valve.omega_rad_s)
     found["valve x0.5"] = plant._replace(valve=slow)
-    for stiffness in (0.5e5, 1e5, 5e5, 20e5):
+    for stiffness in BRISTLES_N_M if plant.friction.coulomb_n > 0.0 else ():
         bristles = plant.friction._replace(sigma0_n_m=stiffness)
         found[f"bristles {1e-5 * stiffness:g}e5 N/m"] = plant._replace(friction=bristles)
     return {name: p for name, p in found.items() if name == NOMINAL or p != plant}

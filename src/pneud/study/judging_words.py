@@ -72,7 +72,8 @@ def lines(judged: Sequence[Judged], coloured: bool) -> list[str]:
         table.add_row(j.case, *(_cell(part, j) for part in shown))
     text = io.StringIO()
     Console(file=text, force_terminal=coloured, width=WIDTH, highlight=False).print(table)
-    told_rest = [f"and {len(found) - SHOWN} more rigs, all of them better"] if len(found) > SHOWN else []
+    more = len(found) - SHOWN
+    told_rest = [f"and {more} more, all of them better"] if more > 0 else []
     return [
         f"what people do, on {len(found)} rigs, worst first: {missed} of {count} figures do not hold"
         f" (limits times {SLACK:g} where the model errs)",

@@ -130,13 +130,13 @@ def _tried(aim: Aim, laws: tuple[str, ...]) -> dict[str, Design]:
     if why:
         print(f"pneud: this is slow and brief, since nothing can be compiled: {why}", file=sys.stderr)
     c, cases, found = aim.loaded.config, judging.SHORT if why else (), {}
-    with judging.judges() as judge, _progress() as step:
+    with judging.judges() as judge, _progress() as watch:
 
         def judged(p: Proposal, lengths: Lengths) -> tuple[Judged, ...]:
             course = judging.course_of(c, judging.BRIEF if why else lengths, aim.within_m)
             many = judging.tasks(p.config, aim.loaded.codecs.command_lsb_v, course, cases)
-            step(0, len(many))
-            return tuple(j for j in judge(many) if step(1, 0) is None)
+            text = f"{p.config.control.law} at {p.prediction.bandwidth_rad_s:.3g} rad/s"
+            return tuple(watch(judge(many), text, len(many)))
 
         for law in laws:
 
@@ -152,24 +152,28 @@ def _tried(aim: Aim, laws: tuple[str, ...]) -> dict[str, Design]:
     return found
 
 
+Watch = Callable[[Iterator[Judged], str, int], Iterator[Judged]]
+
+
 @contextmanager
-def _progress() -> Iterator[Callable[[int, int], None]]:
-    """A bar on a terminal: what is called with sessions that have ended, and that come on top."""
+def _progress() -> Iterator[Watch]:
+    """Sessions pass through as they end; on a terminal a bar shows how many of those to come, and of what."""
     if not os.isatty(2):
-        yield lambda _done, _more: None
+        yield lambda found, _text, _count: found
         return
     from rich.console import Console  # noqa: PLC0415 - slow to load, and only for a terminal
     from rich.progress import Progress  # noqa: PLC0415
 
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        task, total = bar.add_task("sessions", total=0), 0
+        task = bar.add_task("")
 
-        def step(done: int, more: int) -> None:
-            nonlocal total
-            total += more
-            bar.update(task, advance=done, total=total)
+        def watch(found: Iterator[Judged], text: str, count: int) -> Iterator[Judged]:
+            bar.reset(task, total=count, description=text)
+            for one in found:
+                bar.advance(task)
+                yield one
 
-        yield step
+        yield watch
 
 
 def _from_large_errors(aim: Aim, found: Design) -> list[tuple[float, Pushed]]:
