@@ -218,6 +218,17 @@ def test_the_fastest_that_holds_is_found_and_what_limits_it() -> None:
     assert [j.case for j in faster.judged if j.missed] == ["stiff"]
 
 
+def test_gains_that_hold_only_briefly_give_way_to_slower_ones() -> None:
+    brief, whole = judge_of(30.0, 150.0), judge_of(30.0, 60.0)
+    best, faster = fastest.fastest(
+        by_bandwidth(), lambda p, n: (whole if n == judging.WHOLE else brief)(p, n), 1e-3
+    )
+    assert best.missed == 0
+    assert 40.0 < best.bandwidth_rad_s <= 60.0
+    assert faster is not None
+    assert faster.missed > 0
+
+
 def test_where_none_holds_the_one_that_misses_least_is_found() -> None:
     best, _ = fastest.fastest(by_bandwidth(), judge_of(100.0, 50.0), 1e-3)
     assert best.missed > 0

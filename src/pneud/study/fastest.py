@@ -10,10 +10,10 @@ from pneud.study.judging import BRIEF, WHOLE, Judged, Lengths
 from pneud.study.proposing import Proposal
 
 SLOWEST_RAD_S = 20.0
-MOST_H_OMEGA = 0.4  # faster is left to those who ask for it
+FASTEST_H_OMEGA = 0.4  # faster is left to those who ask for it
 RATIO = 1.5  # from one bandwidth of the first look to the next
 CUTS = 3  # of the interval in which the fastest lies, or of both beside the best
-FINALISTS = 2
+FINALISTS = 2  # judged in full where none holds
 
 
 class Tried(NamedTuple):
@@ -54,7 +54,7 @@ JudgeAll = Callable[[Proposal, Lengths], tuple[Judged, ...]]
 
 def first_look(propose: Propose, h: float) -> dict[float, Proposal]:
     """The bandwidths to begin with: those that nothing is to be said against, or all."""
-    count = max(1, math.floor(math.log(MOST_H_OMEGA / h / SLOWEST_RAD_S) / math.log(RATIO)) + 1)
+    count = max(1, math.floor(math.log(FASTEST_H_OMEGA / h / SLOWEST_RAD_S) / math.log(RATIO)) + 1)
     found = {omega: propose(omega) for omega in (rounded(SLOWEST_RAD_S * RATIO**i) for i in range(count))}
     sound = {omega: p for omega, p in found.items() if p.sound}
     return {omega: p for omega, p in sound.items() if not p.doubts} or sound or found
@@ -76,8 +76,13 @@ def fastest(propose: Propose, judge: JudgeAll, h: float) -> Found:
         if omega is None or proposal is None or not proposal.sound:
             break
         tried[omega] = Tried(omega, proposal, judge(proposal, BRIEF))
-    ranked = sorted(tried.values(), key=lambda t: t.rank)
-    whole = [t._replace(judged=judge(t.proposal, WHOLE)) for t in ranked[:FINALISTS]]
+    whole: list[Tried] = []
+    for t in sorted(tried.values(), key=lambda t: t.rank):
+        if len(whole) >= FINALISTS and t.missed > 0:
+            break
+        whole.append(t._replace(judged=judge(t.proposal, WHOLE)))
+        if whole[-1].missed == 0:
+            break
     best = min(whole, key=lambda t: t.rank)
     tried |= {t.bandwidth_rad_s: t for t in whole}
     faster = [t for t in tried.values() if t.bandwidth_rad_s > best.bandwidth_rad_s]
