@@ -30,7 +30,7 @@ LONG_M = 5e-3  # a longer step is a long one
 ROOM_M = 0.025  # travel to each side that the long ones need
 AFTER_S, SETTLING_S = 1.5, 3.0  # after a step; at rest, before it is judged
 PUSH_SHARE = 0.08  # of the greatest force of the supply
-SLACK = 2.0  # of the limits, where the model errs
+SLACK = 2.0  # of all limits but those of the sine, where the model errs
 WORST_RATIO = 10.0  # what never comes to an end, among others
 # limits: of the largest error along the sine and under a push, by the RMS allowed; of mean |Δu|; of times
 PEAK, PUSHED = 5.0, 12.0
@@ -211,7 +211,7 @@ class _Session:
         return max(v.outside * h if v.outside >= 0 else math.inf for v in runs)
 
     def note(self, part: str, what: str, value: float, limit: float) -> None:
-        self.figures.append(Figure(part, what, value, self.slack * limit))
+        self.figures.append(Figure(part, what, value, limit if part == "sine" else self.slack * limit))
 
     def follow(self) -> None:
         """The sine is joined, followed, and left for its centre, where the load stands for long."""

@@ -65,8 +65,7 @@ def lines(judged: Sequence[Judged], coloured: bool) -> list[str]:
     shown = [part for part in PARTS if any(f.part == part for j in found for f in j.figures)]
     for part in shown:
         table.add_column(PARTS[part], justify="right")
-    slack = 1.0 if found[0].case == NOMINAL else SLACK
-    limits = {(f.part, f.what): f.limit / slack for f in found[0].figures}
+    limits = {(f.part, f.what): f.limit for j in found if j.case == NOMINAL for f in j.figures}
     table.add_row("at most", *(_limits(part, limits) for part in shown), style="dim")
     for j in found[:SHOWN]:
         table.add_row(j.case, *(_cell(part, j) for part in shown))
@@ -76,7 +75,7 @@ def lines(judged: Sequence[Judged], coloured: bool) -> list[str]:
     told_rest = [f"and {more} more, all of them better"] if more > 0 else []
     return [
         f"what people do, on {len(found)} rigs, worst first: {missed} of {count} figures do not hold"
-        f" (limits times {SLACK:g} where the model errs)",
+        f" (where the model errs, limits times {SLACK:g}, but for the sine)",
         *(line.rstrip() for line in text.getvalue().splitlines()),
         *told_rest,
     ]
