@@ -9,7 +9,15 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from pneud.config.conversions import command_delay_s, cylinder_of, gains_of, gas_of, lead_s, valve_of
+from pneud.config.conversions import (
+    command_delay_s,
+    cylinder_of,
+    gains_of,
+    gas_of,
+    hold_v,
+    lead_s,
+    valve_of,
+)
 from pneud.config.models import Config, FrictionConfig
 from pneud.control.homogeneous import Feedback, feedback
 from pneud.control.laws.slot import IN_SLOT
@@ -21,9 +29,15 @@ from pneud.study.noise import horizon_s, mean_step_v
 MISMATCH = 0.1  # assumed relative error of the model's F0 and F1: orifice, gas temperature, heat exchange
 REACHING_MARGIN = 2.0
 FILTER_PER_BANDWIDTH = 4.5  # motion filter over loop; less costs phase, more costs noise
+CALM_FILTER_PER_BANDWIDTH = 3.0  # where noise would move the command by more than
+CALM_V = 0.05  # a sample
 PUSH_PER_FILTER = 1.9  # where pushes are answered faster
 FORCE_RATE_PER_BANDWIDTH = 8.0
 FASTEST_FILTER = 0.5  # ω h above which a sampled triple pole no longer filters
+UNKNOWN_FRICTION = 0.3  # part of dry friction that its model may be wrong by
+FILTERED_STEP = 2.0 * math.exp(-2.0)  # greatest error of a triple pole at ω after a step a of w2', in a/ω²
+BEYOND_STEPS = 1.5  # encoder steps; half a step is blind, and two whole ones are no noise
+LEAST_BEYOND_M = 1e-6
 PROBE_FORCE_N = 1.0
 LARGE_ERROR = 0.4  # of the stroke
 MOST_RECOVERY_RATIO = 10.0  # 134/13 rad/s came back from 400 mm in simulation, 188/13 rad/s did not
@@ -121,12 +135,20 @@ def acceleration_noise(c: Config) -> float:
     return each_pa * math.hypot(k.piston_area_1_m2, k.piston_area_2_m2) / k.moving_mass_kg
 
 
+def error_scale_m(c: Config) -> float:
+    """The error at which a bandwidth is stated where nobody says: a thousandth of the stroke [m].
+
+    For the homogeneous law error and bandwidth are one parameter: all gains are those of ω A^((1−α)/(3−2α)).
+    """
+    return 1e-3 * c.cylinder.stroke_m
+
+
 def designed(c: Config, omega_rad_s: float, error_m: float, alpha: float) -> Config:
     """The configuration with gains by rule, rounded to four digits; all else in [control] stays.
 
     η = 2 h sup|ḋ|/M: within its band the implicit observer lags by one sample. The observer's gain is
-    sup|ḋ|, λ = (5.3, 1.1). Filter at 4.5 ω, rate of the force at 8 ω, neither faster than the sampling
-    carries. Nothing is checked: see `warnings`.
+    sup|ḋ|, λ = (5.3, 1.1). Filter at 4.5 ω, or 3 ω where noise would move the command too much; rate of the
+    force at 8 ω, neither faster than the sampling carries. Nothing is checked: see `warnings`.
     """
     h = 1.0 / c.loop.rate_hz
     g = scaled_gains(omega_rad_s, error_m, alpha)
@@ -135,35 +157,70 @@ def designed(c: Config, omega_rad_s: float, error_m: float, alpha: float) -> Con
     observer = law.observer.model_copy(
         update={"discretisation": "implicit", "lambda0": 5.3, "lambda1": 1.1, "gain_n_s2": rounded(gain)}
     )
-    control = law.model_copy(
-        update={
-            "k1": rounded(g.k1),
-            "k2": rounded(g.k2),
-            "k3": rounded(g.k3),
-            "alpha": alpha,
-            "eta_m_s3": rounded(REACHING_MARGIN * h * gain / c.cylinder.moving_mass_kg),
-            "observer": observer,
-            **filters(c, omega_rad_s),
-        }
-    )
-    return c.model_copy(update={"control": control})
+    own = {
+        "k1": rounded(g.k1),
+        "k2": rounded(g.k2),
+        "k3": rounded(g.k3),
+        "alpha": alpha,
+        "eta_m_s3": rounded(REACHING_MARGIN * h * gain / c.cylinder.moving_mass_kg),
+        "observer": observer,
+    }
+    quick = with_filters(c, omega_rad_s, own, g.k1)
+    if mean_step_v(quick) <= CALM_V:
+        return quick
+    return with_filters(c, omega_rad_s, own, g.k1, CALM_FILTER_PER_BANDWIDTH)
 
 
-def filters(c: Config, omega_rad_s: float) -> dict[str, Any]:
-    """What of [control] filters, for a bandwidth of the loop."""
+def with_filters(
+    c: Config, omega_rad_s: float, own: dict[str, Any], k1: float, ratio: float = FILTER_PER_BANDWIDTH
+) -> Config:
+    """The configuration with a law's own values, and what of [control] filters or is a threshold.
+
+    Args:
+        c: the configuration.
+        omega_rad_s: bandwidth of the loop.
+        own: values of the law.
+        k1: jerk that the law asks for by position error, near a small one.
+        ratio: motion filter over loop.
+    """
     h, law = 1.0 / c.loop.rate_hz, c.control
     rate = min(FORCE_RATE_PER_BANDWIDTH * omega_rad_s, 1.0 / h) if law.estimate_force else 0.0
-    slow = min(FILTER_PER_BANDWIDTH * omega_rad_s, FASTEST_FILTER / h)
-    fast = None if law.motion.push_bandwidth_rad_s is None else rounded(PUSH_PER_FILTER * slow)
+    slow = min(ratio * omega_rad_s, FASTEST_FILTER / h)
+    step_m = c.plant.sensors.encoder_resolution_m or law.motion.encoder_resolution_m
+    quick = law.motion.push_bandwidth_rad_s is not None
     motion = law.motion.model_copy(
         update={
             "bandwidth_rad_s": rounded(slow),
-            "push_bandwidth_rad_s": fast,
+            "encoder_resolution_m": step_m,
+            "push_bandwidth_rad_s": rounded(PUSH_PER_FILTER * slow) if quick else None,
+            "push_beyond_m": rounded(push_beyond_m(c, step_m, slow)) if quick else law.motion.push_beyond_m,
             "encoder_noise_m": None,
             "force_walk_n_rs": None,
         }
     )
-    return {"force_rate_bandwidth_rad_s": rounded(rate), "motion": motion}
+    update = {**own, "force_rate_bandwidth_rad_s": rounded(rate), "motion": motion}
+    found = c.model_copy(update={"control": law.model_copy(update=update)})
+    held = found.control.model_copy(update={"dead_zone_hold_v": rounded(worth_crossing_v(found, k1))})
+    return found.model_copy(update={"control": held})
+
+
+def push_beyond_m(c: Config, step_m: float, filter_rad_s: float) -> float:
+    """Innovation beyond half a step that is a push: more than the encoder's steps and friction make.
+
+    What friction's model misses of a reversal, 2 · 0.3 F_c, is an acceleration that the filter learns late.
+    """
+    missed = 2.0 * UNKNOWN_FRICTION * c.control.friction.coulomb_n / c.cylinder.moving_mass_kg
+    return max(BEYOND_STEPS * step_m, FILTERED_STEP * missed / filter_rad_s**2, LEAST_BEYOND_M)
+
+
+def worth_crossing_v(c: Config, k1: float) -> float:
+    """Opening that is not worth a way across the dead zone: what the law asks for at half a step [V].
+
+    Half the dead zone at most: of a larger opening the valve knows, wherever its edges are.
+    """
+    asking = c.control.model_copy(update={"k1": k1, "dead_zone_hold_v": 1.0})
+    asked_v = hold_v(c.model_copy(update={"control": asking}), cylinder_of(c))
+    return min(asked_v, 0.5 * c.valve.dead_zone_v)
 
 
 def rounded(x: float) -> float:

@@ -32,8 +32,7 @@ def designed(c: Config, law: Entry, omega_rad_s: float, error_m: float) -> Confi
     table = getattr(c.control, law.name).model_copy(
         update={**own, "reach_m": gains.rounded(REACH_PER_ERROR * error_m)}
     )
-    update = {"law": law.name, law.name: table, **gains.filters(c, omega_rad_s)}
-    return c.model_copy(update={"control": c.control.model_copy(update=update)})
+    return gains.with_filters(c, omega_rad_s, {"law": law.name, law.name: table}, omega_rad_s**3)
 
 
 def predict(c: Config, law: Entry) -> LinearPrediction:

@@ -7,14 +7,18 @@ the supervisor. Written so that it can be compiled whole: a minute at a kilohert
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
 
 from pneud.control.reference import Sine, Way, along, rest, sine
 from pneud.control.step import Controller, ControllerState, act, join, observe, start
 from pneud.physics.plant import PlantParameters
 from pneud.rig.dynamics import PlantState, advance, initial_state
 from pneud.rig.sensors import quantised
+from pneud.rt.folders import cache_folder
 from pneud.signals import Reference
+from pure2c import BuildError, compile_functions
 
 MOST_SEED = 0x7FFFFFFF
 SATURATED = 0.99
@@ -148,3 +152,17 @@ def begin(position_m: float, p: Controller, plant: PlantParameters, seed: int = 
     rig = initial_state(plant._replace(initial_x1=position_m + plant.cylinder.x_e1))
     state = start(position_m, rig.p1, rig.p2, plant.gas.supply_pa, p)
     return Pair(state, rig, 0.0, seed, position_m)
+
+
+@cache
+def compiled() -> tuple[Callable[..., Any], str]:
+    """`trial` in C; where that cannot be had in Python, and why."""
+    try:
+        return compile_functions([trial], cache=cache_folder("compiled")).functions[0], ""
+    except (BuildError, OSError) as e:
+        return trial, str(e)
+
+
+def step_v(p: Controller, plant: PlantParameters) -> float:
+    """Step of the plant's DAC [V], 0 for a continuous one."""
+    return 2.0 * p.valve.u_max_v / 2**plant.dac_bits if plant.dac_bits else 0.0
