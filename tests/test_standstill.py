@@ -159,6 +159,41 @@ def test_a_step_of_force_takes_a_swing_and_a_half_and_teaches_the_stiffness() ->
     assert stand(back, error_m=-3e-5, force_n=96.0).stiffness_n_m == pytest.approx(2e5)
 
 
+def test_a_step_that_has_not_moved_the_load_is_followed_by_one_of_twice_its_size() -> None:
+    found = StandstillState(same=P.stuck, stiffness_n_m=1e6)
+    nudged = stand(found, error_m=9e-5, friction_n=59.0)  # friction seems to have nothing left
+    sizes = [nudged.step_n]
+    for _ in range(6):
+        nudged = stand(nudged._replace(ticks=120, same=P.stick), error_m=9e-5, friction_n=59.0)
+        sizes.append(nudged.step_n)
+    assert sizes == pytest.approx([0.6, 1.2, 2.4, 4.8, 9.6, 18.0, 18.0])
+    moved = stand(nudged._replace(ticks=120, same=P.stick), error_m=8e-5, friction_n=59.0)
+    assert moved.step_n == pytest.approx(0.6)
+
+
+def test_a_load_that_swings_again_and_again_beside_a_closed_valve_is_left_to_swing_out() -> None:
+    beside = StandstillState(mode=CLOSED, ticks=P.grace)
+    assert stand(beside, error_m=5e-5).mode == LAW
+    assert stand(beside._replace(tries=1), error_m=5e-5).mode == LAW
+    swinging = beside._replace(tries=2)
+    assert stand(swinging, error_m=5e-5).mode == CLOSED
+    assert stand(swinging, error_m=1.1e-4).mode == LAW
+    assert stand(swinging._replace(ticks=P.grace + 4 * P.swing), error_m=5e-5).mode == LAW
+    hunting = StandstillState(ticks=P.patience, restless_v=0.1)
+    assert stand(hunting, error_m=5e-5, velocity_m_s=3e-3)[:2] == (CLOSED, 0)
+    assert stand(hunting, error_m=5e-5, velocity_m_s=3e-3).tries == 1
+    assert stand(swinging, error_m=5e-5, still=False).tries == 0
+
+
+def test_a_small_step_of_force_takes_less_than_a_swing() -> None:
+    s = StandstillState(mode=NUDGED, ticks=0, from_n=100.0, step_n=0.15)
+    u = standstill.nudge(s, 100.0, 1e-3, 500.0, 400.0, P)  # 20 ticks at 0.015 V
+    assert u == pytest.approx(0.015 + 40.0 * 0.15 / 20 / 500.0)
+    assert standstill.nudge(s._replace(ticks=20), 100.15, 1e-3, 500.0, 400.0, P) == 0.0
+    tiny = s._replace(step_n=1e-4)
+    assert standstill.nudge(tiny._replace(ticks=1), 100.0, 1e-3, 500.0, 400.0, P) == 0.0
+
+
 def test_a_nudge_leads_the_force_along_its_step() -> None:
     s = StandstillState(mode=NUDGED, ticks=39, from_n=100.0, step_n=8.0)
     on_time = standstill.nudge(s, 104.0, 1e-3, 500.0, 400.0, P)

@@ -189,12 +189,14 @@ def planned(
     """The next step of force; none within the band.
 
     A step towards breaking away takes a part of what static friction has left, since a load that breaks away
-    goes far.
+    goes far; where the one before has not moved the load, more was left, and twice as much is taken.
     """
     if abs(error_m) <= p.enter_m:
         return _entered(s, CLOSED, p.grace, s.restless_v)
     left_n = p.static_n - friction_n if error_m > 0.0 else p.static_n + friction_n
     most_n = min(MOST * p.static_n, max(LEAST * p.static_n, ROOM * left_n))
+    if s.mode == NUDGED and s.step_n * error_m > 0.0 and abs(error_m - s.error_m) <= p.stick_m:
+        most_n = max(most_n, min(MOST * p.static_n, 2.0 * abs(s.step_n)))
     step_n = max(-most_n, min(most_n, SHARE * stiffness(s, p) * error_m))
     s = _stepping(s, force_n, step_n, error_m, s.stiffness_n_m)
     return _entered(s, NUDGED, 0, s.restless_v)
