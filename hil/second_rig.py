@@ -271,7 +271,7 @@ class Nodes:
             self.heard, self.deadline_ns = data[6], t_ns + self.timeout_ns
             if not data[2]:
                 self.valve, self.applied_v = CENTRED, 0.0
-            elif self.valve in (CENTRED, ENABLED):
+            elif self.valve != TIMED_OUT:
                 code = round(struct.unpack_from("<h", data)[0] * 0.5e-3 / DAC_V)
                 self.valve, self.applied_v = ENABLED, max(-2048, min(2047, code)) * DAC_V
         return []
