@@ -48,6 +48,7 @@ PNEUD = [sys.executable, "-m", "pneud.cli"]
 MOVES_MM = (1.0, 1.0, -1.0, -1.0, 10.0, -10.0, -10.0, 10.0, -1.0, 1.0, 10.0, 1.0, -1.0, -10.0)
 MOVE_S = 1.5  # with what follows it
 CREEP_M_S, CREEP_S = 0.02, 1.5
+STANDING_M_S, SLOW_TICKS = 0.001, 10  # slower over so many ticks, the load stands
 BREAKAWAY_S = 0.25  # of constant speed, in which a load may get going
 SETTLED_S = 1.0  # from which on it rests
 PATIENCE_S = 60.0
@@ -114,8 +115,7 @@ def legs(c: Config, moves: int, rest_s: float) -> list[Leg]:
         *found,
         Leg("join", middle - half, MOVE_S),
         Leg("creep", middle + half, CREEP_S + 1.0, 1e3 * CREEP_M_S),
-        Leg("join", middle + 2 * half, MOVE_S),
-        Leg("creep", middle - half, 1.5 * CREEP_S + 1.0, 1e3 * CREEP_M_S),
+        Leg("creep", middle - half, CREEP_S + 1.0, 1e3 * CREEP_M_S),
         Leg("rest", middle, rest_s + SETTLED_S),
     ]
 
@@ -277,15 +277,25 @@ def moved(c: Course, leg: Leg, begin: int, end: int, band: float) -> dict[str, A
 
 
 def crept(c: Course, begin: int, end: int) -> dict[str, Any]:
-    """The error's range [mm] while the speed is constant: once the load has got going, and from the start."""
+    """The error's range [mm] at constant speed, once the load has got going and from the start.
+
+    Then how it swings [Hz], and the share of time in which the load stands: where none, it does not stick.
+    """
     constant = np.flatnonzero(np.abs(np.abs(c.speed[begin:end]) - 1e3 * CREEP_M_S) < 0.01) + begin
-    if not constant.size:
-        return {"peak_to_peak_mm": None, "with_breakaway_mm": None}
-    first, last = int(constant[0]), int(constant[-1]) + 1
+    first, last = (int(constant[0]), int(constant[-1]) + 1) if constant.size else (begin, begin)
     going = first + int(np.searchsorted(c.t_s[first:last], c.t_s[first] + BREAKAWAY_S))
+    error = c.error(going, last)
+    if error.size < SLOW_TICKS + 2:
+        return dict.fromkeys(("peak_to_peak_mm", "with_breakaway_mm", "swing_hz", "standing"))
+    swing = np.abs(np.fft.rfft((error - error.mean()) * np.hanning(error.size)))
+    period_s = float(c.t_s[last - 1] - c.t_s[going]) / (last - 1 - going)
+    way = np.abs(c.x[going + SLOW_TICKS : last] - c.x[going : last - SLOW_TICKS])
+    slow = way < STANDING_M_S * 1e3 * SLOW_TICKS * period_s
     return {
-        "peak_to_peak_mm": float(np.ptp(c.error(going, last))),
+        "peak_to_peak_mm": float(np.ptp(error)),
         "with_breakaway_mm": float(np.ptp(c.error(first, last))),
+        "swing_hz": float((1 + np.argmax(swing[1:])) / (error.size * period_s)),
+        "standing": float(np.mean(slow)),
     }
 
 
@@ -395,7 +405,9 @@ def words(cases: list[dict[str, Any]]) -> str:
         ]
         lines += [
             f"  creep at 20 mm/s: {shown(creep['peak_to_peak_mm'])} mm peak to peak,"
-            f" {shown(creep['with_breakaway_mm'])} mm with the breakaway"
+            f" {shown(creep['swing_hz'], '.1f')} Hz,"
+            f" standing {shown(creep['standing'], '.0%')} of the time; with the breakaway"
+            f" {shown(creep['with_breakaway_mm'])} mm"
             for creep in case["creep"]
         ]
         for m in sorted(case["moves"], key=lambda m: -m["max_error_mm"]):

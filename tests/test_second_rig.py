@@ -248,7 +248,9 @@ def test_the_axis_is_judged_on_it() -> None:
     assert [move["move"] for move in case["moves"]] == ["+1 mm"]
     assert case["moves"][0].keys() == {"move", "max_error_mm", "overshoot_mm", "settled_s"}
     assert len(case["creep"]) == 2
-    assert all(creep["peak_to_peak_mm"] is not None for creep in case["creep"])
+    for creep in case["creep"]:
+        assert creep.keys() == {"peak_to_peak_mm", "with_breakaway_mm", "swing_hz", "standing"}
+        assert None not in creep.values()
     assert case["rest"].keys() == {"error_mm", "mean_step_v"}
     assert {goal["what"] for goal in case["goals"]} == {"moves", "overshoot", "rest", "creep"}
     assert case["host"]["ticks"] > 10_000
