@@ -46,7 +46,7 @@ Floats = NDArray[np.float64]
 
 PNEUD = [sys.executable, "-m", "pneud.cli"]
 MOVES_MM = (1.0, 1.0, -1.0, -1.0, 10.0, -10.0, -10.0, 10.0, -1.0, 1.0, 10.0, 1.0, -1.0, -10.0)
-MOVE_S = 1.5  # with what follows it
+MOVE_S, JOIN_S = 1.5, 1.2  # with what follows it
 CREEP_M_S, CREEP_S = 0.02, 1.5
 STANDING_M_S, SLOW_TICKS = 0.001, 10  # slower over so many ticks, the load stands
 BREAKAWAY_S = 0.25  # of constant speed, in which a load may get going
@@ -107,13 +107,13 @@ def legs(c: Config, moves: int, rest_s: float) -> list[Leg]:
     """The ways after tracking, from the middle of the travel."""
     middle = 500.0 * (c.limits.travel_min_m + c.limits.travel_max_m)
     half = 500.0 * CREEP_M_S * CREEP_S
-    found, at = [Leg("join", middle, 2.0)], middle
+    found, at = [Leg("join", middle, JOIN_S)], middle
     for move in MOVES_MM[:moves]:
         at += move
         found.append(Leg(f"{move:+g} mm", at, MOVE_S))
     return [
         *found,
-        Leg("join", middle - half, MOVE_S),
+        Leg("join", middle - half, JOIN_S),
         Leg("creep", middle + half, CREEP_S + 1.0, 1e3 * CREEP_M_S),
         Leg("creep", middle - half, CREEP_S + 1.0, 1e3 * CREEP_M_S),
         Leg("rest", middle, rest_s + SETTLED_S),

@@ -233,7 +233,7 @@ def test_a_seed_is_a_rig() -> None:
 @pytest.mark.slow
 @pytest.mark.realtime
 def test_the_axis_is_judged_on_it() -> None:
-    asked = ["--plant", "second", "--seconds", "2", "--moves", "1", "--json"]
+    asked = ["--plant", "second", "--seconds", "1", "--moves", "1", "--json"]
     done = subprocess.run(
         [sys.executable, "-m", "hil.strange", *asked], cwd=ROOT, capture_output=True, text=True, check=False
     )
