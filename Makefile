@@ -15,7 +15,7 @@ COVERING := $(addprefix tests/test_,control_*.py safety_*.py $(addsuffix .py,axi
 PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 
 .DEFAULT_GOAL := help
-.PHONY: help virtual test lint types contracts ci-tests coverage mutation lowest vm systemd install-service campaign campaign-vm information soak clean
+.PHONY: help virtual test lint types contracts ci-tests coverage mutation lowest vm systemd install-service campaign campaign-vm information strange soak clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 17
@@ -74,6 +74,9 @@ campaign-vm: $(DEV) ## the same over real SocketCAN, in a virtual machine
 
 information: $(DEV) ## what late, lost and odd frames do to the command, in simulated time (see docs/hil.md)
 	@exec $(BIN)/python -m hil.information $(ARGS)
+
+strange: $(DEV) ## the axis on rigs that are not as it believes, in real time (see hil/README.md)
+	@exec $(BIN)/python -m hil.strange $(ARGS)
 
 soak: $(DEV) ## the tests that take hours, with their figures (see docs/hil.md)
 	@exec $(BIN)/python -m pytest -m soak $(ARGS)
