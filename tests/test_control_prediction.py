@@ -6,7 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pneud.control.feedforward import bristles_after, bristles_under, friction_ahead, held_by_bristles
+from pneud.control.feedforward import (
+    Creep,
+    bristles_after,
+    bristles_under,
+    friction_ahead,
+    friction_creeping,
+    held_by_bristles,
+)
 from pneud.control.prediction import Motion, Rates, Spool, ahead, follow, later
 from pneud.control.reference import Sine, sine
 from pneud.physics.friction import Friction, friction_force, relaxation_rate
@@ -100,6 +107,26 @@ def test_without_friction_there_is_none() -> None:
     assert friction_ahead(0.0, r, later(r, LEAD), 1e-3, LEAD, NONE) == (0.0,) * 5
     assert bristles_after(1e-4, 0.1, relaxation_rate(0.1, NONE), 1e-3) == 0.0
     assert bristles_under(30.0, NONE) == held_by_bristles(30.0, NONE) == 0.0
+
+
+def test_where_a_load_creeps_its_own_speed_counts_and_fades_with_speed_and_acceleration() -> None:
+    creep = Creep(1.0, 0.06, 0.2)
+
+    def of(v: float, speed: float, acceleration: float, p: Creep) -> tuple[float, ...]:
+        now = Reference(0.1, speed, acceleration, 0.0)
+        return friction_creeping(1e-4, now, later(now, LEAD), v, 1e-3, LEAD, FRICTION, p)
+
+    def alone(speed: float, acceleration: float) -> tuple[float, ...]:
+        now = Reference(0.1, speed, acceleration, 0.0)
+        return friction_ahead(1e-4, now, later(now, LEAD), 1e-3, LEAD, FRICTION)
+
+    assert of(0.05, 0.02, 0.0, Creep()) == alone(0.02, 0.0)
+    assert of(0.02, 0.02, 0.0, creep) == alone(0.02, 0.0)
+    share = 1.0 / (1.0 + (0.02 / 0.06) ** 4)
+    assert of(0.03, 0.02, 0.0, creep) == pytest.approx(alone(0.02 + share * 0.01, 0.0))
+    assert of(0.06, 0.06, 0.0, creep) == alone(0.06, 0.0)
+    assert of(0.07, 0.06, 0.0, creep)[4] == pytest.approx(alone(0.065, 0.0)[4])
+    assert of(0.03, 0.02, 0.2, creep)[4] == pytest.approx(alone(0.02 + 0.5 * share * 0.01, 0.2)[4])
 
 
 def test_bristles_under_a_force_hold_it_up_to_coulomb() -> None:

@@ -128,7 +128,8 @@ def test_laws_give_way_to_each_other_without_a_bump(one: str, other: str) -> Non
     assert tunables(rig.axis.state.law) == values(other)
     assert {t.state for t in after} == {State.TRACKING}
     assert max(abs(t.reference.position_m - t.estimate.position_m) for t in after) < 0.2e-3
-    assert largest_step([before[-1], *after[:20]]) <= 2.0 * largest_step(before)
+    by_itself = max(largest_step(before), largest_step(after[-100:]))
+    assert largest_step([before[-1], *after[:20]]) <= 2.0 * by_itself
     assert abs(rig.axis.state.controller.blend) < 0.02 * abs(begun)  # type: ignore[union-attr]
 
 

@@ -21,6 +21,7 @@ from pneud.control.step import Controller
 from pneud.loading import load
 from pneud.physics.plant import PlantParameters
 from pneud.rt.folders import cache_folder
+from pneud.signals import Reference
 from pneud.study import trial
 from pneud.study.trial import Errand, Pair, Verdict
 from pure2c import BuildError, compile_functions
@@ -233,13 +234,15 @@ def ticks_of() -> tuple[Any, Any]:
         return trial.trial, trial.tick
 
 
-def rig(step_m: float, bristles_n_m: float, standstill: bool = True) -> tuple[Controller, PlantParameters]:
+def rig(
+    step_m: float, bristles_n_m: float, standstill: bool = True, creep: bool = True
+) -> tuple[Controller, PlantParameters]:
     """virtual.toml with another encoder, and truly other bristles."""
     here = load(
         "virtual.toml",
         None,
         {
-            "control": {"standstill": standstill, "motion": {"encoder_resolution_m": step_m}},
+            "control": {"standstill": standstill, "creep": creep, "motion": {"encoder_resolution_m": step_m}},
             "plant": {
                 "sensors": {"encoder_resolution_m": step_m},
                 "friction": {"bristle_stiffness_n_m": bristles_n_m},
@@ -341,3 +344,16 @@ def test_loads_that_come_and_go_are_no_stiffer_bristles() -> None:
         pair = tick(pair, i * c.h, i == 0, errand._replace(force_n=force_n), c, plant, 10.0 / 4096)
         most = max(most, pair.state.learnt.stiffness)
     assert most < 3.0
+
+
+@pytest.mark.parametrize("creep", [True, False])
+def test_a_load_on_stiff_bristles_creeps_evenly_where_its_own_speed_is_fed_forward(creep: bool) -> None:
+    """20 mm/s, where friction falls with speed most steeply, and bristles of five times the stiffness."""
+    c, plant = rig(1e-6, 5e5, creep=creep)
+    run, v = ticks_of()[0], 0.02
+    x = [0.4 + 0.5 * v * 0.25, 0.4 + 0.5 * v * 0.25 + v * 2.0]
+    joins = Errand(way(septic(0.25, rest(0.4), Reference(x[0], v, 0.0, 0.0))), NOSINE)
+    creeps = Errand(way(septic(2.0, Reference(x[0], v, 0.0, 0.0), Reference(x[1], v, 0.0, 0.0))), NOSINE)
+    pair, _ = run(trial.begin(0.4, c, plant), True, 250, 0, 1e-3, joins, c, plant, 10.0 / 4096)
+    _, verdict = run(pair, False, 2000, 500, 1e-3, creeps, c, plant, 10.0 / 4096)
+    assert (verdict.rms_m < 1e-5) is creep

@@ -9,6 +9,7 @@ from pneud.axis.state import AxisParameters, Gate
 from pneud.config.learnt import adaptation_of, start_of
 from pneud.config.models import BusConfig, Config, ControlConfig, FrictionConfig, RealtimeConfig
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
+from pneud.control.feedforward import Creep
 from pneud.control.homing import HomingParameters
 from pneud.control.homogeneous import Feedback, feedback
 from pneud.control.laws.sliding import Sliding
@@ -43,6 +44,8 @@ SWING = 1.5  # times the tolerance does the error of a hunting load go to and fr
 MEAN_STEP_S = 0.3  # in which the mean step of the command is taken
 FAST = 16.0  # times the lead: a loop that swings faster is as fast as the valve
 FAST_S = 0.01  # where there is no lead
+STEEPEST = 0.858  # slope of exp(−(v/v_s)²), times v_s
+PASSING_S = 0.1  # a reference that passes the Stribeck speed in less does not creep
 BLEND_S = 0.1  # in which one set of gains gives way to another
 
 
@@ -205,7 +208,22 @@ def controller_of(c: Config) -> Controller:
         slot=slot_of(law, h),
         standstill=standstill_of(c),
         adaptation=adaptation_of(c),
+        creep=creep_of(c),
     )
+
+
+def creep_of(c: Config) -> Creep:
+    """Where the load's own speed is fed forward: as far as the motion filter knows it in time.
+
+    Friction that falls with speed makes a pole; where the filter lags behind it, it would be fed too late.
+    """
+    f, omega_rad_s = c.control.friction, c.control.motion.bandwidth_rad_s
+    fall_n = max(0.0, f.static_n - f.coulomb_n)
+    if not c.control.creep or f.bristle_stiffness_n_m <= 0.0 or fall_n == 0.0:
+        return Creep()
+    pole_rad_s = STEEPEST * fall_n / (f.stribeck_speed_m_s * c.cylinder.moving_mass_kg)
+    behind = pole_rad_s * 3.0 / omega_rad_s if omega_rad_s is not None else 0.0
+    return Creep(1.0 / (1.0 + behind**8), 3.0 * f.stribeck_speed_m_s, f.stribeck_speed_m_s / PASSING_S)
 
 
 def hold_v(c: Config, k: cyl.Cylinder) -> float:

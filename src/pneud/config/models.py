@@ -322,6 +322,7 @@ class ControlConfig(Section):
     predict: bool = True  # over transport delay and valve lag
     compensate_dead_zone: bool = False
     dead_zone_hold_v: Annotated[float, Field(ge=0, le=1)] = 0.02  # opening not worth crossing it, at most
+    creep: bool = True  # friction is fed forward at the load's own speed where the reference creeps
     standstill: bool = True  # a load at rest where it should be is left alone, the valve closed
     observer: ObserverConfig
     motion: MotionConfig

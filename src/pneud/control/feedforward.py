@@ -23,6 +23,14 @@ class FrictionAhead(NamedTuple):
     now_n: float  # at the sample
 
 
+class Creep(NamedTuple):
+    """Where a load creeps: friction that falls with speed is fed forward at the load's own speed there."""
+
+    share: float = 0.0  # of its deviation from the reference's speed; 0 for none
+    speed_m_s: float = 1.0  # of the reference, about which it fades
+    acceleration_m_s2: float = 1.0  # likewise
+
+
 def bristles_after(z: float, v: float, a: float, time_s: float) -> float:
     """Deflection [m] after a time at constant velocity: ż = v − a z has an exact solution.
 
@@ -80,6 +88,33 @@ def friction_ahead(
         gained1 += f.sigma0_n_m * z1 + f.sigma1_n_s_m * (v1 - a1 * z1)
         gained2 += f.sigma0_n_m * z2 + f.sigma1_n_s_m * zdot
     return FrictionAhead(z1, gained1, gained2, rate, force)
+
+
+def friction_creeping(
+    z: float, now: Reference, goal: Reference, v: float, h: float, lead_s: float, f: Friction, p: Creep
+) -> FrictionAhead:
+    """As `friction_ahead`, but at the load's own speed where the reference creeps.
+
+    There friction falls with speed, so that a load which lags is held back the more: an unstable pole of
+    nearly (F_s − F_c)/(M v_s). Fed forward at the load's speed, that slope is gone, as far as the speed is
+    known in time.
+
+    Args:
+        z: deflection now [m].
+        now: the reference at the sample.
+        goal: the reference when the command has its effect, `lead_s` later.
+        v: velocity of the load [m/s].
+        h: sample time [s].
+        lead_s: time until the command has its effect [s].
+        f: the friction as identified.
+        p: where it creeps.
+    """
+    speed, acceleration = now.velocity_m_s / p.speed_m_s, now.acceleration_m_s2 / p.acceleration_m_s2
+    fast = speed * speed
+    more = p.share * (v - now.velocity_m_s) / ((1.0 + fast * fast) * (1.0 + acceleration * acceleration))
+    own = Reference(now.position_m, now.velocity_m_s + more, now.acceleration_m_s2, now.jerk_m_s3)
+    later = Reference(goal.position_m, goal.velocity_m_s + more, goal.acceleration_m_s2, goal.jerk_m_s3)
+    return friction_ahead(z, own, later, h, lead_s, f)
 
 
 def friction_felt(z: float, v: float, h: float, lead_s: float, f: Friction) -> FrictionAhead:

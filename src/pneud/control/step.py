@@ -21,8 +21,9 @@ from pneud.control.adaptation import (
 from pneud.control.disturbance import Observer, ObserverState
 from pneud.control.disturbance import observe as observe_disturbance
 from pneud.control.feedforward import (
+    Creep,
     bristles_under,
-    friction_ahead,
+    friction_creeping,
     friction_felt,
     held_by_bristles,
     recalled,
@@ -77,6 +78,7 @@ class Controller(NamedTuple):
     slot: Slot = Slot()  # which law runs
     standstill: Standstill = Standstill()
     adaptation: Adaptation = Adaptation()
+    creep: Creep = Creep()
 
 
 class ControllerState(NamedTuple):
@@ -167,6 +169,7 @@ def as_learnt(p: Controller, learnt: Learnt) -> Controller:
         p.slot,
         p.standstill,
         p.adaptation,
+        p.creep,
     )
 
 
@@ -287,7 +290,9 @@ def situation(state: ControllerState, e: Estimate, r: Reference, p: Controller) 
         friction = friction_felt(state.bristles_m, e.velocity_m_s, p.h, p.lead_s, p.friction)
         force_rate *= STILL_RATE
     else:
-        friction = friction_ahead(state.bristles_m, r, goal, p.h, p.lead_s, p.friction)
+        friction = friction_creeping(
+            state.bristles_m, r, goal, e.velocity_m_s, p.h, p.lead_s, p.friction, p.creep
+        )
     motion = at_effect(state, e, friction.ahead_n + p.lead_s * state.force_rate, p)
     w1, w2, w3 = errors(motion, goal, M)
     return Situation(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pneud.config.conversions import axis_of, plant_of
 from pneud.control.adaptation import Adaptation
+from pneud.control.feedforward import Creep
 from pneud.control.reference import Sine, at, rest, septic, sine
 from pneud.control.standstill import Standstill
 from pneud.control.step import Controller, start
@@ -70,7 +71,7 @@ class Bench(NamedTuple):
 def bench_of(loaded: Loaded, compiled: bool) -> Bench:
     """The bench of an axis; `compiled` needs numba.
 
-    Laws are compared as such: nothing is learnt, and at rest no law gives way.
+    Laws are compared as such: nothing is learnt, no law gives way at rest, none is helped in creeping.
     """
     from pneud.study.jit import jitted  # noqa: PLC0415  (only where it is wanted)
 
@@ -78,6 +79,7 @@ def bench_of(loaded: Loaded, compiled: bool) -> Bench:
     law = axis.controller
     controller = law._replace(
         standstill=Standstill(),
+        creep=Creep(),
         adaptation=Adaptation(),
         sliding=law.sliding._replace(hold_v=loaded.config.control.dead_zone_hold_v),
     )
