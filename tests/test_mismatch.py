@@ -137,6 +137,15 @@ def test_a_plant_that_few_rigs_have_is_a_warning_at_its_key(plant: dict[str, Any
     assert [(f.key, f.is_error) for f in findings(told(**plant), LSB_V, 40.0)] == [(key, False)]
 
 
+def test_the_end_of_the_travel_is_a_place_within_it() -> None:
+    """0.001 + (0.052 − 0.001) is beyond 0.052 by rounding, and arming is refused nowhere."""
+    data = KNOWN.model_dump(by_alias=True)
+    data["cylinder"]["stroke_m"], data["plant"]["initial_x1_m"] = 0.053, 0.04
+    data["reference"] |= {"effective_centre_m": 0.0397, "amplitude_m": 0.002}
+    data["limits"] |= {"travel_min_m": 0.001, "travel_max_m": 0.052}
+    assert findings(Config.model_validate(data), LSB_V, 40.0) == []
+
+
 def upright(**cylinder: float) -> Config:
     data = KNOWN.model_dump(by_alias=True)
     data["cylinder"].update(cylinder)

@@ -105,6 +105,25 @@ def test_what_it_writes_can_be_read_and_no_check_refuses_it(
     assert set(wrong) <= {"cylinder.moving_mass_kg"}  # light as no rig is
 
 
+def test_a_rig_that_cannot_be_is_not_written(tmp_path: Path) -> None:
+    done = pneud(tmp_path, "new", *SMALL.replace("0.8", "40").split(), "--inclination", "90")
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert "40 kg are too heavy: 392 N of weight" in done.stderr
+    done = pneud(
+        tmp_path, "new", *SMALL.replace("16", "63").replace("0.8", "0.05").replace("dsnu", "dsbc").split()
+    )
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert "no rig is like that: 0.05 kg on a piston" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("bar", ["2", "10"])
+def test_its_frames_can_carry_any_supply(tmp_path: Path, bar: str) -> None:
+    done = pneud(tmp_path, "new", *SMALL.split(), "--supply", bar, "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert load(tmp_path / "axis.toml").config.gas.supply_pa == pytest.approx(101_000.0 + 1e5 * float(bar))
+
+
 def test_what_is_missing_is_said_in_one_line_and_nothing_is_written(tmp_path: Path) -> None:
     done = pneud(tmp_path, "new", "press", "--stroke", "100")
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)

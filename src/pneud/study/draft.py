@@ -23,8 +23,8 @@ STATIC = 1.5  # times the sliding friction
 ALPHA, ERROR_M = 0.923, 1e-3
 BANDWIDTHS_RAD_S = (75.0, 65.0, 55.0, 47.0, 40.0, 34.0, 29.0, 25.0, 21.0, 18.0)
 FAIR_RAD_S = 30.0  # where something speaks against each of them
+MOST_PA = 1.3e6  # that the frames of pneud.dbc can carry
 MOST_WEIGHT = 0.7  # with friction, of the piston's force
-RUN_UP = 0.25  # part of the acceleration that the reference has: the way onto it stays short
 LARGEST_M = 0.05  # amplitude of the reference
 
 
@@ -137,9 +137,9 @@ def _rig(a: Answers) -> dict[str, float]:
         "travel_max": 0.98 * stroke,
         "margin": min(1e-3, 0.005 * stroke),
         "tracking_error": min(0.02, 0.1 * stroke),
-        "chamber_max": max(1e6, 1.6 * supply),
+        "chamber_max": min(max(1e6, 1.6 * supply), MOST_PA),
         "supply_min": ATMOSPHERE_PA + 0.7 * (supply - ATMOSPHERE_PA),
-        "supply_max": 1.33 * supply,
+        "supply_max": min(1.33 * supply, MOST_PA),
         "disagreement": 1.25 * push + weight,
         "stuck": 0.35 * push,
         **_motions(a, stroke, push - weight - static),
@@ -160,7 +160,7 @@ def _motions(a: Answers, stroke: float, spare_n: float) -> dict[str, float]:
         "transfer_acceleration": 0.4 * acceleration,
         "transfer_jerk": 20.0 * 0.4 * acceleration,
         "braking": min(10.0, 2.0 * acceleration),
-        "amplitude": min(0.1 * stroke, LARGEST_M, 0.6 * speed / math.pi, RUN_UP * acceleration / math.pi**2),
+        "amplitude": min(0.1 * stroke, LARGEST_M, 0.6 * speed / math.pi, acceleration / math.pi**2),
     }
 
 

@@ -112,7 +112,7 @@ def _joining(axis: AxisParameters) -> Iterator[Doubt]:
     """From where no way within the travel leads onto the reference, so that arming is refused there."""
     limits, first = axis.limits, sine(0.0, axis.reference)
     low_m, high_m = limits.travel_min_m, limits.travel_max_m
-    places = [low_m + i * (high_m - low_m) / PLACES for i in range(PLACES + 1)]
+    places = [*(low_m + i * (high_m - low_m) / PLACES for i in range(PLACES)), high_m]
     shut = [x for x in places if not stays(transfer(rest(x), first, axis.transfer), low_m, high_m)]
     if not shut:
         return

@@ -11,10 +11,9 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from pneud import resources
-from pneud.bus.codec import load_codecs
 from pneud.config import library
 from pneud.config.models import ConfigError, check_channel
+from pneud.loading import load
 from pneud.rt.outputs import replacing
 from pneud.study.draft import Answers, Draft, drafted
 from pneud.study.plausibility import findings
@@ -153,13 +152,12 @@ def new(
     if path.exists():
         raise VerbError(f"{path}: is there already; take another name, or -o FILE")
     draft = drafted(answers)
-    codecs = load_codecs(draft.config.bus, resources.find(draft.config.bus.dbc))
-    found = findings(draft.config, codecs.command_lsb_v, draft.bandwidth_rad_s)
-    if wrong := [finding.words for finding in found if finding.is_error]:
-        raise ConfigError(f"{answers.name}: no rig is like that: {'; '.join(wrong)}")
-    draft = draft._replace(warnings=[f"{f.key}: {f.words}" for f in found] + draft.warnings)
     with replacing(path) as beside:
         beside.write_text(draft.text, encoding="utf-8")
+        found = findings(draft.config, load(beside).codecs.command_lsb_v, draft.bandwidth_rad_s)
+        if wrong := [finding.words for finding in found if finding.is_error]:
+            raise ConfigError(f"{answers.name}: no rig is like that: {'; '.join(wrong)}")
+    draft = draft._replace(warnings=[f"{f.key}: {f.words}" for f in found] + draft.warnings)
     print(_as_json(path, draft) if json else _in_words(path, draft))
     return 0
 
