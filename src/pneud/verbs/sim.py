@@ -20,6 +20,8 @@ from pneud.log.format.header import SNAPSHOT_S, LogHeader
 from pneud.loop.summary import in_words, summarise
 from pneud.loop.tally import Tally
 from pneud.replay.lockstep import Simulation, backend_of
+from pneud.replay.moves import Course, moves_of
+from pneud.replay.moves import in_words as moves_in_words
 from pneud.safety.faults import FAULT_NAMES
 from pneud.scenario import verdict
 from pneud.scenario.files import load_axis, load_scenario
@@ -29,6 +31,7 @@ from pneud.study.comparison import in_words as compared
 from pneud.verbs import JsonOption, ScenarioOption, SeedOption, VerbError
 
 DURATION_S = 10.0
+MOVE_S = 20.0  # at most for each move, unless --duration says otherwise
 MOST_REST_S = 600.0
 NO_LOG = -1
 
@@ -43,6 +46,10 @@ def sim(
     duration_s: Annotated[
         float | None, typer.Option("--duration", metavar="S", help="Simulated time; default 10 s.")
     ] = None,
+    goto: Annotated[
+        str | None,
+        typer.Option("--goto", metavar="MM[@MM_S],…", help="Go to positions in turn, in place of tracking."),
+    ] = None,
     scenario_file: ScenarioOption = None,
     seed: SeedOption = 0,
     laws: Annotated[
@@ -56,7 +63,7 @@ def sim(
     """Simulate an axis, or compare its laws.
 
     Returns:
-        Exit status: 0 where the axis tracks until the end, 1 where it does not.
+        Exit status: 0 where the axis tracks until the end, or has come to all positions; 1 where not.
 
     Raises:
         ConfigError: the configuration cannot be used.
@@ -66,9 +73,9 @@ def sim(
         VerbError: an option does not go with another.
     """
     if laws:
-        if output is not None or seed or scenario_file is not None:
+        if output is not None or seed or scenario_file is not None or goto is not None:
             raise VerbError(
-                "--compare writes no log and has its own seed; leave out -o, --seed and --scenario"
+                "--compare writes no log and has its own seed; leave out -o, --seed, --scenario and --goto"
             )
         return _compare(config_file or "virtual.toml", DURATION_S if duration_s is None else duration_s, json)
     scenario = load_scenario(scenario_file) if scenario_file is not None else None
@@ -76,17 +83,23 @@ def sim(
         raise ConfigError(
             f"scenario {scenario.name}: takes a real machine; pneud --virtual --scenario plays it"
         )
+    if scenario is not None and goto is not None:
+        raise VerbError("--goto: a scenario's verdict is on tracking; leave out --scenario")
+    course = Course(moves_of(goto)) if goto is not None else None
+    if duration_s is None and course is not None:
+        duration_s = DURATION_S + MOVE_S * len(course.results)
     if duration_s is None:
         duration_s = scenario.duration_s if scenario is not None else DURATION_S
     if not 0.0 < duration_s <= 1e6:
         raise ConfigError(f"--duration {duration_s:g}: must lie between 0 and 1,000,000 s")
     loaded = load_axis(config_file, None, scenario)
     how = backend_of(loaded)
-    run = Simulation(loaded, duration_s, seed, how, scenario=scenario)
+    operator = course.ask if course is not None else None
+    run = Simulation(loaded, duration_s, seed, how, scenario=scenario, operator=operator)
     path = log_path(str(output), loaded.config.name) if output is not None else None
     with new_log(path) if path is not None else nullcontext(NO_LOG) as descriptor:
         writer = _writer(descriptor, loaded, seed, how.name) if path is not None else None
-        tally, seen = _run(run, loaded.config.loop.rate_hz, writer)
+        tally, seen = _run(run, loaded.config.loop.rate_hz, writer, course)
         whole = writer is None or (writer.close() and not writer.unwritten)
     if writer is not None and not whole:
         why = os.strerror(writer.error) if writer.error > 0 else "some ticks fit into no log"
@@ -106,23 +119,32 @@ def sim(
     if run.engine is not None and scenario is not None:
         run.engine.settle()
         summary["scenario"] = verdict.judge(scenario, loaded.config, seen, run.engine.effects.as_dict())
-    never = tally.never_armed()
+    if course is not None:
+        summary["moves"] = course.results
+    never = tally.never_armed() if course is None or not course.begun else None
     if never is not None:
         summary["never_armed"] = never
         print(f"pneud: never armed: {', '.join(never)}", file=sys.stderr)
     print(json_.dumps(summary) if json else in_words(summary))
     if scenario is not None and not json:
         print(verdict.in_words(summary["scenario"]))
-    return 0 if tally.state == State.TRACKING and not tally.ever_latched and whole else 1
+    if course is not None and not json:
+        print(moves_in_words(course.results))
+    good = course.good if course is not None else tally.state == State.TRACKING
+    return 0 if good and not tally.ever_latched and whole else 1
 
 
-def _run(run: Simulation, rate_hz: float, writer: LogWriter | None) -> tuple[Tally, verdict.Observed]:
+def _run(
+    run: Simulation, rate_hz: float, writer: LogWriter | None, course: Course | None
+) -> tuple[Tally, verdict.Observed]:
     """All ticks, counted and written down."""
     tally = Tally(truth=True, timed=False)
     seen = verdict.Observed()
     snapshot_ticks, written = max(1, round(SNAPSHOT_S * rate_hz)), 0
     for record in run.records():
         tally.add(record, run.axis.plan, ending=run.shut)
+        if course is not None:
+            course.see(record)
         request = record.tick.request
         if request is not None and request.kind == RequestKind.ARM:
             tally.asked_to_arm(record.tick)
