@@ -8,7 +8,7 @@ import os
 import sys
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -25,15 +25,20 @@ from pneud.replay.moves import in_words as moves_in_words
 from pneud.safety.faults import FAULT_NAMES
 from pneud.scenario import verdict
 from pneud.scenario.files import load_axis, load_scenario
+from pneud.scenario.format import Scenario
 from pneud.signals import RequestKind, State
 from pneud.study.comparison import as_json, compare
 from pneud.study.comparison import in_words as compared
 from pneud.verbs import JsonOption, ScenarioOption, SeedOption, VerbError
 
 DURATION_S = 10.0
-MOVE_S = 20.0  # at most for each move, unless --duration says otherwise
+MOVE_S = 20.0  # at most, of each
 MOST_REST_S = 600.0
 NO_LOG = -1
+GotoOption = Annotated[
+    str | None,
+    typer.Option("--goto", metavar="MM[@MM_S],…", help="Go to positions in turn, in place of tracking."),
+]
 
 
 def sim(
@@ -46,10 +51,7 @@ def sim(
     duration_s: Annotated[
         float | None, typer.Option("--duration", metavar="S", help="Simulated time; default 10 s.")
     ] = None,
-    goto: Annotated[
-        str | None,
-        typer.Option("--goto", metavar="MM[@MM_S],…", help="Go to positions in turn, in place of tracking."),
-    ] = None,
+    goto: GotoOption = None,
     scenario_file: ScenarioOption = None,
     seed: SeedOption = 0,
     laws: Annotated[
@@ -78,18 +80,12 @@ def sim(
                 "--compare writes no log and has its own seed; leave out -o, --seed, --scenario and --goto"
             )
         return _compare(config_file or "virtual.toml", DURATION_S if duration_s is None else duration_s, json)
-    scenario = load_scenario(scenario_file) if scenario_file is not None else None
-    if scenario is not None and scenario.needs_machine:
-        raise ConfigError(
-            f"scenario {scenario.name}: takes a real machine; pneud --virtual --scenario plays it"
-        )
-    if scenario is not None and goto is not None:
+    if scenario_file is not None and goto is not None:
         raise VerbError("--goto: a scenario's verdict is on tracking; leave out --scenario")
+    scenario = _playable(scenario_file) if scenario_file is not None else None
     course = Course(moves_of(goto)) if goto is not None else None
-    if duration_s is None and course is not None:
-        duration_s = DURATION_S + MOVE_S * len(course.results)
     if duration_s is None:
-        duration_s = scenario.duration_s if scenario is not None else DURATION_S
+        duration_s = _usual_s(scenario, course)
     if not 0.0 < duration_s <= 1e6:
         raise ConfigError(f"--duration {duration_s:g}: must lie between 0 and 1,000,000 s")
     loaded = load_axis(config_file, None, scenario)
@@ -104,8 +100,6 @@ def sim(
     if writer is not None and not whole:
         why = os.strerror(writer.error) if writer.error > 0 else "some ticks fit into no log"
         print(f"pneud: {path}: could not be written whole: {why}", file=sys.stderr)
-    if run.axis.failure is not None:
-        print(f"pneud: exception in the cycle: {run.axis.failure!r}", file=sys.stderr)
     summary = summarise(
         tally,
         bus="simulated",
@@ -125,13 +119,34 @@ def sim(
     if never is not None:
         summary["never_armed"] = never
         print(f"pneud: never armed: {', '.join(never)}", file=sys.stderr)
-    print(json_.dumps(summary) if json else in_words(summary))
-    if scenario is not None and not json:
-        print(verdict.in_words(summary["scenario"]))
-    if course is not None and not json:
-        print(moves_in_words(course.results))
+    print(json_.dumps(summary) if json else _in_words(summary))
     good = course.good if course is not None else tally.state == State.TRACKING
     return 0 if good and not tally.ever_latched and whole else 1
+
+
+def _playable(scenario_file: str) -> Scenario:
+    scenario = load_scenario(scenario_file)
+    if scenario.needs_machine:
+        raise ConfigError(
+            f"scenario {scenario.name}: takes a real machine; pneud --virtual --scenario plays it"
+        )
+    return scenario
+
+
+def _usual_s(scenario: Scenario | None, course: Course | None) -> float:
+    """How long a run is, unless `--duration` says otherwise [s]; moves end it before."""
+    if course is not None:
+        return DURATION_S + MOVE_S * len(course.results)
+    return scenario.duration_s if scenario is not None else DURATION_S
+
+
+def _in_words(summary: dict[str, Any]) -> str:
+    lines = [in_words(summary)]
+    if "scenario" in summary:
+        lines.append(verdict.in_words(summary["scenario"]))
+    if "moves" in summary:
+        lines.append(moves_in_words(summary["moves"]))
+    return "\n".join(lines)
 
 
 def _run(
@@ -155,6 +170,8 @@ def _run(
             written += 1
             if written % snapshot_ticks == 0:
                 writer.snapshot(run.turn.freeze())
+    if run.axis.failure is not None:
+        print(f"pneud: exception in the cycle: {run.axis.failure!r}", file=sys.stderr)
     return tally, seen
 
 
