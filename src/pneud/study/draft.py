@@ -25,6 +25,7 @@ BANDWIDTHS_RAD_S = (75.0, 65.0, 55.0, 47.0, 40.0, 34.0, 29.0, 25.0, 21.0, 18.0)
 FAIR_RAD_S = 30.0  # where something speaks against each of them
 MOST_PA = 1.3e6  # that the frames of pneud.dbc can carry
 MOST_WEIGHT = 0.7  # with friction, of the piston's force
+COLUMN = 31  # of the comments
 LARGEST_M = 0.05  # amplitude of the reference
 
 
@@ -63,7 +64,7 @@ def drafted(a: Answers) -> Draft:
     values = {**_words(a), **{key: _plain(value) for key, value in _rig(a).items()}}
 
     def filled(c: Config | None, omega_rad_s: float) -> str:
-        return template.substitute(values, omega=f"{omega_rad_s:g}", **_gains(c))
+        return _aligned(template.substitute(values, omega=f"{omega_rad_s:g}", **_gains(c)))
 
     c = parse(filled(None, 1.0), a.name)
     for omega_rad_s in (*BANDWIDTHS_RAD_S, FAIR_RAD_S):
@@ -73,6 +74,14 @@ def drafted(a: Answers) -> Draft:
             break
     text = filled(made, omega_rad_s)
     return Draft(text, parse(text, a.name), omega_rad_s, doubts)
+
+
+def _aligned(text: str) -> str:
+    """The comments behind values in one column."""
+    lines = [line.partition(" # ") for line in text.splitlines()]
+    return "".join(
+        f"{code.rstrip():<{COLUMN}}# {said}\n" if sign else f"{code}\n" for code, sign, said in lines
+    )
 
 
 def _words(a: Answers) -> dict[str, str]:

@@ -110,7 +110,7 @@ def new(
         str | None,
         typer.Option("--valve", metavar="V", help="Of the library, flow in l/min, kv=, cv= or c=,b=."),
     ] = None,
-    stroke: Annotated[str | None, typer.Option("--stroke", metavar="MM")] = None,
+    stroke: Annotated[str | None, typer.Option("--stroke", metavar="MM", help="Of the piston.")] = None,
     mass: Annotated[str | None, typer.Option("--mass", metavar="KG", help="Piston, rod and load.")] = None,
     inclination: Annotated[
         str | None,
