@@ -7,7 +7,14 @@ import math
 from pneud.axis.standing import Expected
 from pneud.axis.state import AxisParameters, Gate
 from pneud.config.learnt import adaptation_of, start_of
-from pneud.config.models import BusConfig, Config, ControlConfig, FrictionConfig, RealtimeConfig
+from pneud.config.models import (
+    BusConfig,
+    Config,
+    ControlConfig,
+    FrictionConfig,
+    PlantValveConfig,
+    RealtimeConfig,
+)
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.feedforward import Creep
 from pneud.control.homing import HomingParameters
@@ -95,34 +102,63 @@ def friction_of(f: FrictionConfig) -> Friction:
     )
 
 
+def truth_of(c: Config) -> Config:
+    """The configuration of somebody who knows the plant's cylinder, gas and valve (the dead zone's mean)."""
+    p = c.plant
+    v = p.valve
+    plus, minus = edges_v(v)
+    valve = {
+        "orifice_area_m2": v.orifice_area_m2 or c.valve.orifice_area_m2,
+        "u_max_v": v.u_max_v or c.valve.u_max_v,
+        "bandwidth_hz": v.bandwidth_hz,
+        "damping": v.damping,
+        "dead_zone_v": 0.5 * (plus + minus),
+    }
+    return c.model_copy(
+        update={
+            "cylinder": c.cylinder.model_copy(update=p.cylinder.model_dump(exclude_none=True)),
+            "gas": c.gas.model_copy(update=p.gas.model_dump(exclude_none=True)),
+            "valve": c.valve.model_copy(update=valve),
+        }
+    )
+
+
+def edges_v(v: PlantValveConfig) -> tuple[float, float]:
+    """The edges of the true dead zone for u > 0 and u < 0, as distances from its centre [V]."""
+    plus, minus = v.dead_zone_positive_v, v.dead_zone_negative_v
+    return v.dead_zone_v if plus is None else plus, v.dead_zone_v if minus is None else minus
+
+
 def plant_of(c: Config) -> PlantParameters:
     """The true plant as plain numbers."""
-    p = c.plant
-    cylinder = cylinder_of(c)
+    p, true = c.plant, truth_of(c)
+    v, (plus, minus) = p.valve, edges_v(p.valve)
+    incremental = (p.sensors.encoder_kind or c.encoder.kind) == "incremental"
+    cylinder, gas = cylinder_of(true), gas_of(true)
     if not p.rod_force:
         cylinder = cylinder._replace(rod_force_n=0.0)
+    start_m = p.initial_x1_m + (cylinder.x_e1 - c.cylinder.dead_length_1_m)
     return PlantParameters(
-        gas=gas_of(c),
+        gas=gas,
         cylinder=cylinder,
-        valve=Valve(
-            c.valve.u_max_v, 2.0 * math.pi * p.valve.bandwidth_hz, p.valve.damping, p.valve.dead_zone_v
-        ),
+        valve=valve_of(true)._replace(centre_v=v.centre_v + 0.5 * (plus - minus)),
         friction=friction_of(p.friction),
-        polytropic_exponent=p.polytropic_exponent or c.gas.heat_capacity_ratio,
+        polytropic_exponent=p.polytropic_exponent or gas.k,
         reverse_flow=p.reverse_flow,
         step_s=p.step_us * 1e-6,
-        initial_x1=p.initial_x1_m,
+        initial_x1=start_m,
         initial_p2_pa=p.initial_p2_pa,
         disturbance=("none", "case1", "case2").index(p.disturbance),
-        dac_bits=p.valve.dac_bits,
-        valve_timeout_s=c.bus.valve_timeout_ms * 1e-3,
+        dac_bits=v.dac_bits,
+        valve_timeout_s=(v.timeout_ms or c.bus.valve_timeout_ms) * 1e-3,
         encoder_resolution_m=p.sensors.encoder_resolution_m,
         pressure_resolution_pa=p.sensors.pressure_resolution_pa,
         pressure_noise_pa=p.sensors.pressure_noise_pa,
-        encoder_zero_m=p.initial_x1_m - cylinder.x_e1 if c.encoder.kind == "incremental" else 0.0,
-        encoder_referenced=c.encoder.kind == "absolute",
+        encoder_zero_m=start_m - cylinder.x_e1 if incremental else 0.0,
+        encoder_referenced=not incremental,
         bitrate_bit_s=p.bitrate_bit_s,
         node_delay_s=p.node_delay_us * 1e-6,
+        load_n=true.cylinder.resistance_n,
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
-from pneud.control.adaptation import Adaptation, Learnt, Rate
+from pneud.control.adaptation import Adaptation, Learnt, Rate, within
 
 if TYPE_CHECKING:
     from pneud.config.models import Config
@@ -27,7 +27,7 @@ class Quantity(NamedTuple):
     name: str  # in `[control.adaptation.start]`
     of: str  # field of `Learnt`
     rate: str  # field of `Adaptation`
-    key: str  # of the configuration; none where that says 0
+    key: str  # of the configuration
     check: str  # what may be wrong where it stands at its bound
 
 
@@ -44,7 +44,7 @@ QUANTITIES = (
         "control.friction.bristle_stiffness_n_m",
         "control.adaptation.stiffness",
     ),
-    Quantity("load_n", "load_n", "load", "", "what pushes the load"),
+    Quantity("load_n", "load_n", "load", "cylinder.load_n", "what pushes the load"),
     Quantity("moving_mass_kg", "mass", "mass", "cylinder.moving_mass_kg", "the load"),
 )
 ADDED = ("edge_plus_v", "edge_minus_v", "load_n")  # all others are factors
@@ -79,7 +79,7 @@ def start_of(c: Config) -> Learnt:
         raise ValueError(
             f"control.adaptation.start.axis = {start.axis!r}: learnt on another axis than {c.name!r}"
         )
-    found: dict[str, Any] = {}
+    found: dict[str, Any] = {"load_n": within(c.cylinder.resistance_n, p.load)}
     for q, value in given.items():
         configured, r = _configured(q, c), getattr(p, q.rate)
         if not configured and q.of not in ADDED:
@@ -113,17 +113,19 @@ def values_learnt(learnt: Learnt, c: Config) -> Values:
         room = SLACK * (most - least)
         at_bound = differs and not least + room < value < most - room
         numbers = {"value": value, "configured": configured, "least": least, "most": most}
-        check = f"{q.key}, {q.check}".lstrip(", ") if at_bound else None
+        check = f"{q.key}, {q.check}" if at_bound else None
         found[q.name] = {name: float(f"{x:.6g}") for name, x in numbers.items()} | {"check": check}
     return found
 
 
 def _configured(q: Quantity, c: Config) -> float:
-    return float(attrgetter(q.key)(c)) if q.key else 0.0
+    return c.cylinder.resistance_n if q.of == "load_n" else float(attrgetter(q.key)(c))
 
 
 def _value(q: Quantity, configured: float, relative: float) -> float:
-    """What a difference or a factor stands for; the lag's factor is that of a time."""
+    """What a difference or a factor stands for; the lag's is that of a time, the load itself."""
+    if q.of == "load_n":
+        return relative
     if q.of in ADDED:
         return configured + relative
     return configured / relative if q.of == "lag" else configured * relative
@@ -131,6 +133,8 @@ def _value(q: Quantity, configured: float, relative: float) -> float:
 
 def _relative(q: Quantity, configured: float, value: float) -> float:
     """The difference or factor, as the law knows it."""
+    if q.of == "load_n":
+        return value
     if q.of in ADDED:
         return value - configured
     return configured / value if q.of == "lag" else value / configured

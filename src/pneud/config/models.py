@@ -20,8 +20,22 @@ NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
 Pressure = Annotated[float, Field(gt=0, le=2.0e6)]
 Resolution = Annotated[float, Field(ge=0, le=1e-3)]
+Area = Annotated[float, Field(gt=0, le=0.2)]
+Stroke = Annotated[float, Field(gt=0, le=20)]
+Mass = Annotated[float, Field(gt=0, le=10_000)]
+Force = Annotated[float, Field(ge=-100_000, le=100_000)]
+Inclination = Annotated[float, Field(ge=-90, le=90)]
+HeatRatio = Annotated[float, Field(gt=1, lt=2)]
+Temperature = Annotated[float, Field(ge=200, le=400)]
+Orifice = Annotated[float, Field(gt=0, le=1e-3)]
+Command = Annotated[float, Field(gt=0, le=5)]
+Damping = Annotated[float, Field(gt=0, le=5)]
+DeadZone = Annotated[float, Field(ge=0, lt=2.5)]
+Timeout = Annotated[float, Field(ge=1, le=1000)]
+EncoderKind = Literal["absolute", "incremental"]
 MaybeInfinite = Annotated[float, Field(gt=0, allow_inf_nan=True)]
 
+GRAVITY_M_S2 = 9.80665
 STOP_M = 0.01  # limits.travel may reach so far behind the end stops
 
 
@@ -57,20 +71,27 @@ def check_channel(text: str) -> None:
 class CylinderConfig(Section):
     """Geometry and load."""
 
-    piston_area_1_m2: Annotated[float, Field(gt=0, le=0.2)]  # cap end
-    piston_area_2_m2: Annotated[float, Field(gt=0, le=0.2)]  # rod end: without the rod
-    stroke_m: Annotated[float, Field(gt=0, le=20)]
+    piston_area_1_m2: Area  # cap end
+    piston_area_2_m2: Area  # rod end: without the rod
+    stroke_m: Stroke
     dead_length_1_m: Positive  # volume before the piston at its end, with its hose, as a length
     dead_length_2_m: Positive  # likewise
-    moving_mass_kg: Annotated[float, Field(gt=0, le=10_000)]  # piston, rod and load
+    moving_mass_kg: Mass  # piston, rod and load
+    inclination_deg: Inclination = 0.0  # of the way out against the horizontal; 90 lifts the mass
+    load_n: Force = 0.0  # constant force against the way out, besides the weight
+
+    @property
+    def resistance_n(self) -> float:
+        """Weight and constant load [N] against the way out."""
+        return self.load_n + self.moving_mass_kg * GRAVITY_M_S2 * math.sin(math.radians(self.inclination_deg))
 
 
 class GasConfig(Section):
     """The medium and its supply; pressures are absolute."""
 
-    heat_capacity_ratio: Annotated[float, Field(gt=1, lt=2)] = 1.4
+    heat_capacity_ratio: HeatRatio = 1.4
     gas_constant_j_kg_k: Positive = 286.987
-    temperature_k: Annotated[float, Field(ge=200, le=400)] = 293.0  # of the supply and of what flows
+    temperature_k: Temperature = 293.0  # of the supply and of what flows
     atmosphere_pa: Pressure = 101_000.0
     supply_pa: Pressure  # absolute, as is everything here
 
@@ -84,11 +105,11 @@ class GasConfig(Section):
 class ValveConfig(Section):
     """The proportional valve as the controller knows it."""
 
-    orifice_area_m2: Annotated[float, Field(gt=0, le=1e-3)]  # open to the end
-    u_max_v: Annotated[float, Field(gt=0, le=5)] = 5.0  # signed about the centre; the DAC saturates here
+    orifice_area_m2: Orifice  # open to the end
+    u_max_v: Command = 5.0  # signed about the centre; the DAC saturates here
     bandwidth_hz: NonNegative = 0.0  # natural frequency of the spool; 0: none
-    damping: Annotated[float, Field(gt=0, le=5)] = 0.7  # of the spool
-    dead_zone_v: Annotated[float, Field(ge=0, lt=2.5)] = 0.0  # half width about the centre
+    damping: Damping = 0.7  # of the spool
+    dead_zone_v: DeadZone = 0.0  # half width about the centre
 
 
 class LoopConfig(Section):
@@ -163,7 +184,7 @@ class BusConfig(Section):
     sync: bool = True  # the sensors answer SYNC; else they run free
     bitrate_bit_s: MaybeInfinite = 1.0e6  # `inf` where frames go over no wire
     sensor_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0  # without a valid frame
-    valve_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0  # likewise
+    valve_timeout_ms: Timeout = 50.0  # likewise
     deadline_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0  # without a complete set in time
     overload_timeout_ms: Annotated[float, Field(ge=1, le=10_000)] = 1000.0  # every tick after skipped ones
     command_delay_us: Annotated[float, Field(ge=0, le=10_000)] | None = None  # sampling → command acts
@@ -360,7 +381,7 @@ class HomingConfig(Section):
 class EncoderConfig(Section):
     """What the encoder knows when it is switched on."""
 
-    kind: Literal["absolute", "incremental"] = "absolute"  # an incremental one has to be homed
+    kind: EncoderKind = "absolute"  # an incremental one has to be homed
     homing: HomingConfig = HomingConfig()
 
 
@@ -469,28 +490,61 @@ class LogConfig(Section):
         return self
 
 
-class PlantValveConfig(Section):
-    """The true valve."""
+class PlantCylinderConfig(Section):
+    """The true geometry and load; what is not given is as in `[cylinder]`."""
 
+    piston_area_1_m2: Area | None = None
+    piston_area_2_m2: Area | None = None
+    stroke_m: Stroke | None = None
+    dead_length_1_m: Positive | None = None
+    dead_length_2_m: Positive | None = None
+    moving_mass_kg: Mass | None = None
+    inclination_deg: Inclination | None = None
+    load_n: Force | None = None
+
+
+class PlantGasConfig(Section):
+    """The true medium and supply; what is not given is as in `[gas]`."""
+
+    heat_capacity_ratio: HeatRatio | None = None
+    gas_constant_j_kg_k: Positive | None = None
+    temperature_k: Temperature | None = None
+    atmosphere_pa: Pressure | None = None
+    supply_pa: Pressure | None = None
+
+
+class PlantValveConfig(Section):
+    """The true valve; area, greatest command and time-out are those of `[valve]` and `[bus]` if not given."""
+
+    orifice_area_m2: Orifice | None = None
+    u_max_v: Command | None = None
     bandwidth_hz: NonNegative = 0.0  # 0: none
-    damping: Annotated[float, Field(gt=0, le=5)] = 0.7
-    dead_zone_v: Annotated[float, Field(ge=0, lt=2.5)] = 0.0
+    damping: Damping = 0.7
+    dead_zone_v: DeadZone = 0.0  # on either side
+    dead_zone_positive_v: DeadZone | None = None  # edge for u > 0, where it is another
+    dead_zone_negative_v: DeadZone | None = None  # likewise for u < 0, as a distance from the centre
+    centre_v: Annotated[float, Field(gt=-2.5, lt=2.5)] = 0.0  # command from which both edges count
     dac_bits: Annotated[int, Field(ge=0, le=24)] = 0  # 0: any voltage
+    timeout_ms: Timeout | None = None  # without a command, after which it centres itself
 
 
 class PlantSensorsConfig(Section):
     """The true sensors; zero for exact ones."""
 
+    encoder_kind: EncoderKind | None = None  # none: as in `[encoder]`
     encoder_resolution_m: Resolution = 0.0
     pressure_resolution_pa: NonNegative = 0.0
     pressure_noise_pa: NonNegative = 0.0
 
 
 class PlantConfig(Section):
-    """The software rig: what really happens, apart from what the controller's sections above believe."""
+    """The software rig: what really happens, apart from what the controller's sections above believe.
+
+    Whatever the rig has in common with the controller's sections can differ from them, in the tables below.
+    """
 
     step_us: Annotated[float, Field(gt=0, le=100)] = 100.0  # of the integration
-    initial_x1_m: Positive = 0.45  # effective coordinate
+    initial_x1_m: Positive = 0.45  # stroke coordinate and `[cylinder]` dead_length_1_m
     initial_p2_pa: Pressure = 300_000.0
     rod_force: bool = True
     reverse_flow: bool = True
@@ -498,6 +552,8 @@ class PlantConfig(Section):
     disturbance: Literal["none", "case1", "case2"] = "none"  # force of the paper's cases
     bitrate_bit_s: MaybeInfinite = 1.0e6  # of the wire that the frames keep busy
     node_delay_us: Annotated[float, Field(ge=0, le=500)] = 20.0  # from SYNC to an answer
+    cylinder: PlantCylinderConfig = PlantCylinderConfig()
+    gas: PlantGasConfig = PlantGasConfig()
     valve: PlantValveConfig = PlantValveConfig()
     friction: FrictionConfig = FrictionConfig()
     sensors: PlantSensorsConfig = PlantSensorsConfig()
@@ -563,9 +619,7 @@ class Config(Section):
             )
         if 2.0 * limits.motion.margin_m >= limits.travel_max_m - limits.travel_min_m:
             raise ValueError(f"limits.motion.margin_m = {limits.motion.margin_m:g} leaves no travel")
-        x1 = self.plant.initial_x1_m - self.cylinder.dead_length_1_m
-        if not 0.0 <= x1 <= stroke:
-            raise ValueError(f"plant.initial_x1_m = {self.plant.initial_x1_m:g} lies outside the stroke")
+        self._plant_can_be()
         period_ms = 1000.0 / self.loop.rate_hz
         for key in ("sensor_timeout_ms", "valve_timeout_ms", "deadline_timeout_ms", "overload_timeout_ms"):
             if getattr(self.bus, key) < 2.0 * period_ms:
@@ -574,3 +628,15 @@ class Config(Section):
                 )
         start_of(self)
         return self
+
+    def _plant_can_be(self) -> None:
+        p = self.plant
+        true_stroke_m = p.cylinder.stroke_m or self.cylinder.stroke_m
+        if not 0.0 <= p.initial_x1_m - self.cylinder.dead_length_1_m <= true_stroke_m:
+            raise ValueError(f"plant.initial_x1_m = {p.initial_x1_m:g} lies outside the stroke")
+        supply_pa = p.gas.supply_pa or self.gas.supply_pa
+        atmosphere_pa = p.gas.atmosphere_pa or self.gas.atmosphere_pa
+        if supply_pa <= atmosphere_pa:
+            raise ValueError(
+                f"plant.gas: supply_pa = {supply_pa:g} must lie above atmosphere_pa = {atmosphere_pa:g}"
+            )

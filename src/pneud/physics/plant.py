@@ -32,3 +32,4 @@ class PlantParameters(NamedTuple):
     encoder_zero_m: float  # stroke position at which the encoder shows 0
     encoder_referenced: bool  # it says that it knows where it is
     node_delay_s: float  # from the end of SYNC to hand-over of the answers
+    load_n: float = 0.0  # constant force against positive motion, the weight's part included

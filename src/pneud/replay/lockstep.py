@@ -52,7 +52,8 @@ class Simulation:
             how: axis and plant are computed.
             requests: what is asked in which tick, counted from 0; without it the axis arms and tracks.
             scenario: faults to inject; what it asks of the machine is left out where it is not simulated.
-            operator: asks of the axis what it likes; without one it is armed once, and a fault ends the run.
+            operator: asks of the axis what it likes, also to end the run; without one it is armed once, and a
+                fault ends the run.
         """
         self._requests = requests
         self.axis = how.axis(conversions.axis_of(loaded.config, loaded.codecs.command_lsb_v))
@@ -136,7 +137,9 @@ class Simulation:
         if self._requests is not None:
             return self._requests.get(count)
         if self._operator is not None:
-            return self._operator(last_state, last_present)
+            request = self._operator(last_state, last_present)
+            self.shut |= request is not None and request.kind == RequestKind.SHUTDOWN
+            return request
         if not self._armed and last_state == State.DISARMED and not last_present & BLOCKS_ARM:
             self._armed = True
             return Request(RequestKind.ARM, (1.0,))

@@ -31,9 +31,9 @@ class PlantState(NamedTuple):
 
 
 def initial_state(p: PlantParameters) -> PlantState:
-    """At rest at x1(0), P2 as given, P1 so that the forces balance (rod side included), spool centred."""
+    """At rest at x1(0), P2 as given, P1 so that it bears rod side and load, spool centred."""
     c = p.cylinder
-    p1 = (p.initial_p2_pa * c.A2 + c.rod_force_n) / c.A1
+    p1 = max(p.gas.atmosphere_pa, (p.initial_p2_pa * c.A2 + c.rod_force_n + p.load_n) / c.A1)
     return PlantState(p.initial_x1, 0.0, p1, p.initial_p2_pa, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -95,7 +95,7 @@ def _march(
     front = rear + c.stroke_m
     n, supply, atmosphere = p.polytropic_exponent, g.supply_pa, g.atmosphere_pa
     rate = n / g.k * c.c1
-    load = c.rod_force_n + force_ext_n
+    load = c.rod_force_n + p.load_n + force_ext_n
     disturbed, reverse = p.disturbance != 0, p.reverse_flow
     d1 = d2 = 0.0
     ee, er, re, rr = spool_transition(0.5 * h, valve)

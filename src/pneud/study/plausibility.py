@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from pneud.axis.cycle import AxisParameters
-from pneud.config.conversions import axis_of, friction_of, plant_of
-from pneud.config.models import Config
+from pneud.config.conversions import axis_of, friction_of, plant_of, truth_of
+from pneud.config.models import Config, PlantConfig
 from pneud.control.reference import rest, sine, stays, transfer
 from pneud.physics.cylinder import F0, F1_exhaust, F1_fill
 from pneud.physics.friction import stribeck
@@ -25,6 +25,12 @@ LIGHT_M_S2, LIGHTEST_M_S2 = 1000.0, 10_000.0  # acceleration by the piston's who
 WIDE, WIDEST = 0.15, 0.35  # dead zone over the greatest command
 SLOW_RAD_S = 2.0  # bandwidth; disturbances would be left to themselves
 RUBBING = 0.4  # friction over the piston's force
+FAR = 4.0  # times what the controller believes: rather a slip of the pen
+SIZES = {
+    "cylinder": ("piston_area_1_m2", "piston_area_2_m2", "stroke_m", "moving_mass_kg"),
+    "gas": ("gas_constant_j_kg_k", "atmosphere_pa", "supply_pa"),
+    "valve": ("orifice_area_m2",),
+}  # of which a plant has about as much
 PLACES = 20  # from which the way to the reference is tried
 
 
@@ -56,8 +62,8 @@ def piston_force_n(p: PlantParameters) -> float:
 def demand(p: PlantParameters, axis: AxisParameters, dead_length_m: float) -> Demand:
     """What the configured sine asks of valve and piston at most, chambers about half the supply pressure.
 
-    x3 = M a + rod force + friction; u = (M ȧ − F0 v)/F1, across the dead zone. The rate of friction and all
-    dynamics of the valve are left out.
+    x3 = M a + rod force + load + friction; u = (M ȧ − F0 v)/F1, across the dead zone. The rate of friction
+    and all dynamics of the valve are left out.
 
     Args:
         p: the axis as the controller believes in it.
@@ -71,7 +77,7 @@ def demand(p: PlantParameters, axis: AxisParameters, dead_length_m: float) -> De
         at = sine(2.0 * math.pi * i / (STEPS * r.omega_rad_s) if r.omega_rad_s > 0.0 else 0.0, r)
         v = at.velocity_m_s
         rubbing = math.copysign(stribeck(v, p.friction), v) + p.friction.viscous_n_s_m * v if v else 0.0
-        force = c.M * at.acceleration_m_s2 + rubbing
+        force = c.M * at.acceleration_m_s2 + p.load_n + rubbing
         above = (force + c.rod_force_n - middle_pa * (c.A1 - c.A2)) / (c.A1 + c.A2)
         p1, p2 = middle_pa + above, middle_pa - above
         reach = (g.supply_pa - g.atmosphere_pa) * (c.A1 if force >= 0.0 else c.A2)
@@ -106,7 +112,7 @@ def _joining(axis: AxisParameters) -> Iterator[Doubt]:
     """From where no way within the travel leads onto the reference, so that arming is refused there."""
     limits, first = axis.limits, sine(0.0, axis.reference)
     low_m, high_m = limits.travel_min_m, limits.travel_max_m
-    places = [low_m + i * (high_m - low_m) / PLACES for i in range(PLACES + 1)]
+    places = [*(low_m + i * (high_m - low_m) / PLACES for i in range(PLACES)), high_m]
     shut = [x for x in places if not stays(transfer(rest(x), first, axis.transfer), low_m, high_m)]
     if not shut:
         return
@@ -118,24 +124,47 @@ def _joining(axis: AxisParameters) -> Iterator[Doubt]:
     yield Doubt("limits.transfer", words, len(shut) == len(places))
 
 
-def _rig(c: Config, p: PlantParameters, bandwidth_rad_s: float) -> Iterator[Doubt]:
+def _rig(c: Config, p: PlantParameters, of: str = "") -> Iterator[Doubt]:
+    """Of the rig as the controller believes in it, or of the plant; `of` stands before the keys."""
     force_n, mass_kg = piston_force_n(p), c.cylinder.moving_mass_kg
     light = force_n / mass_kg
     if light > LIGHT_M_S2:
         words = f"{mass_kg:g} kg on a piston of {force_n:.3g} N: {light:.0f} m/s²"
-        yield Doubt("cylinder.moving_mass_kg", words, light > LIGHTEST_M_S2)
+        yield Doubt(f"{of}cylinder.moving_mass_kg", words, light > LIGHTEST_M_S2)
     wide = c.valve.dead_zone_v / c.valve.u_max_v
     if wide > WIDE:
         words = f"a dead zone of {c.valve.dead_zone_v:g} of {c.valve.u_max_v:g} V"
-        yield Doubt("valve.dead_zone_v", words, wide > WIDEST)
-    for key, friction in (("control.friction", c.control.friction), ("plant.friction", c.plant.friction)):
-        rubbing_n = max(friction.static_n, friction.coulomb_n)
-        if rubbing_n > RUBBING * force_n:
-            words = f"{rubbing_n:.3g} N of friction against {force_n:.3g} N of the piston"
-            yield Doubt(f"{key}.static_n", words, rubbing_n >= force_n)
+        yield Doubt(f"{of}valve.dead_zone_v", words, wide > WIDEST)
+    rubbing_n = max(p.friction.static_n, p.friction.coulomb_n)
+    if rubbing_n > RUBBING * force_n:
+        words = f"{rubbing_n:.3g} N of friction against {force_n:.3g} N of the piston"
+        yield Doubt(f"{of or 'control.'}friction.static_n", words, rubbing_n >= force_n)
+    load_n = abs(p.load_n)
+    if load_n > MUCH * force_n:
+        words = f"a constant load of {load_n:.3g} N against {force_n:.3g} N of the piston"
+        key = "load_n" if abs(c.cylinder.load_n) > 0.5 * load_n else "inclination_deg"
+        yield Doubt(f"{of}cylinder.{key}", words, load_n >= force_n)
+
+
+def _far(c: Config) -> Iterator[Doubt]:
+    """What of the plant is much more or less than the controller believes."""
+    true = truth_of(c)
+    for table, keys in SIZES.items():
+        for key in keys:
+            there, believed = getattr(getattr(true, table), key), getattr(getattr(c, table), key)
+            if not 1.0 / FAR <= there / believed <= FAR:
+                words = f"{there:g}, where the controller believes in {believed:g}"
+                yield Doubt(f"plant.{table}.{key}", words, False)
+
+
+def _law(c: Config, p: PlantParameters, bandwidth_rad_s: float) -> Iterator[Doubt]:
     if bandwidth_rad_s < SLOW_RAD_S:
         words = f"{bandwidth_rad_s:.2g} rad/s: the load would take seconds to come back from a push"
         yield Doubt("control.k1", words, False)
+    standing_n = abs(p.load_n) + max(p.friction.static_n, p.friction.coulomb_n)
+    if p.load_n and standing_n > c.limits.disagreement_n:
+        words = f"{c.limits.disagreement_n:g} N are less than load and friction, {standing_n:.3g} N"
+        yield Doubt("limits.disagreement_n", words, False)
 
 
 def findings(c: Config, command_lsb_v: float, bandwidth_rad_s: float) -> list[Doubt]:
@@ -147,6 +176,12 @@ def findings(c: Config, command_lsb_v: float, bandwidth_rad_s: float) -> list[Do
         bandwidth_rad_s: of the law, as predicted.
     """
     axis = axis_of(c, command_lsb_v)
-    believed = plant_of(c)._replace(friction=friction_of(c.control.friction), valve=axis.controller.valve)
-    found = [*_rig(c, believed, bandwidth_rad_s), *_motion(c, axis, believed)]
+    knowing = c.model_copy(update={"plant": PlantConfig(rod_force=c.plant.rod_force)})
+    believed = plant_of(knowing)._replace(
+        friction=friction_of(c.control.friction), valve=axis.controller.valve
+    )
+    found = [*_rig(c, believed), *_law(c, believed, bandwidth_rad_s), *_motion(c, axis, believed)]
+    said = {finding.words for finding in found}
+    of_plant = [*_rig(truth_of(c), plant_of(c), "plant."), *_far(c)]
+    found += [finding for finding in of_plant if finding.words not in said]
     return sorted(found, key=lambda finding: not finding.is_error)

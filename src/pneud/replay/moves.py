@@ -1,0 +1,154 @@
+"""An operator of a simulation who asks for one position after another, and what becomes of each."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from pneud.safety.faults import BLOCKS_ARM
+from pneud.signals import Answer, Record, Request, RequestKind, State
+
+DWELL_S = 0.5  # in position before the next
+PATIENCE_S = 5.0  # for a load that does not come, once the reference stands
+
+
+class Move(NamedTuple):
+    """A position to go to; at most so fast, 0 for the configured speed."""
+
+    to_m: float
+    speed_m_s: float = 0.0
+
+
+class MovesError(Exception):
+    """A list of moves makes no sense; the text is one line for a person."""
+
+    exit_code = 2
+
+
+def moves_of(text: str) -> list[Move]:
+    """The moves of a text such as "100,250@300,50": positions [mm], with `@` a speed [mm/s].
+
+    Raises:
+        MovesError: it is no such list.
+    """
+    found = []
+    for part in text.split(","):
+        try:
+            numbers = [float(number) * 1e-3 for number in part.split("@")]
+        except ValueError:
+            numbers = []
+        sound = 1 <= len(numbers) <= 2 and all(map(math.isfinite, numbers))
+        if not sound or min(numbers[1:], default=1.0) <= 0.0:
+            raise MovesError(f"{part!r}: a move is MM or MM@MM_S, such as 100,250@300")
+        found.append(Move(*numbers))
+    return found
+
+
+class Course:
+    """Arms, asks for the moves in turn, and measures them.
+
+    Attributes:
+        over: the last one has been held, one was refused, or a fault has ended it.
+    """
+
+    def __init__(self, moves: list[Move]) -> None:
+        """Nothing has been asked for yet."""
+        self._moves = moves
+        self._results: list[dict[str, Any]] = []
+        self._armed = self._ended = self.over = False
+        self._asked_ns = self._stood_ns = self._arrived_ns = -1
+        self._from_m = self._overshoot_m = 0.0
+        self._next = True  # may be asked for
+
+    def ask(self, state: int, present: int) -> Request | None:
+        """What is asked of the axis in this tick; an `Operator`."""
+        if self.over:
+            ended, self._ended = self._ended, True
+            return None if ended else Request(RequestKind.SHUTDOWN)
+        if not self._armed:
+            if state != State.DISARMED or present & BLOCKS_ARM:
+                return None
+            self._armed = True
+            return Request(RequestKind.ARM)
+        if state != State.HOLDING or not self._next or not self._moves:
+            return None
+        self._next = False
+        move = self._moves.pop(0)
+        self._results.append({"to_mm": _mm(move.to_m), "in_position_s": None, "error_mm": None})
+        return Request(RequestKind.GOTO, (move.to_m, move.speed_m_s))
+
+    def see(self, record: Record) -> None:
+        """What became of it in a tick."""
+        tick = record.tick
+        asked = 0 if tick.request is None else tick.request.kind
+        if tick.state == State.FAULT or (asked == RequestKind.ARM and tick.answer != Answer.TAKEN):
+            self.over = True
+        elif asked == RequestKind.GOTO:
+            self._begin(record)
+        elif not self._next and not self.over:
+            self._follow(record)
+
+    def _begin(self, record: Record) -> None:
+        tick = record.tick
+        self._asked_ns, self._stood_ns, self._arrived_ns = tick.t_ns, -1, -1
+        self._from_m, self._overshoot_m = record.truth_m, 0.0
+        if tick.answer != Answer.TAKEN:
+            self._results[-1]["refused"] = Answer(tick.answer).name.lower()
+            self.over = True
+
+    def _follow(self, record: Record) -> None:
+        tick, result = record.tick, self._results[-1]
+        to_m = 1e-3 * result["to_mm"]
+        beyond_m = record.truth_m - to_m
+        self._overshoot_m = max(self._overshoot_m, math.copysign(1.0, to_m - self._from_m) * beyond_m)
+        if tick.state != State.HOLDING:
+            return
+        if self._stood_ns < 0:
+            self._stood_ns = tick.t_ns
+        if not tick.in_position:
+            self._arrived_ns = -1
+        elif self._arrived_ns < 0:
+            self._arrived_ns = tick.t_ns
+        arrived = self._arrived_ns >= 0 and tick.t_ns - self._arrived_ns >= DWELL_S * 1e9
+        if not arrived and tick.t_ns - self._stood_ns < PATIENCE_S * 1e9:
+            return
+        if arrived:
+            result["in_position_s"] = round(1e-9 * (self._arrived_ns - self._asked_ns), 4)
+        result["error_mm"] = _mm(-beyond_m)
+        result["overshoot_mm"] = _mm(self._overshoot_m)
+        self._next, self.over = True, not self._moves
+
+    @property
+    def begun(self) -> bool:
+        """A move has been asked for."""
+        return bool(self._results)
+
+    @property
+    def results(self) -> list[dict[str, Any]]:
+        """Of each move, in mm and s, those that were not asked for included."""
+        left = [{"to_mm": _mm(m.to_m), "in_position_s": None, "error_mm": None} for m in self._moves]
+        return self._results + left
+
+    @property
+    def good(self) -> bool:
+        """The load has come to every position."""
+        return all(result["in_position_s"] is not None for result in self.results)
+
+
+def _mm(metres: float) -> float:
+    return round(1e3 * metres, 6)
+
+
+def in_words(results: list[dict[str, Any]]) -> str:
+    """A line for each move."""
+    lines = []
+    for r in results:
+        if r["in_position_s"] is not None:
+            words = f"in position after {r['in_position_s']:.3f} s, error {r['error_mm']:.3f} mm"
+            words += f", overshoot {r['overshoot_mm']:.3f} mm"
+        elif "refused" in r:
+            words = f"refused: {r['refused'].replace('_', ' ')}"
+        else:
+            words = "not reached" + (f", error {r['error_mm']:.3f} mm" if r["error_mm"] is not None else "")
+        lines.append(f"goto {r['to_mm']:g} mm: {words}")
+    return "\n".join(lines)

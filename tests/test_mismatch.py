@@ -1,0 +1,212 @@
+"""A plant that differs from what the controller believes, by one file; loads that nobody pushes with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pneud import resources
+from pneud.config.conversions import axis_of, plant_of
+from pneud.config.learnt import start_of, values_learnt
+from pneud.config.models import (
+    Config,
+    ConfigError,
+    CylinderConfig,
+    GasConfig,
+    PlantCylinderConfig,
+    PlantGasConfig,
+    PlantValveConfig,
+    ValveConfig,
+)
+from pneud.config.reading import load_config, parse
+from pneud.loading import load
+from pneud.physics.plant import PlantParameters
+from pneud.physics.valve import opening
+from pneud.replay.lockstep import Simulation
+from pneud.rig.dynamics import advance, initial_state
+from pneud.signals import State
+from pneud.study.plausibility import findings
+
+GOOD = (resources.configs() / "virtual.toml").read_text()
+KNOWN = load_config("virtual.toml")
+LSB_V = 0.001
+CYLINDER, GAS, VALVE = "cylinder", "gas", "valve"
+# the plant's parameters that hang on a key: those of its table, and those that are made of them
+MOVED = {
+    CYLINDER: {"cylinder", "initial_x1", "load_n"},
+    GAS: {"gas", "cylinder", "polytropic_exponent"},
+    VALVE: {"valve", "cylinder", "valve_timeout_s"},
+}
+KEYS = [
+    *((CYLINDER, key) for key in PlantCylinderConfig.model_fields),
+    *((GAS, key) for key in PlantGasConfig.model_fields),
+    *((VALVE, key) for key in ("orifice_area_m2", "u_max_v", "timeout_ms", "centre_v")),
+    *((VALVE, key) for key in ("dead_zone_positive_v", "dead_zone_negative_v")),
+]
+
+
+def told(**plant: dict[str, Any]) -> Config:
+    data = KNOWN.model_dump(by_alias=True)
+    for table, values in plant.items():
+        data["plant"][table].update(values)
+    return Config.model_validate(data)
+
+
+def differing(p: PlantParameters, q: PlantParameters) -> set[str]:
+    return {name for name in p._fields if getattr(p, name) != getattr(q, name)}
+
+
+@given(st.sampled_from(KEYS), st.floats(0.75, 0.99))
+def test_a_key_of_the_plant_changes_what_hangs_on_it_and_nothing_of_the_controller(
+    where: tuple[str, str], factor: float
+) -> None:
+    table, key = where
+    believed = getattr(getattr(KNOWN, table), key, None)
+    value = factor * believed if believed else factor * {"timeout_ms": 50.0}.get(key, 0.1)
+    c = told(**{table: {key: value}})
+    changed = differing(plant_of(c), plant_of(KNOWN))
+    assert changed
+    assert changed <= MOVED[table]
+    assert axis_of(c, LSB_V) == axis_of(KNOWN, LSB_V)
+
+
+@pytest.mark.parametrize(
+    ("believed", "true"),
+    [(CylinderConfig, PlantCylinderConfig), (GasConfig, PlantGasConfig), (ValveConfig, PlantValveConfig)],
+)
+def test_every_key_of_the_controllers_rig_can_differ_within_the_same_bounds(believed: Any, true: Any) -> None:
+    for key in believed.model_fields:
+        schemas = (model.model_json_schema()["properties"][key] for model in (believed, true))
+        one, other = ({**s, **s.get("anyOf", [{}])[0]} for s in schemas)
+        bounds = ("exclusiveMinimum", "minimum", "exclusiveMaximum", "maximum", "type")
+        assert [one.get(b) for b in bounds] == [other.get(b) for b in bounds], key
+
+
+def test_the_same_keys_as_the_controllers_make_the_same_plant() -> None:
+    same = {table: getattr(KNOWN, table).model_dump() for table in (CYLINDER, GAS, VALVE)}
+    assert plant_of(told(**same)) == plant_of(KNOWN)
+
+
+def test_the_other_keys_of_the_controller_that_the_plant_uses_can_differ() -> None:
+    c = told(sensors={"encoder_kind": "incremental"})
+    changed = differing(plant_of(c), plant_of(KNOWN))
+    assert changed == {"encoder_zero_m", "encoder_referenced"}
+    assert axis_of(c, LSB_V) == axis_of(KNOWN, LSB_V)
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(-0.5, 0.5))
+def test_edges_of_the_dead_zone_are_where_the_file_has_them(plus: float, minus: float, centre: float) -> None:
+    valve = {"dead_zone_positive_v": plus, "dead_zone_negative_v": minus, "centre_v": centre}
+    v = plant_of(told(valve=valve)).valve
+    for inside, sign in ((centre + plus - 1e-6, 1.0), (centre - minus + 1e-6, -1.0)):
+        assert opening(inside, v) * sign <= 1e-12
+        assert opening(inside + 2e-6 * sign, v) * sign > 0.0
+
+
+def test_the_load_stands_where_it_starts_whatever_the_dead_length() -> None:
+    c = told(cylinder={"dead_length_1_m": 0.03})
+    p, q = plant_of(c), plant_of(KNOWN)
+    assert p.initial_x1 - p.cylinder.x_e1 == pytest.approx(q.initial_x1 - q.cylinder.x_e1)
+
+
+@pytest.mark.parametrize(
+    "plant", [{"gas": {"supply_pa": 90_000.0}}, {"cylinder": {"stroke_m": 0.3}}], ids=["supply", "stroke"]
+)
+def test_a_plant_that_cannot_be_is_refused(plant: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="plant"):
+        told(**plant)
+    with pytest.raises(ConfigError, match="virtual"):
+        parse(GOOD + "\n[plant.gas]\nsupply_pa = 90000.0\n", "virtual.toml")
+
+
+@pytest.mark.parametrize(
+    ("plant", "key"),
+    [
+        ({"cylinder": {"moving_mass_kg": 150.0}}, "plant.cylinder.moving_mass_kg"),
+        ({"valve": {"orifice_area_m2": 2.8e-6}}, "plant.valve.orifice_area_m2"),
+        ({"valve": {"dead_zone_positive_v": 2.0, "dead_zone_negative_v": 1.0}}, "plant.valve.dead_zone_v"),
+        ({"cylinder": {"load_n": 450.0}}, "plant.cylinder.load_n"),
+    ],
+)
+def test_a_plant_that_few_rigs_have_is_a_warning_at_its_key(plant: dict[str, Any], key: str) -> None:
+    assert findings(KNOWN, LSB_V, 40.0) == []
+    assert [(f.key, f.is_error) for f in findings(told(**plant), LSB_V, 40.0)] == [(key, False)]
+
+
+def test_the_end_of_the_travel_is_a_place_within_it() -> None:
+    """0.001 + (0.052 − 0.001) is beyond 0.052 by rounding, and arming is refused nowhere."""
+    data = KNOWN.model_dump(by_alias=True)
+    data["cylinder"]["stroke_m"], data["plant"]["initial_x1_m"] = 0.053, 0.04
+    data["reference"] |= {"effective_centre_m": 0.0397, "amplitude_m": 0.002}
+    data["limits"] |= {"travel_min_m": 0.001, "travel_max_m": 0.052}
+    assert findings(Config.model_validate(data), LSB_V, 40.0) == []
+
+
+def upright(**cylinder: float) -> Config:
+    data = KNOWN.model_dump(by_alias=True)
+    data["cylinder"].update(cylinder)
+    return Config.model_validate(data)
+
+
+def test_what_no_piston_can_lift_is_an_error() -> None:
+    found = findings(upright(inclination_deg=90.0, moving_mass_kg=80.0), LSB_V, 40.0)
+    assert ("cylinder.inclination_deg", True) in [(f.key, f.is_error) for f in found]
+
+
+@pytest.mark.parametrize("degrees", [-90.0, -30.0, 30.0, 90.0])
+def test_a_plant_on_a_slope_rests_where_it_starts_and_its_weight_is_borne(degrees: float) -> None:
+    c = upright(inclination_deg=degrees, load_n=10.0)
+    p = plant_of(c)
+    state = initial_state(p)
+    k = p.cylinder
+    borne_n = state.p1 * k.A1 - state.p2 * k.A2 - k.rod_force_n
+    sine = {90.0: 1.0, 30.0: 0.5, -30.0: -0.5, -90.0: -1.0}[degrees]
+    assert borne_n == pytest.approx(10.0 + 15.0 * 9.80665 * sine)
+    later = advance(state, 0.0, 0.0, 0.0, 0.2, p)
+    assert later.x1 == pytest.approx(state.x1, abs=1e-9)
+
+
+def test_a_configured_load_is_where_adaptation_starts() -> None:
+    c = upright(inclination_deg=90.0, load_n=5.0)
+    load_n = 5.0 + 15.0 * 9.80665
+    assert start_of(c).load_n == pytest.approx(load_n)
+    told_of_it = values_learnt(start_of(c), c)["load_n"]
+    assert told_of_it["value"] == told_of_it["configured"] == pytest.approx(load_n, rel=1e-5)
+    assert start_of(KNOWN).load_n == 0.0
+
+
+def written(tmp_path: Path, plant: str, *changes: tuple[str, str]) -> Path:
+    text = GOOD
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    file = tmp_path / "virtual.toml"
+    file.write_text(text + plant)
+    return file
+
+
+STANDS = ("moving_mass_kg = 15.0", "moving_mass_kg = 15.0\ninclination_deg = 90.0")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("plant", "changes"),
+    [
+        ("", (STANDS,)),
+        ("\n[plant.cylinder]\ninclination_deg = 90.0\n", ()),
+        ("\n[plant.cylinder]\nmoving_mass_kg = 18.0\nload_n = -30.0\n", (STANDS,)),
+        ("\n[plant.gas]\nsupply_pa = 550_000.0\n[plant.cylinder]\ndead_length_1_m = 0.02\n", ()),
+    ],
+    ids=["upright", "nobody told", "other load", "supply and dead length"],
+)
+def test_an_axis_arms_and_holds(tmp_path: Path, plant: str, changes: tuple[tuple[str, str], ...]) -> None:
+    file = written(tmp_path, plant, *changes, ("amplitude_m = 0.05", "amplitude_m = 0.0"))
+    run = Simulation(load(file), 3.0)
+    tracked = [r for r in run.records() if r.tick.state == State.TRACKING]
+    errors_m = [abs(r.tick.reference.position_m - r.truth_m) for r in tracked[2000:]]
+    assert len(errors_m) > 500
+    assert max(errors_m) < 2e-4

@@ -1,0 +1,124 @@
+"""Moves in simulated time: asked for in turn, measured, and replayed."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from pneud.compiled.backend import INTERPRETED
+from pneud.config.models import ConfigError
+from pneud.loading import load
+from pneud.log.files.reader import LogReader
+from pneud.replay.lockstep import Simulation
+from pneud.replay.moves import Course, Move, MovesError, in_words, moves_of
+from pneud.signals import (
+    Answer,
+    Record,
+    Request,
+    RequestKind,
+    State,
+)
+from pneud.verbs import VerbError
+from pneud.verbs.replay import replay
+from pneud.verbs.sim import sim
+
+
+def test_a_text_is_a_list_of_moves_in_millimetres() -> None:
+    assert moves_of("100,250@300,-1.5") == [Move(0.1), Move(0.25, 0.3), Move(-0.0015)]
+
+
+@pytest.mark.parametrize("text", ["", "x", "1,", "1@2@3", "1@0", "1@-3", "nan", "inf", "1@inf", "1;2"])
+def test_no_list_of_moves(text: str) -> None:
+    with pytest.raises(MovesError) as e:
+        moves_of(text)
+    assert e.value.exit_code == 2
+    assert "\n" not in str(e.value)
+
+
+@pytest.fixture(scope="module")
+def template() -> Record:
+    run = Simulation(load("virtual.toml"), 0.01, how=INTERPRETED)
+    return list(run.records())[-1]
+
+
+def ticked(template: Record, t_s: float, state: State, **changes: object) -> Record:
+    truth_m = changes.pop("truth_m", template.truth_m)
+    changes = {"request": None, "latched": 0, **changes}
+    tick = template.tick._replace(t_ns=round(t_s * 1e9), state=int(state), **changes)  # type: ignore[arg-type]
+    return template._replace(tick=tick, truth_m=truth_m)  # type: ignore[arg-type]
+
+
+def armed(moves: str) -> Course:
+    course = Course(moves_of(moves))
+    assert course.ask(State.WAITING, 0) is None
+    assert course.ask(State.DISARMED, 0) == Request(RequestKind.ARM)
+    return course
+
+
+def test_the_next_move_waits_until_the_load_has_been_there_for_a_while(template: Record) -> None:
+    course = armed("100,50")
+    first = course.ask(State.HOLDING, 0)
+    assert first == Request(RequestKind.GOTO, (0.1, 0.0))
+    taken = {"request": first, "answer": int(Answer.TAKEN)}
+    course.see(ticked(template, 1.0, State.MOVING, truth_m=0.02, **taken))
+    course.see(ticked(template, 1.5, State.MOVING, truth_m=0.103))
+    assert course.ask(State.HOLDING, 0) is None
+    for i in range(6):
+        course.see(ticked(template, 2.0 + 0.1 * i, State.HOLDING, truth_m=0.0999, in_position=1))
+        assert (course.ask(State.HOLDING, 0) is None) == (i < 5)
+    assert course.results[0] == {"to_mm": 100.0, "in_position_s": 1.0, "error_mm": 0.1, "overshoot_mm": 3.0}
+    assert not course.good
+
+
+def test_a_load_that_does_not_come_is_waited_for_and_told(template: Record) -> None:
+    course = armed("100")
+    request = course.ask(State.HOLDING, 0)
+    course.see(ticked(template, 1.0, State.MOVING, request=request, answer=int(Answer.TAKEN), truth_m=0.02))
+    course.see(ticked(template, 2.0, State.HOLDING, truth_m=0.09))
+    course.see(ticked(template, 6.9, State.HOLDING, truth_m=0.09))
+    before = course.over
+    course.see(ticked(template, 7.1, State.HOLDING, truth_m=0.09))
+    assert (before, course.over) == (False, True)
+    assert not course.good
+    assert in_words(course.results) == "goto 100 mm: not reached, error 10.000 mm"
+
+
+@pytest.mark.parametrize("state", [State.FAULT, State.HOLDING])
+def test_a_refusal_and_a_fault_end_it_with_one_shutdown(template: Record, state: State) -> None:
+    course = armed("100,50")
+    request = course.ask(State.HOLDING, 0)
+    course.see(ticked(template, 1.0, state, request=request, answer=int(Answer.OUT_OF_TRAVEL)))
+    assert course.over
+    assert course.ask(state, 0) == Request(RequestKind.SHUTDOWN)
+    assert course.ask(state, 0) is None
+    assert [r["to_mm"] for r in course.results] == [100.0, 50.0]
+
+
+@pytest.mark.parametrize("options", [{"laws": True}, {"scenario_file": "babble"}])
+def test_moves_go_with_neither_comparison_nor_scenario(options: dict[str, object]) -> None:
+    with pytest.raises((VerbError, ConfigError), match="--goto"):
+        sim("virtual.toml", goto="100", **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_an_axis_goes_there_the_same_each_time_and_its_log_replays(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found, ticks = [], []
+    for name in ("a", "b"):
+        log = tmp_path / f"{name}.mcap"
+        assert sim("virtual.toml", log, goto="430,460@60", json=True) == 0
+        found.append(json.loads(capsys.readouterr().out))
+        ticks.append([logged.check for logged in LogReader([log])])
+    assert len(ticks[0]) > 1500
+    assert ticks[0] == ticks[1]
+    assert found[0]["moves"] == found[1]["moves"]
+    assert [m["to_mm"] for m in found[0]["moves"]] == [430.0, 460.0]
+    for move in found[0]["moves"]:
+        assert abs(move["error_mm"]) < 0.03
+        assert math.isfinite(move["in_position_s"])
+    assert found[0]["moves"][1]["in_position_s"] > 0.5  # 30 mm at 60 mm/s
+    assert replay([str(tmp_path / "a.mcap")]) == 0
