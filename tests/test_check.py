@@ -141,6 +141,7 @@ def test_a_reference_beyond_the_piston_is_refused(tmp_path: Path) -> None:
         ),
         ("static_n = 60.0", "static_n = 300.0", "N of friction against"),
         ("moving_mass_kg = 15.0", "moving_mass_kg = 0.3", "cylinder.moving_mass_kg"),
+        ("orifice_area_m2 = 2.8274e-5", "orifice_area_m2 = 2.6e-6", "limits.motion: moves take up to"),
     ],
 )
 def test_what_few_rigs_have_is_a_warning(tmp_path: Path, old: str, new: str, says: str) -> None:

@@ -7,17 +7,18 @@ the key that it hangs on.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from pneud.axis.cycle import AxisParameters
 from pneud.config.conversions import axis_of, friction_of, plant_of, truth_of
 from pneud.config.models import Config, PlantConfig
-from pneud.control.reference import rest, sine, stays, transfer
+from pneud.control.reference import Sine, along, rest, sine, stays, transfer
 from pneud.physics.cylinder import F0, F1_exhaust, F1_fill
 from pneud.physics.friction import stribeck
 from pneud.physics.plant import PlantParameters
 from pneud.physics.valve import dead_zone_inverse
+from pneud.signals import Reference
 
 STEPS = 200  # of one period of the reference
 MUCH = 0.7  # of what there is: disturbances need the rest
@@ -31,6 +32,7 @@ SIZES = {
     "gas": ("gas_constant_j_kg_k", "atmosphere_pa", "supply_pa"),
     "valve": ("orifice_area_m2",),
 }  # of which a plant has about as much
+MOVES = (0.02, 0.2, 0.9)  # of the travel
 PLACES = 20  # from which the way to the reference is tried
 
 
@@ -59,22 +61,43 @@ def piston_force_n(p: PlantParameters) -> float:
     return min(push, (g.supply_pa - g.atmosphere_pa) * c.A2)
 
 
-def demand(p: PlantParameters, axis: AxisParameters, dead_length_m: float) -> Demand:
-    """What the configured sine asks of valve and piston at most, chambers about half the supply pressure.
+def course(r: Sine) -> list[Reference]:
+    """A period of the configured sine."""
+    if r.omega_rad_s <= 0.0 or r.amplitude_m <= 0.0:
+        return [sine(0.0, r)]
+    return [sine(2.0 * math.pi * i / (STEPS * r.omega_rad_s), r) for i in range(STEPS)]
+
+
+def moves(axis: AxisParameters) -> list[Reference]:
+    """Moves about the middle of the travel, as fast as they may be."""
+    low_m, high_m = axis.limits.travel_min_m, axis.limits.travel_max_m
+    middle_m = 0.5 * (low_m + high_m)
+    ways = [
+        transfer(
+            rest(middle_m - 0.5 * share * (high_m - low_m)),
+            rest(middle_m + 0.5 * share * (high_m - low_m)),
+            axis.motion,
+        )
+        for share in MOVES
+    ]
+    return [along(i * w.T / STEPS, w) for w in ways for i in range(STEPS)]
+
+
+def demand(p: PlantParameters, places: Sequence[Reference], dead_length_m: float) -> Demand:
+    """What a course asks of valve and piston at most, chambers about half the supply pressure.
 
     x3 = M a + rod force + load + friction; u = (M ȧ − F0 v)/F1, across the dead zone. The rate of friction
     and all dynamics of the valve are left out.
 
     Args:
         p: the axis as the controller believes in it.
-        axis: with its reference.
+        places: the course.
         dead_length_m: of chamber 1.
     """
-    c, g, r = p.cylinder, p.gas, axis.reference
+    c, g = p.cylinder, p.gas
     middle_pa = 0.5 * g.supply_pa
     volts = share = most_n = 0.0
-    for i in range(STEPS if r.omega_rad_s > 0.0 and r.amplitude_m > 0.0 else 1):
-        at = sine(2.0 * math.pi * i / (STEPS * r.omega_rad_s) if r.omega_rad_s > 0.0 else 0.0, r)
+    for at in places:
         v = at.velocity_m_s
         rubbing = math.copysign(stribeck(v, p.friction), v) + p.friction.viscous_n_s_m * v if v else 0.0
         force = c.M * at.acceleration_m_s2 + p.load_n + rubbing
@@ -89,12 +112,12 @@ def demand(p: PlantParameters, axis: AxisParameters, dead_length_m: float) -> De
         gain = F1_fill if rate >= 0.0 else F1_exhaust
         opened = rate / gain(x1, p1, p2, g.supply_pa, c, g)
         volts = max(volts, abs(dead_zone_inverse(opened, p.valve, 0.0)))
-    w, a = r.omega_rad_s, r.amplitude_m
-    return Demand(volts, share, most_n, w * a, w * w * a)
+    fastest_m_s = max(abs(at.velocity_m_s) for at in places)
+    return Demand(volts, share, most_n, fastest_m_s, max(abs(at.acceleration_m_s2) for at in places))
 
 
 def _motion(c: Config, axis: AxisParameters, p: PlantParameters) -> Iterator[Doubt]:
-    need = demand(p, axis, c.cylinder.dead_length_1_m)
+    need = demand(p, course(axis.reference), c.cylinder.dead_length_1_m)
     what = f"{need.speed_m_s:.2g} m/s and {need.acceleration_m_s2:.2g} m/s²"
     u_max = c.valve.u_max_v
     if need.command_v > MUCH * u_max:
@@ -104,6 +127,10 @@ def _motion(c: Config, axis: AxisParameters, p: PlantParameters) -> Iterator[Dou
     if need.pressure_share > MUCH:
         words = f"{what} take {need.force_n:.3g} N, {100.0 * need.pressure_share:.0f} % of the piston's force"
         yield Doubt("reference.frequency_hz", words, need.pressure_share > 1.0)
+    need = demand(p, moves(axis), c.cylinder.dead_length_1_m)
+    if need.command_v > u_max:
+        words = f"moves take up to {need.command_v:.2g} V of the valve's {u_max:g} V, and will lag behind"
+        yield Doubt("limits.motion", words, False)
     if not axis.join_at_once:
         yield from _joining(axis)
 
