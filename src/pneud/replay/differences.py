@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import NamedTuple
 
 from pneud.log.files.reader import LogReader
@@ -136,9 +137,9 @@ def compare(one: LogReader, other: LogReader) -> LogComparison:
     shift = _engaged_from(other) - _engaged_from(one)
     alike = one.metadata.get("detail") == other.metadata.get("detail")
     found, engaged = Differences(exact=alike), 0
-    seconds = iter(other)
+    firsts, seconds = iter(one), iter(other)
     second = next(seconds, None)
-    for first in one:
+    for first in firsts:
         while second is not None and second.number < first.number + shift:
             second = next(seconds, None)
         if second is None:
@@ -146,6 +147,8 @@ def compare(one: LogReader, other: LogReader) -> LogComparison:
         if second.number == first.number + shift:
             found.add(first, second)
             engaged += is_engaged(first.state) or is_engaged(second.state)
+    for rest in (firsts, seconds):
+        deque(rest, maxlen=0)  # damage behind the last pair is damage
     return LogComparison(found, shift, engaged)
 
 
