@@ -236,7 +236,7 @@ def test_at_rest_it_is_in_position_and_does_not_hunt(seconds: float) -> None:
             Hunting.VALVE,
         ),
         (
-            {"control": {"standstill": False}, "plant": {"valve": {"bandwidth_hz": 30.0}}},
+            {"control": {"standstill": False, "creep": False}, "plant": {"valve": {"bandwidth_hz": 30.0}}},
             Hunting.VALVE,
         ),
     ],
