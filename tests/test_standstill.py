@@ -84,9 +84,26 @@ def test_readings_are_the_same_within_a_step_of_the_first() -> None:
     ):
         s = standstill.read(s, position, P)
         assert s.same == same
-    assert standstill.is_held(s._replace(same=P.stick), P)
-    assert not standstill.is_held(s._replace(same=P.stick - 1), P)
-    assert not standstill.is_held(s._replace(same=P.stick), P._replace(held=0.0))
+    alone = s._replace(mode=CLOSED, same=P.stick)
+    assert standstill.is_held(alone, P)
+    assert not standstill.is_held(alone._replace(mode=LAW), P)
+    assert not standstill.is_held(alone._replace(same=P.stick - 1), P)
+    assert not standstill.is_held(alone, P._replace(held=0.0))
+
+
+def test_the_law_has_a_while_before_it_gives_way() -> None:
+    p = P._replace(settle=1000)
+    assert standstill.stand(StandstillState(ticks=998), 0.0, 0.0, 0.0, 0.0, 0.0, True, p).mode == LAW
+    assert standstill.stand(StandstillState(ticks=999), 0.0, 0.0, 0.0, 0.0, 0.0, True, p).mode == CLOSED
+
+
+def test_the_law_keeps_the_valve_shut_within_the_band_where_it_asks_for_little() -> None:
+    p = P._replace(shut_v=0.1)
+    assert standstill.keeps_shut(6e-6, -0.1, False, p)
+    assert not standstill.keeps_shut(6.1e-6, 0.0, False, p)
+    assert standstill.keeps_shut(-11e-6, 0.1, True, p)
+    assert not standstill.keeps_shut(11.1e-6, 0.0, True, p)
+    assert not standstill.keeps_shut(0.0, 0.11, True, p)
 
 
 @pytest.mark.parametrize(
@@ -303,10 +320,10 @@ def test_short_ways_end_in_position() -> None:
 
 def test_a_push_gives_the_load_back_to_the_law_which_brings_it_home() -> None:
     c, plant = rig(1e-6, 1e5)
-    pair, _ = move(trial.begin(0.44, c, plant), True, 0.45, c, plant, 2_000, 0, 1e-3)
+    pair, _ = move(trial.begin(0.44, c, plant), True, 0.45, c, plant, 4_000, 0, 1e-3)
     assert pair.state.standstill.mode == CLOSED
     errand = Errand(way(septic(0.05, rest(0.45), rest(0.45))), NOSINE, 50.0)
-    pair, v = ticks_of()[0](pair, False, 3_000, 0, 20e-6, errand, c, plant, 10.0 / 4096)
+    pair, v = ticks_of()[0](pair, False, 5_000, 0, 20e-6, errand, c, plant, 10.0 / 4096)
     assert v.max_m < 0.6e-3
     assert v.outside < 1_000
     assert pair.state.standstill.mode != LAW

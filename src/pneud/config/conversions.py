@@ -40,6 +40,8 @@ LEAST_STILL_M, STILL_STEPS = 5e-5, 10.0  # travel that a reading cannot hide: at
 LEAST_HELD_M = 5e-6  # error that may be left rather than cross the dead zone, at least
 BALANCE = 0.03  # of dry friction that may be out of balance while a load counts as held by it
 SMOOTH_S = 0.02  # of force and speed of a standing load
+SETTLE_S = 1.0  # that the law has, before it gives way
+SHUT = 0.02  # of the greatest command, up to which the law keeps the valve shut at rest
 GRACE_S = 0.08  # that a load has to come to rest when the valve is closed
 RESTLESS_V = 0.03  # mean step of the command that is hunting
 NOISES, LEAST_STEPS = 4.0, 4.0  # within so many standard deviations, and steps, nearly all readings lie
@@ -303,6 +305,8 @@ def standstill_of(c: Config) -> Standstill:
         stick_m=stick_m,
         stick=stick,
         held=1.0 - math.exp(-h / 0.01),
+        settle=round(SETTLE_S / h),
+        shut_v=SHUT * c.valve.u_max_v,
     )
 
 

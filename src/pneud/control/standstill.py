@@ -2,7 +2,8 @@
 
 Friction holds a load at rest. Its bristles bend by micrometres under newtons, and a law that moves masses
 makes the load hunt on what encoder and pressures cannot tell apart from noise. So, while the reference stands
-still, the law gives way:
+still, the law keeps the valve shut while the load is within a band and it asks for little. A while after the
+reference has come to rest the law gives way:
 
 * to a closed valve, where the load would come to rest within a band, or has been hunting for long;
 * to nudges, where it sticks beside the band: steps of force, each spread over one swing of the load on its
@@ -60,6 +61,8 @@ class Standstill(NamedTuple):
     stick_m: float = 0.0  # readings that differ by no more are the same
     stick: int = 1  # ticks without a reading that differs, until the load counts as held by friction
     held: float = 0.0  # share of the force in balance that friction then takes over in a tick
+    settle: int = 0  # ticks that the law has, before it gives way
+    shut_v: float = 0.0  # opening up to which it keeps the valve shut within the band
 
 
 class StandstillState(NamedTuple):
@@ -97,8 +100,20 @@ def read(s: StandstillState, position_m: float, p: Standstill) -> StandstillStat
 
 
 def is_held(s: StandstillState, p: Standstill) -> bool:
-    """Whether friction holds the load: no reading has differed for longer than any force would need."""
-    return p.held > 0.0 and s.same >= p.stick
+    """Whether friction holds a load left alone: no reading differed for longer than any force would need."""
+    return s.mode != LAW and p.held > 0.0 and s.same >= p.stick
+
+
+def keeps_shut(error_m: float, opening_v: float, shut: bool, p: Standstill) -> bool:
+    """Whether the law keeps the valve shut for a load at rest.
+
+    Args:
+        error_m: reference minus estimate.
+        opening_v: that it asks for.
+        shut: it is shut.
+        p: parameters.
+    """
+    return abs(opening_v) <= p.shut_v and abs(error_m) <= (p.leave_m if shut else p.enter_m)
 
 
 def stand(
@@ -128,6 +143,8 @@ def stand(
     if not still or p.enter_m <= 0.0:
         return given_back(_stepping(_tried(s, 0), s.from_n, s.step_n, s.error_m, 0.0))
     size = abs(error_m)
+    if s.mode == LAW and s.ticks < p.settle:
+        return s
     if s.mode == LAW:
         if would_rest(s, error_m, p):
             return _entered(s, CLOSED, p.grace, s.restless_v)

@@ -39,6 +39,7 @@ from pneud.control.standstill import (
     StandstillState,
     is_held,
     is_still,
+    keeps_shut,
     nudge,
     read,
     stand,
@@ -383,6 +384,10 @@ def act(
     else:
         state, out = tracked(state, s, p)
         if still:
+            error_m = s.goal.position_m - e.position_m
+            shut = opening(state.applied_v, p.valve) == 0.0
+            if keeps_shut(error_m, opening(out.u_v, p.valve), shut, p.standstill):
+                out = LawOutput(dead_zone_inverse(0.0, p.valve, 0.0), out.s, out.ustar)
             u_max = p.valve.u_max_v
             step_v = abs(max(-u_max, min(u_max, out.u_v)) - state.applied_v)
             standstill = stirred(standstill, step_v, p.standstill)
