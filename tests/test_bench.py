@@ -26,7 +26,7 @@ from pneud.bench.disturbances import DISTURBANCES, Disturb, cpus_busy
 from pneud.bench.law_cost import Law, LawState, begin, header, law_of, reference, tick
 from pneud.bench.sample import Sample, Samples, from_object, process_state, ratio_of_turns
 from pneud.bench.tables import as_object, in_words
-from pneud.config.models import ConfigError
+from pneud.config.sections import ConfigError
 from pneud.loading import Loaded, load
 from pneud.log.files.reader import read_log
 from pneud.verbs.bench import Contestant, bench

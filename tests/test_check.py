@@ -16,9 +16,10 @@ from commands import pneud_here as pneud
 from pneud import resources
 from pneud.bus.codec import DatabaseError
 from pneud.bus.load import longest_s
-from pneud.config.models import Config, ConfigError
+from pneud.config.models import Config
 from pneud.config.places import keys_of, line_of
 from pneud.config.reading import load_config, parse
+from pneud.config.sections import ConfigError
 from pneud.loading import load
 from pneud.scenario.files import is_scenario, load_scenario
 

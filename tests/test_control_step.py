@@ -8,8 +8,9 @@ import pytest
 
 from pneud.axis.state import AxisParameters
 from pneud.config.conversions import axis_of, lead_s, plant_of
-from pneud.config.models import Config, ConfigError
+from pneud.config.models import Config
 from pneud.config.reading import load_config, parse
+from pneud.config.sections import ConfigError
 from pneud.control.prediction import Spool
 from pneud.control.step import Controller, ControllerState, act, at_effect, join, observe, start
 from pneud.physics.plant import PlantParameters

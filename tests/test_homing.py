@@ -12,8 +12,9 @@ from axis_rig import ARM, CLEAR, DISARM, ENCODER, SHUTDOWN, Rig, loaded, twin
 from pneud import resources
 from pneud.axis.cycle import Axis
 from pneud.config import conversions
-from pneud.config.models import Config, ConfigError
+from pneud.config.models import Config
 from pneud.config.reading import parse
+from pneud.config.sections import ConfigError
 from pneud.control import homing
 from pneud.control.homing import AWAY, BACK, HALT, TOWARDS, Homing
 from pneud.rig.node import PlantNode

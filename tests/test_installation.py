@@ -11,8 +11,8 @@ import pytest
 
 from commands import pneud_here
 from pneud import resources
-from pneud.config.models import ConfigError
 from pneud.config.reading import load_config
+from pneud.config.sections import ConfigError
 from pneud.service import installation
 from pneud.service.installation import InstallError, Unit, activate, axis_of, examine, files, put, units_of
 from pneud.service.probe import Finding, Grade

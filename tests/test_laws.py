@@ -18,8 +18,9 @@ from commands import object_of
 from commands import pneud_here as pneud
 from pneud.compiled.backend import INTERPRETED, compiled, sample
 from pneud.config.conversions import axis_of
-from pneud.config.models import Config, ConfigError
+from pneud.config.models import Config
 from pneud.config.reading import parse
+from pneud.config.sections import ConfigError
 from pneud.control.laws import adrc, pid
 from pneud.control.laws.adrc import in_motion
 from pneud.control.laws.open_loop import OpenLoop, at, delay_margin

@@ -17,8 +17,9 @@ from log_samples import tick_at
 from pneud.axis.state import switched_on
 from pneud.config import conversions
 from pneud.config.learnt import QUANTITIES, adaptation_of, start_of, values_learnt
-from pneud.config.models import Config, ConfigError
+from pneud.config.models import Config
 from pneud.config.reading import load_config
+from pneud.config.sections import ConfigError
 from pneud.config.writing import put, rewrite
 from pneud.control.adaptation import Learnt
 from pneud.loading import load

@@ -12,17 +12,10 @@ from hypothesis import strategies as st
 from pneud import resources
 from pneud.config.conversions import axis_of, plant_of
 from pneud.config.learnt import start_of, values_learnt
-from pneud.config.models import (
-    Config,
-    ConfigError,
-    CylinderConfig,
-    GasConfig,
-    PlantCylinderConfig,
-    PlantGasConfig,
-    PlantValveConfig,
-    ValveConfig,
-)
+from pneud.config.models import Config, CylinderConfig, GasConfig, ValveConfig
+from pneud.config.plant import PlantCylinderConfig, PlantGasConfig, PlantValveConfig
 from pneud.config.reading import load_config, parse
+from pneud.config.sections import ConfigError
 from pneud.loading import load
 from pneud.physics.plant import PlantParameters
 from pneud.physics.valve import opening

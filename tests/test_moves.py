@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pneud.compiled.backend import INTERPRETED
-from pneud.config.models import ConfigError
+from pneud.config.sections import ConfigError
 from pneud.loading import load
 from pneud.log.files.reader import LogReader
 from pneud.replay.lockstep import Simulation

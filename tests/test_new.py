@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from pneud.config import library
 from pneud.config.conversions import cylinder_of, gas_of
-from pneud.config.models import ConfigError
+from pneud.config.sections import ConfigError
 from pneud.loading import load
 from pneud.physics.ratings import conductance_of_orifice
 from pneud.replay.lockstep import Simulation, backend_of

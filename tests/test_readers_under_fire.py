@@ -27,7 +27,8 @@ from log_samples import header, noisy
 from mangled import simulated
 from pneud import resources
 from pneud.bus.codec import DatabaseError, load_codecs
-from pneud.config.models import BusConfig, ConfigError
+from pneud.config.models import BusConfig
+from pneud.config.sections import ConfigError
 from pneud.loading import load
 from pneud.log.files.naming import LogError, create_log
 from pneud.log.files.reader import read_log

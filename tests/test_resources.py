@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from pneud import resources
-from pneud.config.models import ConfigError
 from pneud.config.reading import load_config
+from pneud.config.sections import ConfigError
 
 ROOT = Path(__file__).parent.parent
 

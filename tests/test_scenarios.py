@@ -15,8 +15,9 @@ from plant_reference import REALISTIC
 from pneud import resources
 from pneud.bus.codec import Codecs, load_codecs
 from pneud.bus.wire import CAN_ERR_FLAG
-from pneud.config.models import BusConfig, ConfigError
+from pneud.config.models import BusConfig
 from pneud.config.reading import parse
+from pneud.config.sections import ConfigError
 from pneud.loading import load, toml_text
 from pneud.replay.lockstep import Simulation, backend_of
 from pneud.rig.damage import UNDAMAGED, advance_damaged

@@ -15,8 +15,8 @@ from commands import object_of
 from commands import pneud_here as pneud
 from log_samples import noisy, write_log
 from pneud.bus.link import open_link
-from pneud.config.models import ConfigError
 from pneud.config.reading import parse, with_settings
+from pneud.config.sections import ConfigError
 from pneud.loading import load
 from pneud.log.files.naming import LogError, create_log
 from pneud.log.files.reader import LoggedState, read_log

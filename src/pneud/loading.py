@@ -12,8 +12,9 @@ from pydantic import ValidationError
 from pneud import resources
 from pneud.bus.codec import Codecs, DatabaseError, load_codecs
 from pneud.bus.load import overload
-from pneud.config.models import BusConfig, Config, ConfigError, check_channel
+from pneud.config.models import BusConfig, Config
 from pneud.config.reading import explain, load_with_text, parse
+from pneud.config.sections import ConfigError, check_channel
 from pneud.config.toml import tables_of
 
 SYNC_COUNTERS = 240  # SYNC counts 1 … 240

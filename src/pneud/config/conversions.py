@@ -7,14 +7,8 @@ import math
 from pneud.axis.standing import Expected
 from pneud.axis.state import AxisParameters, Gate
 from pneud.config.learnt import adaptation_of, start_of
-from pneud.config.models import (
-    BusConfig,
-    Config,
-    ControlConfig,
-    FrictionConfig,
-    PlantValveConfig,
-    RealtimeConfig,
-)
+from pneud.config.models import BusConfig, Config, ControlConfig, RealtimeConfig
+from pneud.config.plant import FrictionConfig, PlantValveConfig
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.feedforward import Creep
 from pneud.control.homing import HomingParameters

@@ -8,8 +8,8 @@ from typing import Annotated, Any, TypeVar
 from pydantic import Field, ValidationError, model_validator
 
 from pneud import resources
-from pneud.config.models import ConfigError, Damping, DeadZone, Positive, Section
 from pneud.config.reading import explain
+from pneud.config.sections import ConfigError, Damping, DeadZone, Positive, Section
 from pneud.config.toml import tables_of
 from pneud.physics import ratings
 

@@ -9,8 +9,9 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from pneud import resources
-from pneud.config.models import Config, ConfigError
+from pneud.config.models import Config
 from pneud.config.places import line_of, meant
+from pneud.config.sections import ConfigError
 from pneud.config.toml import TomlError, tables_of
 
 

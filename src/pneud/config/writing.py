@@ -11,8 +11,8 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from pneud.config.models import ConfigError
 from pneud.config.reading import parse
+from pneud.config.sections import ConfigError
 from pneud.rt.outputs import replacing
 
 

@@ -9,8 +9,8 @@ from pneud.console import protocol
 from pneud.console.facts import RunFacts
 from pneud.console.handoff import RequestOutcome
 from pneud.console.memory import Memory
+from pneud.console.orders import Orders
 from pneud.console.protocol import Error, ProtocolError
-from pneud.console.server import Orders
 from pneud.console.status_reply import StatusWatch, faults
 from pneud.console.tuning import Tuning
 from pneud.log.live.ring import Ring

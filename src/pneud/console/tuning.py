@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from pneud.config.conversions import reference_of
-from pneud.config.models import Config, ConfigError
+from pneud.config.models import Config
 from pneud.config.reading import parse
+from pneud.config.sections import ConfigError
 from pneud.console.memory import Memory
+from pneud.console.orders import Orders
 from pneud.console.protocol import Error, ProtocolError
-from pneud.console.server import Orders
 from pneud.control.tunables import LAWS, SLIDING_LAWS, names_of
 from pneud.signals import Request, RequestKind
 

@@ -8,7 +8,7 @@ import secrets
 import socket
 from typing import NamedTuple
 
-from pneud.config.models import ConfigError
+from pneud.config.sections import ConfigError
 from pneud.view.admission import VIEWERS, Admission, is_origin
 
 

@@ -14,7 +14,8 @@ from pneud.axis.cycle import Axis
 from pneud.bus.link import Link, LinkError, open_link, refuse_if_driven
 from pneud.compiled.backend import Backend, backend
 from pneud.config import conversions
-from pneud.config.models import Config, ConfigError
+from pneud.config.models import Config
+from pneud.config.sections import ConfigError
 from pneud.console import endpoint
 from pneud.loading import Loaded, bus_name, listening_s
 from pneud.log.files.naming import open_log

@@ -10,8 +10,9 @@ from pneud.bus.codec import Codecs
 from pneud.bus.inbox import Inbox, InboxState
 from pneud.compiled.backend import backend
 from pneud.config import conversions
-from pneud.config.models import Config, ConfigError
+from pneud.config.models import Config
 from pneud.config.reading import parse
+from pneud.config.sections import ConfigError
 from pneud.control.step import Controller
 from pneud.control.tunables import parted, tunables, tuned
 from pneud.loading import at_rate, codecs_of

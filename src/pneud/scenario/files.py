@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from pydantic import ValidationError
 
 from pneud import resources
-from pneud.config.models import ConfigError
 from pneud.config.reading import explain
+from pneud.config.sections import ConfigError
 from pneud.config.toml import TomlError, tables_of
 from pneud.loading import Loaded, load
 

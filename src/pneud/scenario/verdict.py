@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pneud.config.models import Config, ConfigError
+from pneud.config.models import Config
+from pneud.config.sections import ConfigError
 from pneud.safety.faults import FAULT_NAMES, STOPS, names
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import State, Tick

@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.padding import Padding
 from rich.text import Text
 
-from pneud.config.models import Config, ConfigError
+from pneud.config.models import Config
+from pneud.config.sections import ConfigError
 from pneud.loading import load
 from pneud.log.files.naming import log_folder
 from pneud.rt.setup import Report, own_cpu

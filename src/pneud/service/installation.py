@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pneud import resources
-from pneud.config.models import Config, ConfigError
+from pneud.config.models import Config
+from pneud.config.sections import ConfigError
 from pneud.rt.outputs import write_whole
 from pneud.service.probe import Finding, Grade
 

@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 from pneud import resources
 from pneud.config.library import CylinderSheet, ValveSheet
-from pneud.config.models import GRAVITY_M_S2, Config, ConfigError
+from pneud.config.models import Config
 from pneud.config.reading import parse
+from pneud.config.sections import GRAVITY_M_S2, ConfigError
 from pneud.physics import ratings
 from pneud.physics.gas import gas
 from pneud.study import gains

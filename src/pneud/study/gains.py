@@ -18,7 +18,8 @@ from pneud.config.conversions import (
     lead_s,
     valve_of,
 )
-from pneud.config.models import Config, FrictionConfig
+from pneud.config.models import Config
+from pneud.config.plant import FrictionConfig
 from pneud.control.homogeneous import Feedback, feedback
 from pneud.control.laws.slot import IN_SLOT
 from pneud.control.tunables import MOST_H_OMEGA, bandwidth, delay_margin, is_hurwitz

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 from pneud.axis.cycle import AxisParameters
 from pneud.config.conversions import axis_of, friction_of, plant_of, truth_of
-from pneud.config.models import Config, PlantConfig
+from pneud.config.models import Config
+from pneud.config.plant import PlantConfig
 from pneud.control.reference import Sine, along, rest, sine, stays, transfer
 from pneud.physics.cylinder import F0, F1_exhaust, F1_fill
 from pneud.physics.friction import stribeck

@@ -19,7 +19,7 @@ from pneud.bench.disturbances import DISTURBANCES, Disturb
 from pneud.bench.sample import Samples, ratio_of_turns
 from pneud.bench.tables import KERNEL, OURS, as_object, disturbances_in_words, in_words
 from pneud.bus.link import open_link
-from pneud.config.models import ConfigError
+from pneud.config.sections import ConfigError
 from pneud.loading import Loaded, bus_name, load
 from pneud.loop.summary import finite
 from pneud.rt.outputs import write_whole

@@ -10,8 +10,8 @@ import typer
 from pneud import resources
 from pneud.axis.cycle import Axis
 from pneud.config import conversions
-from pneud.config.models import ConfigError
 from pneud.config.places import line_of
+from pneud.config.sections import ConfigError
 from pneud.control.tunables import in_slot
 from pneud.loading import Loaded, load
 from pneud.scenario import verdict

@@ -12,7 +12,8 @@ from typing import Annotated, Any, NamedTuple
 import typer
 
 from pneud.config.conversions import axis_of, plant_of
-from pneud.config.models import Config, ConfigError
+from pneud.config.models import Config
+from pneud.config.sections import ConfigError
 from pneud.loading import Loaded, load
 from pneud.loop.summary import finite
 from pneud.study import fastest, judging, linear, trial

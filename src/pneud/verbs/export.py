@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from pneud.config.models import ConfigError
 from pneud.config.reading import parse
+from pneud.config.sections import ConfigError
 from pneud.loading import codecs_of
 from pneud.log.files.naming import LogError
 from pneud.log.files.reader import read_log

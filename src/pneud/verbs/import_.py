@@ -8,8 +8,8 @@ from typing import Annotated, NamedTuple
 
 import typer
 
-from pneud.config.models import ConfigError
 from pneud.config.reading import load_with_text, parse
+from pneud.config.sections import ConfigError
 from pneud.loading import at_rate, codecs_of
 from pneud.log.files.naming import log_path, new_log
 from pneud.log.files.writer import LogWriter

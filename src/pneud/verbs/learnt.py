@@ -13,8 +13,9 @@ import tomlkit
 import typer
 
 from pneud.config.learnt import Values, values_learnt
-from pneud.config.models import Config, ConfigError
+from pneud.config.models import Config
 from pneud.config.reading import load_config, parse
+from pneud.config.sections import ConfigError
 from pneud.config.writing import put, rewrite
 from pneud.log.files.reader import LogReader, read_log
 from pneud.replay.learning import last_learnt

@@ -12,7 +12,7 @@ from typing import Annotated, Any, NamedTuple
 import typer
 
 from pneud.config import library
-from pneud.config.models import ConfigError, check_channel
+from pneud.config.sections import ConfigError, check_channel
 from pneud.loading import load
 from pneud.rt.outputs import replacing
 from pneud.study.draft import Answers, Draft, drafted

@@ -12,7 +12,7 @@ import typer
 from pneud.bus.link import open_link, refuse_if_driven
 from pneud.compiled.backend import backend
 from pneud.config import conversions
-from pneud.config.models import ConfigError
+from pneud.config.sections import ConfigError
 from pneud.crew import asked_to_leave
 from pneud.loading import bus_name, listening_s
 from pneud.rig.plant_process import Rig, answer

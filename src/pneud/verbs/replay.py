@@ -13,9 +13,10 @@ from typing import Annotated, Any
 import typer
 
 from pneud.bus.link import open_link, refuse_if_driven
-from pneud.config.models import Config, ConfigError, check_channel
+from pneud.config.models import Config
 from pneud.config.reading import load_with_text as load_text
 from pneud.config.reading import with_settings
+from pneud.config.sections import ConfigError, check_channel
 from pneud.log.files.reader import LogReader, read_log
 from pneud.loop.summary import finite
 from pneud.replay import courses

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pneud.config.models import ConfigError
+from pneud.config.sections import ConfigError
 from pneud.log.files.reader import read_log
 from pneud.report import pictures
 from pneud.report.gather import Window, gather

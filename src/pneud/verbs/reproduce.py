@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from pneud.config.models import ConfigError
+from pneud.config.sections import ConfigError
 from pneud.rt.outputs import write_whole
 from pneud.study import paper
 from pneud.study.paper_figures import pictures, require

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pneud.config.models import ConfigError
+from pneud.config.sections import ConfigError
 from pneud.loading import Loaded, load
 from pneud.log.files.naming import log_path, new_log
 from pneud.log.files.writer import LogWriter

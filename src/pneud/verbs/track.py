@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from pneud.config.models import ConfigError
+from pneud.config.sections import ConfigError
 from pneud.console import profiles
 from pneud.console.client import Client, RefusedError
 from pneud.console.profiles import ProfileError

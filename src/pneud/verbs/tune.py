@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from pneud.config.models import ConfigError
 from pneud.config.reading import load_config
+from pneud.config.sections import ConfigError
 from pneud.config.writing import put, rewrite
 from pneud.console.client import Client
 from pneud.console.endpoint import PlaceError

@@ -1,0 +1,57 @@
+"""What the server and the desk say to each other: what to ask of the loop, and what there is to tell."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+from pneud.console import handoff, protocol
+from pneud.console.protocol import ProtocolError
+from pneud.signals import Request
+
+
+class Orders(NamedTuple):
+    """What a request comes to."""
+
+    words: str  # for the log
+    requests: tuple[Request, ...]  # one after the other; the first refusal ends it
+    urgent: bool = False  # needs no lease, goes first and takes the lease
+    free: bool = False  # needs no lease
+    done: Callable[[], dict[str, Any]] | None = None  # called when all are taken; fields for the reply
+    undo: Request | None = None  # asked for where not all are taken
+    unfinished: bool = False  # another message of the same client is to follow
+
+
+class Desk(Protocol):
+    """What the server asks about the axis."""
+
+    name: str
+    """Of the axis; every reply has it."""
+
+    def read(self) -> None:
+        """Read what `status` and the plan of a reload depend on; called in another thread."""
+
+    def status(self) -> dict[str, Any]:
+        """The fields of the reply to `status`."""
+
+    def attach(self) -> tuple[dict[str, Any], int]:
+        """The fields of the reply to `attach`, and the descriptor that goes with it."""
+
+    def gains(self) -> dict[str, Any]:
+        """The fields of the reply to `tune_get`."""
+
+    def plan(self, message: protocol.Request) -> Orders:
+        """What to ask of the loop.
+
+        Raises:
+            ProtocolError: what is asked for cannot be done.
+        """
+
+    def refused(self, answer: int, words: str, outcome: handoff.RequestOutcome) -> ProtocolError:
+        """What to tell a client about the axis's refusal."""
+
+    def half_done(self, half: bool) -> None:
+        """What must be undone where all ends here has begun, or is whole or undone."""
+
+    def left_half_done(self) -> Orders | None:
+        """What undoes what the console before this one has left half done."""
