@@ -102,6 +102,7 @@ def test_another_tolerance_has_to_hold_for_a_while() -> None:
         (status("disarmed", None), "stopped", "the axis is disarmed"),
         (status(reference_mm=90.0), "replaced", "the axis holds at 90.000 mm"),
         (None, "gone", "the daemon's console has hung up"),
+        (MOVING | {"silent_s": 5.1}, "gone", "the loop has been silent for 5.1 s"),
     ],
 )
 def test_it_says_why_the_load_does_not_come_there(said: dict[str, Any] | None, kind: str, text: str) -> None:

@@ -198,6 +198,22 @@ def test_another_rig_does_not_get_it(rig: Path, change: tuple[str, str], words: 
     assert rig.read_text() == text.replace(*change, 1)
 
 
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("adaptation = {enabled = true}", "write its tables as [control.adaptation] and so on"),
+        ("adaptation = {enabled = false}", "enabled is false: what was learnt would not count"),
+    ],
+)
+def test_a_file_that_cannot_take_it_is_left_as_it_is(rig: Path, line: str, words: str) -> None:
+    rig.write_text(rig.read_text().replace("[control]\n", f"[control]\n{line}\n", 1))
+    before = rig.read_text()
+    done = pneud_here("learnt", LOG, "--into", rig)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done
+    assert words in done.stderr
+    assert rig.read_text() == before
+
+
 def test_without_a_log_a_file_or_a_snapshot_it_says_so(rig: Path) -> None:
     for args, words in (
         ((LOG.with_name("none.mcap"),), "cannot be read"),
@@ -247,6 +263,16 @@ def test_ticks_without_a_reading_are_counted_by_what_became_of_it() -> None:
     ):
         amiss.add(m)
     assert amiss.all == amiss.lately() == Counts(1, 1, 1)
+
+
+def test_an_odd_one_from_before_it_began_is_not_taken_back() -> None:
+    amiss = Amiss()
+    amiss.add(heard(encoder_defects=int(Defect.CONFIRMED)))
+    assert amiss.all == amiss.lately() == Counts()
+    amiss.add(heard(2.999, encoder_defects=int(Defect.ODD)))
+    amiss.add(heard(3.0, encoder_defects=int(Defect.CONFIRMED)))
+    amiss.add(heard(62.5))
+    assert amiss.lately() == Counts()
 
 
 def test_the_last_minute_is_what_it_says() -> None:

@@ -70,6 +70,8 @@ def judge(
         within_ns = s.within_ns if s.within_ns >= 0 else t_ns
         in_position = 1 if t_ns - within_ns >= p.time_ns else 0
     extreme_m, rising, turns, first_ns, turned_ns = s.extreme_m, s.rising, s.turns, s.first_ns, s.turned_ns
+    if s.since_ns < 0:
+        extreme_m = error_m
     ahead_m = error_m - extreme_m if rising else extreme_m - error_m
     if ahead_m >= 0.0:
         extreme_m = error_m

@@ -249,12 +249,13 @@ def creep_of(c: Config) -> Creep:
 
     Friction that falls with speed makes a pole; where the filter lags behind it, it would be fed too late.
     """
-    f, omega_rad_s = c.control.friction, c.control.motion.bandwidth_rad_s
+    f, h = c.control.friction, 1.0 / c.loop.rate_hz
     fall_n = max(0.0, f.static_n - f.coulomb_n)
     if not c.control.creep or f.bristle_stiffness_n_m <= 0.0 or fall_n == 0.0:
         return Creep()
     pole_rad_s = STEEPEST * fall_n / (f.stribeck_speed_m_s * c.cylinder.moving_mass_kg)
-    behind = pole_rad_s * 3.0 / omega_rad_s if omega_rad_s is not None else 0.0
+    omega_rad_s = motion_of(c).gamma ** (1.0 / 3.0) / h  # of a triple pole
+    behind = pole_rad_s * 3.0 / omega_rad_s
     return Creep(1.0 / (1.0 + behind**8), 3.0 * f.stribeck_speed_m_s, f.stribeck_speed_m_s / PASSING_S)
 
 

@@ -33,6 +33,8 @@ def rewrite(path: Path, change: Callable[[Any], None]) -> None:
         text = tomlkit.dumps(document)
     except (TOMLKitError, UnicodeDecodeError) as e:
         raise ConfigError(f"{path}: {e}") from None
+    except ValueError as e:  # tomlkit's own word for what an inline table cannot hold
+        raise ConfigError(f"{path}: {e}; write its tables as [control.adaptation] and so on") from None
     parse(text, str(path))
     before = path.stat()
     with replacing(path) as beside:

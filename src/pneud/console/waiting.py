@@ -12,6 +12,7 @@ from pneud.console.endpoint import PlaceError
 
 LOOK_S = 0.05
 SETTLE_S = 5.0  # that a load has at most, once its reference has come to the end
+SILENT_S = 5.0  # that a loop may be, before it counts as gone
 STEADY_S = 0.1  # that an error has to stay within a tolerance of the caller's
 SAME_MM = 1e-3  # a reference no further from a target stands there
 UNDER_WAY, ARRIVED = "moving", "holding"
@@ -52,6 +53,9 @@ def wait(
         except PlaceError as e:
             raise RefusedError({"type": "gone", "message": f"{words}: {e}"}) from None
         now_s = clock()
+        if (status["silent_s"] or 0.0) > SILENT_S:
+            text = f"{words}: the loop has been silent for {status['silent_s']:.1f} s"
+            raise RefusedError({"type": "gone", "message": text}, str(status.get("axis", "")))
         if status["silent_s"] is not None:
             _check(status, order, x_mm, words)
             if status["state"] == ARRIVED and until_s == math.inf:

@@ -7,7 +7,8 @@ reference has come to rest the law gives way:
 
 * to a closed valve, where the load would come to rest within a band, or has been hunting for long;
 * to nudges, where it sticks beside the band: steps of force, each spread over one swing of the load on its
-  bristles, so that it does not ring, and as large as the stiffness that the step before has shown asks for;
+  bristles, so that it does not ring, if the valve can open so little; and as large as the stiffness that the
+  step before has shown asks for;
 
 and has the load back when it leaves a wider band, or moves.
 """
@@ -79,7 +80,7 @@ class StandstillState(NamedTuple):
     stiffness_n_m: float = 0.0  # found; 0: as configured
     anchor_m: float = 0.0  # reading since which none has differed
     same: int = 0  # readings since then
-    tries: int = 0  # times that the valve was closed because the law hunts, since the reference stands still
+    tries: int = 0  # times that giving way was of no use, since the reference stands still
 
 
 def is_still(now: Reference, goal: Reference) -> bool:
@@ -143,7 +144,7 @@ def stand(
     if not still or p.enter_m <= 0.0:
         return given_back(_stepping(_tried(s, 0), s.from_n, s.step_n, s.error_m, 0.0))
     size = abs(error_m)
-    if s.mode == LAW and s.ticks < p.settle:
+    if s.mode == LAW and s.tries == 0 and s.ticks < p.settle:
         return s
     if s.mode == LAW:
         if would_rest(s, error_m, p):
@@ -155,7 +156,7 @@ def stand(
         return s
     coming = s.mode == CLOSED and s.ticks < p.grace
     if size > p.far_m or (abs(velocity_m_s) > p.leave_m_s and not coming):
-        return given_back(s)
+        return given_back(_tried(s, max(1, s.tries)))
     if s.mode == CLOSED:
         if size <= p.leave_m or coming:
             return s
@@ -163,7 +164,7 @@ def stand(
             return planned(s, error_m, force_n, friction_n, p)
         # a load that the law has made swing again and again is left to swing out
         swings = s.tries > TRIES and size <= p.near_m and s.ticks < p.grace + LONGEST * p.swing
-        return s if swings else given_back(s)
+        return s if swings else given_back(_tried(s, max(1, s.tries)))
     if s.step_n * error_m < 0.0:
         return _entered(s, CLOSED, p.grace, s.restless_v)  # past the target
     if s.ticks < SWINGS * p.swing or (s.same < p.stick and s.ticks < LONGEST * p.swing):

@@ -23,6 +23,7 @@ from pneud.control.disturbance import observe as observe_disturbance
 from pneud.control.feedforward import (
     Creep,
     bristles_under,
+    friction_ahead,
     friction_creeping,
     friction_felt,
     held_by_bristles,
@@ -290,6 +291,8 @@ def situation(state: ControllerState, e: Estimate, r: Reference, p: Controller) 
     if p.standstill.enter_m > 0.0 and is_still(r, goal):
         friction = friction_felt(state.bristles_m, e.velocity_m_s, p.h, p.lead_s, p.friction)
         force_rate *= STILL_RATE
+    elif is_still(r, goal):
+        friction = friction_ahead(state.bristles_m, r, goal, p.h, p.lead_s, p.friction)
     else:
         friction = friction_creeping(
             state.bristles_m, r, goal, e.velocity_m_s, p.h, p.lead_s, p.friction, p.creep

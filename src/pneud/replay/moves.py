@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 from pneud.safety.faults import BLOCKS_ARM
@@ -122,6 +123,12 @@ class Course:
     def begun(self) -> bool:
         """A move has been asked for."""
         return bool(self._results)
+
+    @property
+    def longest_s(self) -> float:
+        """That the moves whose speed is given may take on their ways, the first one all the way out [s]."""
+        ways = pairwise([Move(0.0), *self._moves])
+        return sum(abs(m.to_m - a.to_m) / m.speed_m_s for a, m in ways if m.speed_m_s > 0.0)
 
     @property
     def results(self) -> list[dict[str, Any]]:

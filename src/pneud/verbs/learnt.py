@@ -80,6 +80,8 @@ def _write(path: Path, values: Values, config: Config, log: LogReader, time_ns: 
     if not path.is_file():
         raise ConfigError(f"{path}: there is no such file")
     target = load_config(path)
+    if not target.control.adaptation.enabled:
+        raise ConfigError(f"{path}: control.adaptation.enabled is false: what was learnt would not count")
     for key in _SAME:
         mine, theirs = attrgetter(key)(target), attrgetter(key)(config)
         if mine != theirs:

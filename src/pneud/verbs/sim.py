@@ -136,7 +136,7 @@ def _playable(scenario_file: str) -> Scenario:
 def _usual_s(scenario: Scenario | None, course: Course | None) -> float:
     """How long a run is, unless `--duration` says otherwise [s]; moves end it before."""
     if course is not None:
-        return DURATION_S + MOVE_S * len(course.results)
+        return DURATION_S + MOVE_S * len(course.results) + course.longest_s
     return scenario.duration_s if scenario is not None else DURATION_S
 
 

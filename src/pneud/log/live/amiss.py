@@ -46,7 +46,7 @@ class Amiss:
         if m.fresh == ALL_SOURCES and not (m.encoder_defects | m.pressure_defects) & _MARKED:
             return
         found = self.of(m)
-        self.all = _sum(self.all, found)
+        self.all = _counted(_sum(self.all, found))
         last = self._seconds.pop() if self._seconds and self._seconds[-1][0] == self._now_s else (0, Counts())
         self._seconds.append((self._now_s, _sum(last[1], found)))
 
@@ -70,8 +70,13 @@ class Amiss:
         for second, counts in self._seconds:
             if second > self._now_s - LATELY_S:
                 total = _sum(total, counts)
-        return total
+        return _counted(total)
 
 
 def _sum(a: Counts, b: Counts) -> Counts:
     return Counts(a.missing + b.missing, a.late + b.late, a.odd + b.odd)
+
+
+def _counted(a: Counts) -> Counts:
+    # one that is taken back may have been counted before this began
+    return a._replace(odd=max(0, a.odd))
