@@ -8,7 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from axis_rig import ARM, PERIOD_NS, Rig, assert_smooth, loaded, ready, twin
@@ -129,6 +129,11 @@ def assert_bumpless(path: Way, start: Reference, end: Reference) -> None:
 
 
 @given(old=sines, new=sines, t_ns=st.integers(0, 10**10))
+@example(
+    old=Sine(0.030000000000000002, 2.2250738585072014e-308, 4.656612873077393e-10),
+    new=Sine(0.03, 0.0, 0.0),
+    t_ns=0,
+)
 @settings(deadline=None)
 def test_from_anywhere_on_a_reference_it_goes_over_without_a_bump_or_stays(
     old: Sine, new: Sine, t_ns: int

@@ -340,6 +340,7 @@ def test_bristles_of_a_standing_load_are_drawn_to_what_the_force_says() -> None:
 def test_laws_without_what_is_learnt_or_left_alone_come_to_rest_too(plain: bool, inverse: bool) -> None:
     c, plant = rig(1e-6, 1e5, standstill=not plain)
     c = c._replace(sliding=c.sliding._replace(invert_dead_zone=inverse))
+    c = c._replace(standstill=c.standstill._replace(settle=0))
     if plain:
         c = c._replace(adaptation=Adaptation())
     errand = Errand(way(septic(0.1, rest(0.45), rest(0.4501))), NOSINE)

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from pneud.signals import Reference
 
+LONGEST_S = 1e7  # of any way
 LEAST_S = 0.02  # shortest piece of a way
 ROOM = 1.5  # what a motion already has of acceleration and jerk, times this, cannot be forbidden on its way
 LEAST_CRUISE_S = 1e-9
@@ -137,8 +138,9 @@ def along(t: float, w: Way) -> Reference:
 
 
 def stays(w: Way, low_m: float, high_m: float) -> bool:
-    """Whether a way stays between two positions (looked at in SAMPLES + 1 points of each piece)."""
-    return all(low_m <= position(i / SAMPLES, p) <= high_m for p in w.pieces for i in range(SAMPLES + 1))
+    """Whether a way ends, and stays between two positions (looked at in SAMPLES + 1 points of each piece)."""
+    inside = all(low_m <= position(i / SAMPLES, p) <= high_m for p in w.pieces for i in range(SAMPLES + 1))
+    return inside and w.T <= LONGEST_S
 
 
 def still(position_m: float) -> Way:
