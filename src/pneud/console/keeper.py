@@ -11,6 +11,7 @@ import signal
 import socket
 import time
 from contextlib import suppress
+from threading import Thread, get_native_id
 
 from pneud import crew
 from pneud.console.facts import RunFacts
@@ -28,6 +29,7 @@ _FARTHEST_S = 8.0
 _AT_ONCE_NS = 2_000_000_000  # one that has lived for less has died at once
 _LEAVE_S = 0.8
 _SOON_S = 0.02  # for what is about to happen: a console's beginning, the run's end that it has seen earlier
+_LOWEST = 19  # priority
 _PARENT_DIED = signal.SIGUSR1
 _WAKE = (signal.SIGCHLD, signal.SIGHUP, _PARENT_DIED)
 _WARNING, _ERROR = 3, 4  # levels of the log's events; their module is heavy to load
@@ -58,6 +60,12 @@ def fork_console(
     for end in (listener, loop, words):
         end.close()
     return child
+
+
+def _load_quietly() -> None:
+    # of a thread, so that consoles do not inherit it; the loop goes first where it is not real-time
+    os.setpriority(os.PRIO_PROCESS, get_native_id(), _LOWEST)
+    load()
 
 
 class _Keeper:
@@ -131,7 +139,9 @@ class _Keeper:
                 if self._before > 1 and self._at_once < 2:
                     self._say(_WARNING, "the console was started again")
             if not (begins or self._loaded) and now_ns > self._begun_ns + _READY_NS:
-                load()  # beside the loop, so that the next one begins at once
+                quietly = Thread(target=_load_quietly)  # so that the next one begins at once
+                quietly.start()
+                quietly.join()
                 self._loaded = True
             if now_ns > (self._begun_ns + _LOADING_NS if begins else beat_ns + _STANDS_NS):
                 crew.kill(self._console)
