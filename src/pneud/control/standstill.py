@@ -142,7 +142,8 @@ def stand(
     speed_m_s = s.speed_m_s + p.smooth * (velocity_m_s - s.speed_m_s)
     s = _in_mode(s, s.mode, s.ticks + 1, speed_m_s, s.net_n + p.smooth * (net_n - s.net_n), s.restless_v)
     if not still or p.enter_m <= 0.0:
-        return given_back(_stepping(_tried(s, 0), s.from_n, s.step_n, s.error_m, 0.0))
+        # what nudges have found, and how the law fared, holds until the reference moves
+        return _entered(_stepping(_tried(s, 0), s.from_n, s.step_n, s.error_m, 0.0), LAW, 0, 0.0)
     size = abs(error_m)
     if s.mode == LAW and s.tries == 0 and s.ticks < p.settle:
         return s
@@ -156,7 +157,7 @@ def stand(
         return s
     coming = s.mode == CLOSED and s.ticks < p.grace
     if size > p.far_m or (abs(velocity_m_s) > p.leave_m_s and not coming):
-        return given_back(_tried(s, max(1, s.tries)))
+        return given_back(s)
     if s.mode == CLOSED:
         if size <= p.leave_m or coming:
             return s
@@ -164,7 +165,7 @@ def stand(
             return planned(s, error_m, force_n, friction_n, p)
         # a load that the law has made swing again and again is left to swing out
         swings = s.tries > TRIES and size <= p.near_m and s.ticks < p.grace + LONGEST * p.swing
-        return s if swings else given_back(_tried(s, max(1, s.tries)))
+        return s if swings else given_back(s)
     if s.step_n * error_m < 0.0:
         return _entered(s, CLOSED, p.grace, s.restless_v)  # past the target
     if s.ticks < SWINGS * p.swing or (s.same < p.stick and s.ticks < LONGEST * p.swing):
@@ -173,8 +174,8 @@ def stand(
 
 
 def given_back(s: StandstillState) -> StandstillState:
-    """The law has the load."""
-    return _entered(s, LAW, 0, 0.0)
+    """The law has the load again, and no longer a while before it gives way."""
+    return _entered(_tried(s, max(1, s.tries)), LAW, 0, 0.0)
 
 
 def would_rest(s: StandstillState, error_m: float, p: Standstill) -> bool:

@@ -369,9 +369,10 @@ def act(
         state, out = tracked(state, s, p)
         return kept(state, state.bristles_m, state.standstill, learnt), out
     still, friction_n = is_still(r, s.goal), e.force_n - learnt.load_n
+    error_m = s.goal.position_m - e.position_m
     standstill = stand(
         state.standstill,
-        s.goal.position_m - e.position_m,
+        error_m,
         e.velocity_m_s,
         s.now.force_n,
         e.x3_hat_n,
@@ -387,7 +388,6 @@ def act(
     else:
         state, out = tracked(state, s, p)
         if still:
-            error_m = s.goal.position_m - e.position_m
             shut = opening(state.applied_v, p.valve) == 0.0
             if keeps_shut(error_m, opening(out.u_v, p.valve), shut, p.standstill):
                 out = LawOutput(dead_zone_inverse(0.0, p.valve, 0.0), out.s, out.ustar)
