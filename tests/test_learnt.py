@@ -201,7 +201,10 @@ def test_another_rig_does_not_get_it(rig: Path, change: tuple[str, str], words: 
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("adaptation = {enabled = true}", "write its tables as [control.adaptation] and so on"),
+        (
+            "adaptation = {enabled = true}",
+            "is written in one line, which cannot hold start: write [control.adaptation]",
+        ),
         ("adaptation = {enabled = false}", "enabled is false: what was learnt would not count"),
     ],
 )

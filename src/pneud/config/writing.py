@@ -10,10 +10,15 @@ from typing import Any
 
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import InlineTable, Table
 
 from pneud.config.reading import parse
 from pneud.config.sections import ConfigError
 from pneud.rt.outputs import replacing
+
+
+class InlineError(ValueError):
+    """A table does not fit into one that is written in a line, {…}."""
 
 
 def rewrite(path: Path, change: Callable[[Any], None]) -> None:
@@ -33,8 +38,8 @@ def rewrite(path: Path, change: Callable[[Any], None]) -> None:
         text = tomlkit.dumps(document)
     except (TOMLKitError, UnicodeDecodeError) as e:
         raise ConfigError(f"{path}: {e}") from None
-    except ValueError as e:  # tomlkit's own word for what an inline table cannot hold
-        raise ConfigError(f"{path}: {e}; write its tables as [control.adaptation] and so on") from None
+    except InlineError as e:
+        raise ConfigError(f"{path}: {e}") from None
     parse(text, str(path))
     before = path.stat()
     with replacing(path) as beside:
@@ -44,8 +49,24 @@ def rewrite(path: Path, change: Callable[[Any], None]) -> None:
 
 
 def put(document: Any, key: tuple[str, ...], value: Any) -> None:
-    """Set a key of a document, its tables made where they are missing."""
+    """Set a key of a document, its tables made where they are missing.
+
+    Raises:
+        InlineError: a table would have to go into one that is written in a line.
+    """
     table = document
-    for step in key[:-1]:
-        table = table.setdefault(step, tomlkit.table())
+    for place, step in enumerate(key[:-1], start=1):
+        if step not in table:
+            _within(table, key[:place])[step] = tomlkit.table()
+        table = table[step]
+    if isinstance(value, Table):
+        _within(table, key)
     table[key[-1]] = value
+
+
+def _within(table: Any, key: tuple[str, ...]) -> Any:
+    """A table that may hold others (not each tomlkit says so itself)."""
+    if isinstance(table, InlineTable):
+        above = ".".join(key[:-1])
+        raise InlineError(f"{above} is written in one line, which cannot hold {key[-1]}: write [{above}]")
+    return table
