@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -226,6 +228,7 @@ def test_what_cannot_be_read(
         assert contents(tmp_path) == before, kind
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("taken", WRITTEN, ids=ids)
 def test_what_cannot_be_written(taken: Taken, good: dict[str, str], tmp_path: Path) -> None:
     (tmp_path / "bad").mkdir()
@@ -248,7 +251,11 @@ def test_what_cannot_be_written(taken: Taken, good: dict[str, str], tmp_path: Pa
 
 
 @pytest.mark.parametrize("taken", SOCKETS, ids=ids)
-def test_sockets_that_are_none(taken: Taken, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sockets_that_are_none(
+    taken: Taken, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # not where somebody else's daemon may run
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path_factory.mktemp("empty")))
     (tmp_path / "bad").mkdir()
     for kind, name in names(tmp_path / "bad", taken.suffix).items():
         if not taken.words.startswith("status") and kind not in ("too long", "no UTF-8", "two lines"):
@@ -420,6 +427,7 @@ def test_all_that_print_are_tried() -> None:
     assert {words.split()[0] for words in (*WORKING, *TELLING)} | MUTE >= set(cli.verbs())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [*WORKING, *TELLING])
 def test_a_full_device_as_standard_output(
     words: str, good: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -461,6 +469,7 @@ def test_a_run_with_closed_streams_has_its_log(closed: str, tmp_path: Path, shor
     assert pneud_here("export", log, "-o", tmp_path / "x.csv").returncode == 0
 
 
+@pytest.mark.slow
 def test_a_run_whose_log_is_removed_meanwhile_says_so(tmp_path: Path, short_runtime: None) -> None:
     log = tmp_path / "gone" / "x.mcap"
     log.parent.mkdir()
@@ -487,3 +496,24 @@ def test_nobody_waits_for_the_end_of_a_start(words: str) -> None:
             continue  # the interpreter was not yet ours
         assert process.returncode in (130, 0, 1, 3), (ms, err)
         assert "Traceback" not in err, (ms, err)
+
+
+def test_an_answer_of_another_version_is_said_to_be_one(tmp_path: Path) -> None:
+    path = tmp_path / "x.sock"
+    with socket.socket(socket.AF_UNIX) as daemon:
+        daemon.bind(str(path))
+        daemon.listen()
+
+        def answer() -> None:
+            with daemon.accept()[0] as client:
+                client.recv(4096)
+                client.sendall(
+                    b'{"v": 1, "id": 1, "ok": true, "name": "x", "bus": "b", "state": "disarmed"}\n'
+                )
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        done = pneud_here("status", "--socket", path)
+        thread.join()
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (3, "", 1), done
+    assert "no 'silent_s': it is of another version than this pneud" in done.stderr

@@ -131,6 +131,7 @@ def test_a_console_that_dies_or_stands_still_is_followed_by_another(kept: Kept, 
     assert "the console was started again" in said
 
 
+@pytest.mark.slow
 def test_consoles_that_die_at_once_are_started_less_and_less_often_which_is_said_once(
     hasty: None, kept: Kept
 ) -> None:
@@ -166,6 +167,7 @@ def asleep(pid: int) -> int:
     return int(words.partition("voluntary_ctxt_switches:")[2].split()[0])
 
 
+@pytest.mark.slow
 def test_a_keeper_and_a_console_that_have_nothing_to_do_wake_a_few_times_a_second(kept: Kept) -> None:
     eventually(kept.lives)
     time.sleep(0.5)
@@ -200,6 +202,7 @@ def test_half_of_an_upload_goes_with_its_console_and_a_whole_one_stays(hasty: No
             assert kinds[0].kind == RequestKind.ARM
 
 
+@pytest.mark.slow
 def test_a_console_dies_with_its_keeper_and_falls_silent(kept: Kept) -> None:
     eventually(kept.lives)
     console = kept.console

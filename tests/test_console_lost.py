@@ -131,6 +131,7 @@ def test_a_disarmed_axis_stays_as_it_is(tmp_path: Path) -> None:
     assert not any(tick.present & 1 << F.CONSOLE_LOST for tick in read_log(run.log))
 
 
+@pytest.mark.slow
 def test_an_axis_that_armed_itself_goes_on_until_an_operator_steers_it(tmp_path: Path) -> None:
     from commands import background  # noqa: PLC0415
     from running import patient_axis, serves  # noqa: PLC0415

@@ -177,6 +177,7 @@ adrcs = st.builds(
 sets = sliding | pids | adrcs
 
 
+@pytest.mark.slow
 @given(
     state=states,
     old=sets,

@@ -114,9 +114,13 @@ def fates(most: int) -> st.SearchStrategy[tuple[str, int]]:
 
 @st.composite
 def courses(draw: st.DrawFn) -> tuple[int, list[tuple[str, int]]]:
-    """Bits of a counter; what becomes of answers, a prompt one among any seven."""
+    """Bits of a counter; what becomes of answers, a prompt one among any seven.
+
+    Nor does the counter come round between two prompt ones: a node silent for so long looks frozen.
+    """
     bits = draw(st.integers(2, 8))
-    bursts = draw(st.lists(st.lists(fates(min(8, (1 << bits) - 1 >> 1)), max_size=AGREE - 2), max_size=8))
+    most = min(AGREE - 2, (1 << bits) - 2)
+    bursts = draw(st.lists(st.lists(fates(min(8, (1 << bits) - 1 >> 1)), max_size=most), max_size=8))
     return bits, [fate for burst in bursts for fate in (*burst, ("prompt", 0))]
 
 

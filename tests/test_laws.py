@@ -49,7 +49,12 @@ CHOSEN: dict[str, dict[str, Any]] = {
     "adrc-encoder": {"law": "adrc", "adrc": {"observer_rad_s": 220.0}},
 }
 VALVE = ready().axis.parameters.controller.valve
-PAIRS = [(one, other) for one in CHOSEN for other in CHOSEN if one != other]
+PAIRS = [
+    pytest.param(one, other, marks=[] if "composite" in (one, other) else [pytest.mark.slow])
+    for one in CHOSEN
+    for other in CHOSEN
+    if one != other
+]
 
 
 @cache

@@ -208,6 +208,7 @@ def test_a_full_disk_stops_neither_the_recorder_nor_the_loop_and_is_reported(tmp
     assert path.stat().st_size <= 20_000
 
 
+@pytest.mark.slow
 def test_a_disk_that_takes_data_again_is_no_fault_any_longer(tmp_path: Path) -> None:
     ring = Ring.create()
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)

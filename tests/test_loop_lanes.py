@@ -106,6 +106,7 @@ def test_one_sync_and_a_command_for_each_axis_in_every_tick(axes: int) -> None:
     assert any(r.tick.state == State.TRACKING for r in records(lanes[0]))
 
 
+@pytest.mark.slow
 def test_an_axis_with_a_fault_does_not_end_the_run_of_another() -> None:
     carrier = Carrier()
     link = Link("here", carrier)

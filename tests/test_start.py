@@ -88,6 +88,7 @@ except SystemExit:
     assert {name for name in names.split() if name.startswith("pneud.")} == {"pneud.cli", "pneud.verbs"}
 
 
+@pytest.mark.slow
 def test_the_loop_ticks_without_what_others_need(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("CACHE_DIRECTORY", raising=False)

@@ -488,6 +488,7 @@ def test_keys_that_send_signals_are_the_parents_matter() -> None:
         assert s.seen.count("Ctrl-C stops") >= before + 3
 
 
+@pytest.mark.slow
 def test_a_view_on_a_stalled_terminal_still_ends() -> None:
     with screen() as s:
         s.read_until(lambda text: "Ctrl-C stops" in text)

@@ -26,6 +26,15 @@ class RefusedError(Exception):
         self.kind = str(error.get("type"))
 
 
+class Reply(dict[str, Any]):
+    """The fields of a reply; one that is missing says why."""
+
+    def __missing__(self, field: str) -> Any:
+        raise PlaceError(
+            f"the daemon's answer has no {field!r}: it is of another version than this pneud; restart it"
+        )
+
+
 class Client:
     """A connection to a running daemon."""
 
@@ -79,7 +88,7 @@ class Client:
                     continue
                 for key in ("v", "ok"):
                     del reply[key]
-                return reply
+                return Reply(reply)
             if reply.get("id") in (number, None):
                 raise RefusedError(reply["error"], str(reply.get("axis", "")))
 
