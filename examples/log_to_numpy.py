@@ -6,6 +6,8 @@ import numpy as np
 
 import pneud
 
+if len(sys.argv) != 2:
+    sys.exit(__doc__)
 log = pneud.read_log(sys.argv[1])
 ticks = list(log)
 t_s = np.array([tick.t_ns for tick in ticks]) * 1e-9

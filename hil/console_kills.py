@@ -11,6 +11,7 @@ Exit status: 0 where all held, 1 else.
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import json
 import os
@@ -165,8 +166,11 @@ def judged(lost: list[Lost], ticks: list[LoggedTick]) -> tuple[list[str], list[f
 
 def main() -> int:
     """The command."""
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 100
-    chance = random.Random(int(sys.argv[2]) if len(sys.argv) > 2 else 1)
+    parser = argparse.ArgumentParser(description="Takes the console away at random instants.")
+    parser.add_argument("count", nargs="?", type=int, default=100, help="how often")
+    parser.add_argument("--seed", type=int, default=1, help="of the instants")
+    given = parser.parse_args()
+    count, chance = given.count, random.Random(given.seed)
     began, lost = time.monotonic(), list[Lost]()
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)

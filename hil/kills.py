@@ -11,6 +11,7 @@ Exit status: 0 where all held, 1 else.
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import os
@@ -136,9 +137,11 @@ def one(number: int, plant: Plant, bus: str, config: str, folder: Path, after_s:
 
 def main() -> int:
     """The command."""
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    seed = int(sys.argv[2]) if len(sys.argv) > 2 else 1
-    chance = random.Random(seed)
+    parser = argparse.ArgumentParser(description="Kills the daemon at random instants in motion.")
+    parser.add_argument("count", nargs="?", type=int, default=200, help="how often")
+    parser.add_argument("--seed", type=int, default=1, help="of the instants")
+    given = parser.parse_args()
+    count, chance = given.count, random.Random(given.seed)
     bus = f"unixcan:kills-{os.getpid()}"
     began, kills = time.monotonic(), list[Kill]()
     with tempfile.TemporaryDirectory() as temporary:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ def rewrite(
     index: bool = True,
     strange: bool = False,
     seed: int = 0,
+    key: Callable[[str, Any], Any] | None = None,
 ) -> None:
     """Write a log anew.
 
@@ -40,6 +41,7 @@ def rewrite(
         index: have one, with statistics and definitions repeated.
         strange: unknown and private records stand between all others.
         seed: order in which channels are numbered.
+        key: of a topic's message, by which all are sorted; as they were without.
     """
     with source.open("rb") as file:
         records: list[Any] = list(StreamReader(file).records)
@@ -48,6 +50,8 @@ def rewrite(
     body = [r for r, kind in zip(records, kinds, strict=True) if kind == "Message"]
     schemas = {r.id: r for r, kind in zip(records, kinds, strict=True) if kind == "Schema"}
     channels = {r.id: r for r, kind in zip(records, kinds, strict=True) if kind == "Channel"}
+    if key is not None:
+        body.sort(key=lambda m: key(channels[m.channel_id].topic, m))
     with target.open("wb") as file:
         writer = Writer(
             file,

@@ -12,10 +12,12 @@ from mcap.writer import CompressionType, Writer
 from commands import pneud_here
 from log_samples import bits, header, noisy
 from mangled import simulated
+from pneud.log.files.columns import blocks
 from pneud.log.files.naming import create_log
 from pneud.log.files.reader import LoggedState, read_log
 from pneud.log.files.recovery import recover
 from pneud.log.files.writer import LogWriter
+from pneud.log.format.schema import FRAMES, TICK
 from pneud.replay.replaying import replay
 from rewritten import rewrite
 
@@ -139,6 +141,54 @@ def test_what_is_recovered_of_it_is_whole(log: Path, tmp_path: Path, chunked: bo
         behind += len(found) > len(before)
     assert parted
     assert bool(behind) == chunked
+
+
+@pytest.mark.parametrize("by_topic", [False, True])
+def test_it_may_be_sorted_by_time_or_by_topic(log: Path, tmp_path: Path, by_topic: bool) -> None:
+    def order(topic: str, message: Any) -> Any:
+        return (
+            ([TICK, FRAMES].index(topic) if topic in (TICK, FRAMES) else 2) if by_topic else message.log_time
+        )
+
+    rewrite(log, tmp_path / "sorted.mcap", key=order)
+    report = recover(tmp_path / "sorted.mcap", tmp_path / "mended.mcap")
+    assert (report.ticks, report.parted, report.damage) == (len(RECORDS), 0, "")
+    wanted = [bits(item) for item in read_log(log)]
+    for name in ("sorted", "mended"):
+        found = read_log(tmp_path / f"{name}.mcap")
+        assert [bits(item) for item in found] == wanted
+        assert (found.damage, found.missing) == ("", 0)
+        assert sum(len(block.number) for block in blocks(found)) == len(RECORDS)
+
+
+def test_frames_before_their_ticks_are_damage_in_words(log: Path, tmp_path: Path) -> None:
+    rewrite(log, tmp_path / "x.mcap", key=lambda topic, _: topic != FRAMES)
+    reader = read_log(tmp_path / "x.mcap")
+    for read in (list, lambda log: list(blocks(log))):
+        assert read(reader) == []
+        assert reader.damage == "damaged in record 1: frames without their ticks"
+    done = pneud_here("recover", tmp_path / "x.mcap", "-o", tmp_path / "m.mcap")
+    assert done.returncode == 1
+    assert "messages of ticks that are not whole" in done.stdout
+
+
+@pytest.mark.parametrize("by_topic", [False, True])
+def test_a_tick_that_is_not_there_is_damage_in_words(log: Path, tmp_path: Path, by_topic: bool) -> None:
+    def order(topic: str, m: Any) -> Any:
+        late = topic == TICK and m.sequence == 100
+        return 1 if late else 2 * by_topic * (topic != TICK)
+
+    rewrite(log, tmp_path / "x.mcap", key=order)  # it comes last, or behind the other ticks
+    reader, wanted = read_log(tmp_path / "x.mcap"), [bits(item) for item in read_log(log)]
+    found = [bits(item) for item in reader]
+    if by_topic:
+        assert (found, reader.damage) == (wanted, "")
+        return
+    assert 0 < len(found) < 100
+    assert found == wanted[: len(found)]
+    assert "frames without their ticks" in reader.damage
+    assert sum(len(block.number) for block in blocks(reader)) == len(found)
+    assert "frames without their ticks" in reader.damage
 
 
 def test_a_damaged_lz4_chunk_is_damage_in_words(log: Path, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
@@ -18,6 +19,7 @@ from pathlib import Path
 _PR_SET_PDEATHSIG = 1
 _LOOK_S = 0.005  # how often a child that is to end is looked at
 _REAP_S = 1.0  # longest that a killed process should take to go
+_LOW = 10  # niceness
 _LEAVE_S = 10.0  # patience with a program that has been asked to end
 
 Main = Callable[[], int | None]
@@ -149,6 +151,21 @@ def asked_to_leave(*signals: int) -> Callable[[], bool]:
     for number in signals:
         signal.signal(number, ask)
     return lambda: asked
+
+
+def at_low_priority(work: Callable[[], object]) -> None:
+    """Do something that is in no hurry, such as to load modules, and let all others go first.
+
+    It is done in a thread of its own: what this process does afterwards, or forks, has its own priority.
+    """
+
+    def low() -> None:
+        os.nice(_LOW)  # of this thread alone
+        work()
+
+    thread = threading.Thread(target=low)
+    thread.start()
+    thread.join()
 
 
 def gone(pid: int) -> bool:

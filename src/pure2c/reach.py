@@ -78,6 +78,8 @@ class Reach:
     def _add_named(self, names: Sequence[str], scope: Mapping[str, Any]) -> None:
         for name in names:
             value = scope.get(name)
+            if value is None:  # most of them are attributes
+                continue
             self._add(value)
             if not isinstance(value, _HAS_NO_PARTS) and not hasattr(value, "_fields"):
                 for inner in names:

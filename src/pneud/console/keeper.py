@@ -11,7 +11,6 @@ import signal
 import socket
 import time
 from contextlib import suppress
-from threading import Thread, get_native_id
 
 from pneud import crew
 from pneud.console.facts import RunFacts
@@ -23,13 +22,11 @@ from pneud.log.live.ring import CONSOLE_GONE, Ring
 _LOOK_S = 0.25  # how often a console that may stand still is looked at; an end is told by a signal
 _STANDS_NS = 2_000_000_000  # a console that has been silent for longer is killed
 _LOADING_NS = 20_000_000_000  # one that has not begun, after so long
-_READY_NS = 3_000_000_000  # when the next one's modules are loaded: not while a run begins, or is soon over
 _APART_S = 1.0  # from one start to the next; twice as long after each that died at once
 _FARTHEST_S = 8.0
 _AT_ONCE_NS = 2_000_000_000  # one that has lived for less has died at once
 _LEAVE_S = 0.8
 _SOON_S = 0.02  # for what is about to happen: a console's beginning, the run's end that it has seen earlier
-_LOWEST = 19  # priority
 _PARENT_DIED = signal.SIGUSR1
 _WAKE = (signal.SIGCHLD, signal.SIGHUP, _PARENT_DIED)
 _WARNING, _ERROR = 3, 4  # levels of the log's events; their module is heavy to load
@@ -62,12 +59,6 @@ def fork_console(
     return child
 
 
-def _load_quietly() -> None:
-    # of a thread, so that consoles do not inherit it; the loop goes first where it is not real-time
-    os.setpriority(os.PRIO_PROCESS, get_native_id(), _LOWEST)
-    load()
-
-
 class _Keeper:
     def __init__(self, post: Post, daemon: int) -> None:
         self._post = post
@@ -76,7 +67,6 @@ class _Keeper:
         self._console = 0
         self._begun_ns = 0
         self._before = 0  # consoles that have been started
-        self._loaded = False  # what consoles are made of
         self._at_once = 0  # of them the last ones that died at once
 
     def _over(self) -> bool:
@@ -85,6 +75,7 @@ class _Keeper:
     def run(self) -> None:
         signal.pthread_sigmask(signal.SIG_BLOCK, _WAKE)
         crew.die_with_parent(self._daemon, _PARENT_DIED)
+        crew.at_low_priority(load)  # so that each console begins at once
         while not self._over():
             self._begun_ns = time.monotonic_ns()
             try:
@@ -138,11 +129,6 @@ class _Keeper:
                 begins = False
                 if self._before > 1 and self._at_once < 2:
                     self._say(_WARNING, "the console was started again")
-            if not (begins or self._loaded) and now_ns > self._begun_ns + _READY_NS:
-                quietly = Thread(target=_load_quietly)  # so that the next one begins at once
-                quietly.start()
-                quietly.join()
-                self._loaded = True
             if now_ns > (self._begun_ns + _LOADING_NS if begins else beat_ns + _STANDS_NS):
                 crew.kill(self._console)
                 self._console = 0

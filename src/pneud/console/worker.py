@@ -59,7 +59,7 @@ def serve(post: Post, keeper: int, place: int) -> None:
 
     signal.signal(signal.SIGHUP, hang_up)
     crew.die_with_parent(keeper)
-    # the protocol is loaded here, beside the loop's own start; who calls meanwhile is queued
+    # the keeper has loaded them, beside the loop's own start
     from pneud.console import protocol  # noqa: PLC0415
     from pneud.console.commands import AxisDesk  # noqa: PLC0415
     from pneud.console.server import Server  # noqa: PLC0415

@@ -17,7 +17,7 @@ def recover(
     """Write what can be read of a log into another one.
 
     Returns:
-        Exit status: 0, or 1 where not a message could be saved of a source that is not whole.
+        Exit status: 0, or 1 where not a tick could be saved of a source that is not whole.
 
     Raises:
         LogError: not a log, or the new one exists.
@@ -32,4 +32,4 @@ def recover(
         print(f"left out: {report.parted} messages of ticks that are not whole")
     if report.damage:
         print(f"the source: {report.damage}")
-    return 1 if report.damage and not report.messages else 0
+    return 1 if (report.damage or report.parted) and not report.ticks else 0

@@ -17,7 +17,7 @@ from mcap.records import Channel, Schema
 
 from pneud.log.files.naming import LogError
 from pneud.log.files.part import CRC, check_intact
-from pneud.log.format.frames import FrameBlock
+from pneud.log.format.frames import FrameBlock, tick_count
 from pneud.log.format.framing import (
     CutShortError,
     DamageError,
@@ -352,9 +352,12 @@ class LogReader:
             if topic == TICK:
                 waiting[number] = TickMessage(number, message.log_time_ns, schema, message.data)
             elif topic == FRAMES:
-                ticks = list(waiting.values())
-                waiting = {}
-                if not ticks or ticks[0].number != number:
+                # more may wait than these are of, where another program has sorted the log
+                try:
+                    ticks = [waiting.pop(number + i) for i in range(tick_count(message.data))]
+                except (DecodeError, KeyError):
+                    ticks = []
+                if not ticks:
                     self.damaged_at(number, ValueError("frames without their ticks"))
                     return last
                 if began:
@@ -362,6 +365,8 @@ class LogReader:
                 began, last = True, ticks[-1].number
                 yield RawBatch(ticks, message.data)
             elif topic == STATE:
+                if began and number < last:  # sorted behind its time by another program: it says nothing here
+                    continue
                 if not began:
                     began, last = True, number
                 yield LoggedState(number, message.log_time_ns, message.data)

@@ -48,6 +48,7 @@ class RecoverReport(NamedTuple):
     """What was saved."""
 
     messages: int
+    ticks: int  # among them, with their frames
     chunks: int
     damaged_chunks: int  # left out
     parted: int  # ticks whose frames are lost, and frames of ticks that are: left out
@@ -123,6 +124,7 @@ class _Rescue:
         self._writer = writer
         self._channels = _Channels(writer)
         self._messages = 0
+        self._saved_ticks = 0
         self._strangers = 0
         self._ticks: dict[int, tuple[int, LoggedMessage]] = {}  # by number, whose frames are still to come
         self._parted = 0
@@ -162,7 +164,9 @@ class _Rescue:
         if lost > 0:
             self._damage = self._damage or f"{lost} of {self._promised} messages are not there"
         parted = self._parted + len(self._ticks)
-        return RecoverReport(self._messages, chunks, self._damaged_chunks, parted, self._damage)
+        return RecoverReport(
+            self._messages, self._saved_ticks, chunks, self._damaged_chunks, parted, self._damage
+        )
 
     def _pieces(self, source: IO[bytes], *, skip_chunks: bool = False) -> Iterator[Piece]:
         """The records, going on at the next chunk where one makes no sense."""
@@ -252,19 +256,21 @@ class _Rescue:
             elif ticks := self._ticks_of(item):
                 for its_channel, tick in ticks:
                     self._write(its_channel, tick)
+                self._saved_ticks += len(ticks)
                 self._write(channel, item)
 
     def _ticks_of(self, frames: LoggedMessage) -> list[tuple[int, LoggedMessage]]:
         """The ticks that frames belong to; none where one of them is lost, so that all of them are."""
-        waiting, self._ticks = self._ticks, {}
         try:
             numbers = range(frames.sequence, frames.sequence + FrameBlock(frames.data).count)
-            found = [waiting[number & _LAST_SEQUENCE] for number in numbers]
-        except (DecodeError, ValueError, KeyError):
-            self._parted += len(waiting) + 1
-            return []
-        self._parted += len(waiting) - len(found)
-        return found
+        except (DecodeError, ValueError):
+            numbers = range(0)
+        found = [self._ticks.pop(number & _LAST_SEQUENCE, None) for number in numbers]
+        ticks = [tick for tick in found if tick is not None]
+        if ticks and len(ticks) == len(found):
+            return ticks
+        self._parted += len(ticks) + 1
+        return []
 
     def _write(self, channel: int, item: LoggedMessage) -> None:
         self._writer.add_message(channel, item.log_time_ns, item.data, item.publish_time_ns, item.sequence)

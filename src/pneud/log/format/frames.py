@@ -130,6 +130,15 @@ class Column(NamedTuple):
         return zip(stamps, repeat(self.can_id), data, strict=False)
 
 
+def tick_count(data: bytes) -> int:
+    """Of how many ticks a message of `/can/frames` is.
+
+    Raises:
+        google.protobuf.message.DecodeError: not such a message.
+    """
+    return len(_Frames.FromString(data).received)
+
+
 class FrameBlock:
     """A message of `/can/frames` as read.
 

@@ -7,6 +7,7 @@ import socket
 import sys
 import time
 import traceback
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -93,7 +94,8 @@ def recorder_main(
     """
     try:
         os.nice(nice)
-        # protobuf and MCAP are loaded here, beside the loop's own start, while the ring keeps what comes
+        # protobuf and MCAP are loaded here, behind the loop's own start, while the ring keeps what comes
+        crew.at_low_priority(lambda: import_module("pneud.log.files.writer"))
         from pneud.log.files.writer import LogWriter  # noqa: PLC0415
 
         listener = NotesListener(words) if words is not None else None
