@@ -105,6 +105,8 @@ def _check_times(path: Path, intervals_ns: list[int], period_ns: float) -> None:
     ratio = interval_ns / period_ns
     if 1 / _UNLIKE <= ratio <= _UNLIKE:
         return
+    if interval_ns < 0:
+        raise LogError(f"{path}: its stamps go back from SYNC to SYNC; was it sorted the other way round?")
     if interval_ns == 0:
         raise LogError(f"{path}: its stamps do not go on from SYNC to SYNC; without times it has no ticks")
     unit = next((unit for factor, unit in _UNITS if factor / 2 <= ratio <= factor * 2), None)
