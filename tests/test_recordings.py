@@ -477,7 +477,7 @@ def test_events_beside_the_frames_of_an_asc_are_no_loss(run: Recorded, tmp_path:
     recorded.vector_asc(path, run)
     path.write_text(
         path.read_text().replace("internal events", 'previous log file: "a.asc"\ninternal events')
-        + "   3.297743 1  J1939TP FEE3p        6    0  0   -   Rx   d 23 A0 0F A6 60 3B D1 40 1F DE 80 25 DF\n"
+        + "   3.297743 1  J1939TP FEE3p        6    0  0   -   Rx   d 10 A0 0F A6 60 3B D1 40 1F DE 80\n"
         + "   4.200804 0 16777215 0 1 GMGroup: Marker Group GMMarker: [1] GMDescription: description\n"
         + "   5.0 LIN 1 Event\n"
     )
