@@ -535,11 +535,31 @@ def test_frames_of_the_wrong_length_are_named(run: Recorded, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        (r" 00000181#\1", "encoder (0x181) with a 29-bit identifier"),
+        (" 181#R8", "encoder (0x181) as a request for it (RTR)"),
+    ],
+)
+def test_frames_of_another_kind_are_named(run: Recorded, tmp_path: Path, name: str, words: str) -> None:
+    recorded.candump(tmp_path / "x.log", run)
+    text = (tmp_path / "x.log").read_text()
+    (tmp_path / "x.log").write_text(re.sub(r" 181#(\w+)", name, text))
+    found = imported(tmp_path / "x.log")
+    assert (found.status, found.commands()) == (0, commands(run))
+    (said,) = found.said
+    assert said.endswith(f" and {text.count(' 181#') - 1} more: {words}")
+
+
+@pytest.mark.parametrize(
     ("text", "words"),
     [
         ("(1.0) can0 123#00\n", "there is no SYNC (0x080) in it, so it has no ticks"),
         ("(1.0) can0 080#\n" * 5, "SYNC (0x080) is there 5 times, but with 0 bytes where the database has 1"),
         ("(1.0) can0 080#0100\n", "SYNC (0x080) is there 1 times, but with 2 bytes where the database has 1"),
+        ("(1.0) can0 00000080#01\n", "SYNC (0x080) is there 1 times, but with a 29-bit identifier, so"),
+        ("(1.0) can0 080#R\n" * 3, "SYNC (0x080) is there 3 times, but as a request for it (RTR), so"),
+        ("(1.0) can0 20000080#0000000000000000\n", "there is no SYNC (0x080) in it"),
         ("nonsense\n(1.0) can0 123#00\n", "so it has no ticks; line 1: not a line of a candump log"),
         ("\n", "there is no frame in it"),
         ("x\ny\n", "there is no frame in it; line 1 and 1 more: not a line of a candump log"),
