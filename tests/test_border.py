@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import shutil
 import signal
 import socket
@@ -11,6 +12,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -517,3 +519,38 @@ def test_an_answer_of_another_version_is_said_to_be_one(tmp_path: Path) -> None:
         thread.join()
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (3, "", 1), done
     assert "no 'silent_s': it is of another version than this pneud" in done.stderr
+
+
+@contextmanager
+def no_file_longer_than(size: int) -> Iterator[None]:
+    """As `ulimit -f` has it, for this process and those that it starts."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+FILLED = [t for t in WRITTEN if t.words.startswith(("export", "import", "recover", "report LOG -o"))]
+
+
+@pytest.mark.parametrize("taken", FILLED, ids=ids)
+def test_what_the_disk_takes_no_more_of(taken: Taken, good: dict[str, str], tmp_path: Path) -> None:
+    before = contents(tmp_path)
+    with no_file_longer_than(1000):
+        done = run(taken, f"{tmp_path}/x{taken.suffix}", good, tmp_path / "out")
+    refused(done, taken.words)
+    assert done.returncode == 3
+    assert f"x{taken.suffix}: cannot be written: " in done.stderr
+    assert done.stderr.endswith("ile too large\n")
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.slow
+def test_a_run_that_cannot_begin_leaves_no_empty_log(tmp_path: Path, short_runtime: None) -> None:
+    with no_file_longer_than(100_000):
+        done = pneud("--virtual", "--headless", "--duration", "1", "--log", tmp_path / "x.mcap")
+    assert done.returncode == 3
+    assert done.stderr.splitlines()[-1] == "pneud: no memory for the ring to the recorder: File too large"
+    assert not (tmp_path / "x.mcap").exists()

@@ -107,6 +107,18 @@ IMPLAUSIBLE = [
         "cylinder.moving_mass_kg: 0.01 kg on a piston",
     ),
     (
+        "gas in other units",
+        "gas_constant_j_kg_k = 286.987",
+        "gas_constant_j_kg_k = 0.287",
+        "gas.gas_constant_j_kg_k = 0.287",
+    ),
+    (
+        "viscous plant",
+        "viscous_n_s_m = 60.0",
+        "viscous_n_s_m = 60_000.0",
+        "plant.friction.viscous_n_s_m: 9.42e+03 N of friction at 0.16 m/s against",
+    ),
+    (
         "beyond the valve",
         "orifice_area_m2 = 2.8274e-5",
         "orifice_area_m2 = 5e-7",
@@ -126,6 +138,24 @@ def test_what_no_rig_has_is_refused_with_its_line(
     assert "line " in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("force_n", "says"),
+    [
+        (50, "50 N do not overcome 60 N of friction"),
+        (400, "warning: line 50: encoder.homing.force_n: 400 N of the piston's 527 N"),
+        (1200, "1200 N of the piston's 527 N"),
+    ],
+)
+def test_homing_is_stronger_than_friction_and_weaker_than_the_piston(
+    tmp_path: Path, force_n: int, says: str
+) -> None:
+    force = ("force_n = 120.0", f"force_n = {force_n}.0")
+    assert "fine" in pneud("check", written(tmp_path, force)).stdout  # nobody homes an absolute encoder
+    done = pneud("check", written(tmp_path, force, ('kind = "absolute"', 'kind = "incremental"')))
+    assert done.returncode == (0 if "warning" in says else 2)
+    assert says in (done.stdout or done.stderr)
+
+
 def test_a_reference_beyond_the_piston_is_refused(tmp_path: Path) -> None:
     done = pneud("check", written(tmp_path, ("moving_mass_kg = 15.0", "moving_mass_kg = 1500.0")))
     assert done.returncode == 2
@@ -142,6 +172,7 @@ def test_a_reference_beyond_the_piston_is_refused(tmp_path: Path) -> None:
         ),
         ("static_n = 60.0", "static_n = 300.0", "N of friction against"),
         ("moving_mass_kg = 15.0", "moving_mass_kg = 0.3", "cylinder.moving_mass_kg"),
+        ("dead_length_2_m = 0.0158", "dead_length_2_m = 15.8", "cylinder.dead_length_2_m: a dead length of"),
         ("orifice_area_m2 = 2.8274e-5", "orifice_area_m2 = 2.6e-6", "limits.motion: moves take up to"),
     ],
 )

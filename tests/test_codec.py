@@ -296,6 +296,12 @@ def changed(old: str, new: str) -> str:
 
 
 BROKEN: dict[str, tuple[str, BusConfig, str]] = {
+    "undefined": (
+        DBC.read_text(encoding="utf-8")
+        + '\nBA_ "SystemMessageLongSymbol" BO_ 385 "ENCODER_with_a_long_name";\n',
+        BusConfig(),
+        "not a usable DBC: it uses 'SystemMessageLongSymbol' and does not define it",
+    ),
     "garbage": ("this is no database", BusConfig(), "not a usable DBC"),
     "empty": ('VERSION ""\n', BusConfig(), "message SYNC: not in the database"),
     "no message": (

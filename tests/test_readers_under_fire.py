@@ -30,6 +30,7 @@ from pneud.bus.codec import DatabaseError, load_codecs
 from pneud.config.models import BusConfig
 from pneud.config.sections import ConfigError
 from pneud.loading import load
+from pneud.log.files.columns import blocks
 from pneud.log.files.naming import LogError, create_log
 from pneud.log.files.reader import read_log
 from pneud.log.files.recovery import recover
@@ -117,7 +118,7 @@ def blfs(folder: Path, run: Recorded) -> list[bytes]:
 def rows(data: bytes) -> list[str]:
     """The lines that say something, by another way than the reader's."""
     data = data.removeprefix(b"\xef\xbb\xbf")
-    texts = (row.strip(b"\0 \t\r").decode("cp1252", "replace") for row in data.split(b"\n"))
+    texts = (row.strip(b"\0 \t\r").decode("cp1252", "replace") for row in re.split(rb"\r\n|\r|\n", data))
     return [said for text in texts if (said := " ".join(text.split()))]
 
 
@@ -131,8 +132,9 @@ def said(remarks: Remarks) -> int:
 
 
 SILENT = re.compile(
-    r"//|date\b|base\s+(hex|dec)|(no\s+)?internal\s+events\s+logged|(begin|end)\s+triggerblock"
-    r"|-?[0-9]{1,20}(\.[0-9]+)?\s+(//|start of measurement|can \d+ status|log |comment|"
+    r"//|date\b|base\s+(hex|dec)(\s+timestamps\s+(absolute|relative))?$|begin\s+triggerblock\b"
+    r"|(no\s+)?internal\s+events\s+logged$|end\s+triggerblock$|previous\s+log\s+file"
+    r"|-?[0-9]{1,20}(\.[0-9]+)?\s+(//|start of measurement$|can \d+ status|log |comment|"
     r"[0-9]+\s+(statistic|overloadframe))",
     re.IGNORECASE,
 )
@@ -215,6 +217,7 @@ WAYS: list[dict[str, Any]] = [
     {"chunk_bytes": 3000},
     {"compression": CompressionType.LZ4, "chunk_bytes": 3000, "head_last": True},
     {"compression": CompressionType.NONE, "chunk_bytes": 3000, "strange": True},
+    {"chunk_bytes": 3000, "key": lambda topic, _: topic},
 ]
 TICKS = 40
 
@@ -248,6 +251,8 @@ def test_logs(tmp_path: Path, logs: list[bytes], count: int, figures: Figures) -
                 ticks = list(log)
             outcomes["damaged" if log.truncated else "read"] += 1
             assert len(ticks) == TICKS or log.damage or log.missing
+            with in_time():
+                assert sum(len(block.number) for block in blocks(log)) == len(ticks) or log.damage
         except LogError as e:
             outcomes["refused"] += 1
             assert "\n" not in str(e)

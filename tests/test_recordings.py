@@ -447,6 +447,7 @@ def test_lines_of_candump_that_are_not_of_this_bus_are_passed_over(run: Recorded
     [
         (lambda data: b"\xef\xbb\xbf" + data, []),
         (lambda data: data.replace(b"\n", b"\r\n"), []),
+        (lambda data: data.replace(b"\n", b"\r"), []),
         (lambda data: data.replace(b" can0 ", b" M\xe4rz\xb5 ").replace(b"Tue Nov", b"Die M\xe4r"), []),
         (lambda data: data.replace(b" can0 ", " Kanal-µ ".encode()), []),
         (lambda data: data + bytes(100_000), ["NUL bytes, as a loss of power leaves them, passed over"]),
@@ -470,6 +471,53 @@ def test_text_of_any_kind(
     assert [line.partition(": ")[2] for line in found.said] == words
 
 
+def test_events_beside_the_frames_of_an_asc_are_no_loss(run: Recorded, tmp_path: Path) -> None:
+    """Lines as CANoe writes them; a message of J1939's transport is made of frames that stand there too."""
+    path = tmp_path / "x.asc"
+    recorded.vector_asc(path, run)
+    path.write_text(
+        path.read_text().replace("internal events", 'previous log file: "a.asc"\ninternal events')
+        + "   3.297743 1  J1939TP FEE3p        6    0  0   -   Rx   d 10 A0 0F A6 60 3B D1 40 1F DE 80\n"
+        + "   4.200804 0 16777215 0 1 GMGroup: Marker Group GMMarker: [1] GMDescription: description\n"
+        + "   5.0 LIN 1 Event\n"
+    )
+    found = imported(path)
+    assert (found.status, found.commands()) == (0, commands(run))
+    (said,) = found.said
+    assert said.endswith("and 2 more: an event that is no frame of a CAN bus")
+
+
+def test_a_line_that_has_swallowed_the_next_one_is_named(tmp_path: Path) -> None:
+    frame = "1.0 1 80 Rx d 1 01"
+    for line in ("base hex timestamps absolute", "internal events logged", "0.0 Start of measurement"):
+        (tmp_path / "x.asc").write_text(f"{line} {frame}\n{frame}\n")
+        remarks = Remarks()
+        assert len(list(traffic.read(tmp_path / "x.asc", remarks))) == 1
+        assert remarks.lines()[0].startswith("line 1: ")
+
+
+def test_heads_of_forty_bytes_in_either_version(run: Recorded, tmp_path: Path) -> None:
+    """Objects of other buses have them, which are not damaged for that."""
+    start_ns = run[0][0].stamp_ns
+    objects = [recorded.blf_frame(f, start_ns) for f, _ in run]
+    for version in (1, 2):
+        other = b"LOBJ" + struct.pack("<HHLL", 40, version, 75, 85) + bytes(59)
+        (tmp_path / "x.blf").write_bytes(recorded.blf([*objects[:40], other, *objects[40:]], count=1))
+        remarks = Remarks()
+        assert len(list(traffic.read(tmp_path / "x.blf", remarks))) == len(run)
+        assert (remarks.lines(), remarks.partial) == (
+            ["byte 144: an object that is not a frame of CAN"],
+            False,
+        )
+
+
+def test_stamps_that_go_back_are_refused_with_the_reason(run: Recorded, tmp_path: Path) -> None:
+    recorded.candump(tmp_path / "x.log", run[::-1])
+    found = imported(tmp_path / "x.log")
+    assert found.status == 2
+    assert found.said[0].endswith("its stamps go back from SYNC to SYNC; was it sorted the other way round?")
+
+
 # Frames that are none, and refusals
 
 
@@ -487,11 +535,31 @@ def test_frames_of_the_wrong_length_are_named(run: Recorded, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        (r" 00000181#\1", "encoder (0x181) with a 29-bit identifier"),
+        (" 181#R8", "encoder (0x181) as a request for it (RTR)"),
+    ],
+)
+def test_frames_of_another_kind_are_named(run: Recorded, tmp_path: Path, name: str, words: str) -> None:
+    recorded.candump(tmp_path / "x.log", run)
+    text = (tmp_path / "x.log").read_text()
+    (tmp_path / "x.log").write_text(re.sub(r" 181#(\w+)", name, text))
+    found = imported(tmp_path / "x.log")
+    assert (found.status, found.commands()) == (0, commands(run))
+    (said,) = found.said
+    assert said.endswith(f" and {text.count(' 181#') - 1} more: {words}")
+
+
+@pytest.mark.parametrize(
     ("text", "words"),
     [
         ("(1.0) can0 123#00\n", "there is no SYNC (0x080) in it, so it has no ticks"),
         ("(1.0) can0 080#\n" * 5, "SYNC (0x080) is there 5 times, but with 0 bytes where the database has 1"),
         ("(1.0) can0 080#0100\n", "SYNC (0x080) is there 1 times, but with 2 bytes where the database has 1"),
+        ("(1.0) can0 00000080#01\n", "SYNC (0x080) is there 1 times, but with a 29-bit identifier, so"),
+        ("(1.0) can0 080#R\n" * 3, "SYNC (0x080) is there 3 times, but as a request for it (RTR), so"),
+        ("(1.0) can0 20000080#0000000000000000\n", "there is no SYNC (0x080) in it"),
         ("nonsense\n(1.0) can0 123#00\n", "so it has no ticks; line 1: not a line of a candump log"),
         ("\n", "there is no frame in it"),
         ("x\ny\n", "there is no frame in it; line 1 and 1 more: not a line of a candump log"),

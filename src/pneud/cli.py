@@ -24,7 +24,8 @@ except KeyboardInterrupt:  # nobody waits for the end of a start
     sys.exit(130)
 
 DONE, USAGE, MACHINE, INTERRUPTED = 0, 2, 3, 130
-LACKS = (errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EIO)  # the machine does
+SPACE, HANDLES = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG), (errno.EMFILE, errno.ENFILE)
+LACKS = (*SPACE, *HANDLES, errno.ENOMEM, errno.EIO)  # what the machine does
 LAST_STREAM = 2  # descriptor of standard error
 BYTE = 0xDC00  # and more: a byte of a name that is no UTF-8, as Python keeps it
 FOLDER = Path(__file__).parent / "verbs"

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
 from pneud import resources
-from pneud.bus.codec import Codecs, DatabaseError, load_codecs
+from pneud.bus.codec import Codecs, DatabaseError, codecs_from, load_codecs
 from pneud.bus.load import overload
 from pneud.config.models import BusConfig, Config
 from pneud.config.reading import explain, load_with_text, parse
@@ -72,10 +71,7 @@ def codecs_of(bus: BusConfig, name: str, dbc: bytes) -> Codecs:
     Raises:
         DatabaseError: the DBC cannot be used.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / (Path(name).name or "log.dbc")
-        file.write_bytes(dbc)
-        return load_codecs(bus, file)
+    return codecs_from(bus, Path(name or "log.dbc"), dbc)
 
 
 def toml_text(data: dict[str, Any], prefix: str = "") -> str:

@@ -116,7 +116,26 @@ def load_codecs(bus: BusConfig, dbc_path: Path, *, keep: bool = False) -> Codecs
     Raises:
         DatabaseError: the file, a message or a signal is missing or cannot be used; names it and the cure.
     """
-    loader = _Loader(dbc_path, _load(dbc_path, keep))
+    try:
+        dbc = read_whole(dbc_path)
+    except OSError as e:
+        raise DatabaseError(f"{dbc_path}: cannot be read: {e.strerror or e}; see bus.dbc") from None
+    return codecs_from(bus, dbc_path, dbc, keep=keep)
+
+
+def codecs_from(bus: BusConfig, path: Path, dbc: bytes, *, keep: bool = False) -> Codecs:
+    """As `load_codecs`, of a DBC that need not be in a file of its own.
+
+    Args:
+        bus: which messages play which roles.
+        path: what to call the DBC in errors.
+        dbc: its bytes.
+        keep: keep in the user's cache what the DBC says.
+
+    Raises:
+        DatabaseError: a message or a signal is missing or cannot be used; names it and the cure.
+    """
+    loader = _Loader(path, _messages(path, dbc, keep))
     codecs = {role: loader.codec(role, getattr(bus.frames, role)) for role in ROLES}
     voltage = loader.fields["valve_command"]["voltage_v"]
     age = loader.fields["encoder"].get("age_s")
@@ -130,12 +149,13 @@ def load_codecs(bus: BusConfig, dbc_path: Path, *, keep: bool = False) -> Codecs
     )
 
 
-def _load(path: Path, keep: bool) -> list[MessageSpec]:
+def _messages(path: Path, dbc: bytes, keep: bool) -> list[MessageSpec]:
     try:
-        return database.messages(read_whole(path), keep=keep)
-    except OSError as e:
-        raise DatabaseError(f"{path}: cannot be read: {e.strerror or e}; see bus.dbc") from None
+        return database.messages(dbc, keep=keep)
     except Exception as e:  # the parser lets more than its own errors through
+        if isinstance(lacking := getattr(e, "e_dbc", e), KeyError):
+            why = f"it uses {lacking} and does not define it"
+            raise DatabaseError(f"{path}: not a usable DBC: {why}") from None
         raise DatabaseError(f"{path}: not a usable DBC: {' '.join(str(e).split())}") from None
 
 

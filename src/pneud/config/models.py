@@ -21,6 +21,7 @@ from pneud.config.sections import (
     DeadZone,
     EncoderKind,
     Force,
+    GasConstant,
     HeatRatio,
     Inclination,
     Mass,
@@ -62,7 +63,7 @@ class GasConfig(Section):
     """The medium and its supply; pressures are absolute."""
 
     heat_capacity_ratio: HeatRatio = 1.4
-    gas_constant_j_kg_k: Positive = 286.987
+    gas_constant_j_kg_k: GasConstant = 286.987
     temperature_k: Temperature = 293.0  # of the supply and of what flows
     atmosphere_pa: Pressure = 101_000.0
     supply_pa: Pressure  # absolute, as is everything here

@@ -13,6 +13,7 @@ from pneud.config.sections import (
     DeadZone,
     EncoderKind,
     Force,
+    GasConstant,
     HeatRatio,
     Inclination,
     Mass,
@@ -65,7 +66,7 @@ class PlantGasConfig(Section):
     """The true medium and supply; what is not given is as in `[gas]`."""
 
     heat_capacity_ratio: HeatRatio | None = None
-    gas_constant_j_kg_k: Positive | None = None
+    gas_constant_j_kg_k: GasConstant | None = None
     temperature_k: Temperature | None = None
     atmosphere_pa: Pressure | None = None
     supply_pa: Pressure | None = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -115,6 +115,11 @@ def _prepared(o: RunOptions, viewers: ViewersPlace | None) -> Iterator[Ready]:
             print(f"pneud: {viewers.note}", file=sys.stderr)
         try:
             yield Ready(o, loaded, scenario, how, how.axis(p), link, socket, log_file, descriptor, viewers)
+        except BaseException:
+            with suppress(OSError):
+                if log_file.stat().st_size == 0:  # nothing had begun that could be looked up
+                    log_file.unlink()
+            raise
         finally:
             socket.path.unlink(missing_ok=True)
 

@@ -39,15 +39,17 @@ _MONTHS = {
     "nov": 11, "dec": 12, "mär": 3, "mrz": 3, "mai": 5, "okt": 10, "dez": 12,
 }  # fmt: skip
 _HEAD = re.compile(
-    r"//|(?:no\s+)?internal\s+events\s+logged|(?:begin|end)\s+triggerblock|date\b", re.IGNORECASE
+    r"//.*|(?:no\s+)?internal\s+events\s+logged|(?:begin|end)\s+triggerblock|date|previous\s+log\s+file.*",
+    re.IGNORECASE,
 )
-_EVENT = re.compile(r"//|start of measurement|can \d+ status|log |comment", re.IGNORECASE)
+_EVENT = re.compile(r"//.*|start of measurement|can \d+ status.*|log .*|comment.*", re.IGNORECASE)
 
-_OTHER = "an event that is not of a CAN bus"
+_OTHER = "an event that is no frame of a CAN bus"
 _NO_DATE = "not a date"
 _FOREIGN = "not a line of an .asc, passed over"
 _UNLIKE = "not a frame, passed over"
 _NAMED = "a message by its name instead of its number, passed over"
+_MARKER = "GMGroup:"
 _EDL, _REMOTE = 0x1000, 0x10  # flags of CANFD lines: a frame of CAN FD, a frame that is asked for
 
 
@@ -97,7 +99,7 @@ class _State:
         return self._event(line, time_ns, rest.split())
 
     def _head(self, line: Line) -> None:
-        if (base := _BASE.match(line.text)) is not None:
+        if (base := _BASE.fullmatch(line.text)) is not None:
             self._base = 10 if base[1].lower() == "dec" else 16
             self._relative = (base[2] or "").lower() == "relative"
         elif (date := _DATE.match(line.text)) is not None and date[1].strip():
@@ -106,7 +108,7 @@ class _State:
                 self._remarks.add(_NO_DATE, line.place, partial=False)
             else:
                 self._date_ns = found_ns
-        elif not _HEAD.match(line.text):
+        elif not _HEAD.fullmatch(line.text):
             raise _UnreadableError(_FOREIGN)
 
     def _time_ns(self, stamp_ns: int) -> int:
@@ -128,13 +130,16 @@ class _State:
         if kind == "CANXL":
             raise _UnreadableError(XL)
         if not (kind.isascii() and kind.isdecimal()):
-            if not _EVENT.match(" ".join(words)):
+            if not _EVENT.fullmatch(" ".join(words)):
                 self._remarks.add(_OTHER, line.place, partial=False)
             return None
         what = words[1].lower() if len(words) > 1 else ""
         if what.startswith(("statistic", "overloadframe")):
             return None
         channel = _channel(kind)
+        if what == "j1939tp" or _MARKER in words:  # made of frames that stand by themselves, or of none
+            self._remarks.add(_OTHER, line.place, partial=False)
+            return None
         if what.startswith("errorframe"):
             return Passing(Frame(time_ns, CAN_ERR_FLAG, b""), channel, False)
         return self._classic(line, time_ns, channel, words[1:])
@@ -204,7 +209,7 @@ def _channel(digits: str) -> str:
 
 def _unix_ns(text: str) -> int | None:
     """What a date says, in local time; None where it says nothing."""
-    found = _WHEN.match(text)
+    found = _WHEN.fullmatch(text)
     month = None if found is None else _MONTHS.get(found[1].lower().rstrip("."))
     if found is None or month is None:
         return None

@@ -34,7 +34,7 @@ _FILE = struct.Struct("<4sL8xQ8xL4x8H16x")  # magic, its size, size of the file,
 _MAGIC, _SIGN = b"LOGG", b"LOBJ"
 _OBJECT = struct.Struct("<4sHHLL")  # sign, size of the head, its version, size of the object, kind
 _TIME = struct.Struct("<L4xQ")  # unit of the time, time
-_HEAD_BYTES = {1: 32, 2: 40}  # by version
+_HEAD_BYTES = ((1, 32), (1, 40), (2, 40))  # by version
 _CONTAINER = struct.Struct("<H6xL4x")  # compression, size without it
 _CLASSIC = struct.Struct("<HBBL8s")  # channel, flags, DLC, identifier, data
 _ERROR = struct.Struct("<H8xB5xL4x8s")  # channel, DLC, identifier, data
@@ -241,7 +241,7 @@ class _Stream:
 
     @staticmethod
     def _plausible(data: bytes, at: int, head_bytes: int, version: int, size: int, kind: int) -> bool:
-        if head_bytes != _HEAD_BYTES.get(version) or not head_bytes <= size <= _LARGEST_OBJECT:
+        if (version, head_bytes) not in _HEAD_BYTES or not head_bytes <= size <= _LARGEST_OBJECT:
             return False
         if kind == _CLASSIC_1 and size == head_bytes + _CLASSIC.size:
             return True

@@ -16,11 +16,13 @@ from typing import NamedTuple
 from pneud.axis.cycle import Axis
 from pneud.bus.codec import ROLES, Codec, Codecs
 from pneud.bus.inbox import Inbox
+from pneud.bus.wire import CAN_ERR_FLAG
 from pneud.compiled.backend import backend
 from pneud.config import conversions
 from pneud.config.models import Config
 from pneud.log.files.writer import LogWriter
 from pneud.loop.turn import Turn
+from pneud.replay.passing import EXTENDED, other_kind
 from pneud.replay.remarks import Remarks
 from pneud.replay.sidecar import Sidecar
 from pneud.replay.surveying import Survey
@@ -92,7 +94,7 @@ class Ticks:
             own = not self._survey.directed or was_sent is not False
             is_sync = own and can_id == sync.can_id and sync.valid(data)
             frame = Frame(self._times.at(stamp_ns, is_sync=is_sync), can_id, data)
-            self._check_length(frame)
+            self._check_kind(frame)
             if is_sync:
                 if begun is not None:
                     yield Heard(begun, tuple(before), tuple(after), sent)
@@ -117,13 +119,14 @@ class Ticks:
                 count=len(pending),
             )
 
-    def _check_length(self, frame: Frame) -> None:
-        role, length = self._lengths.get(frame.can_id, ("", 0))
-        if role and len(frame.data) != length:
-            name, has = f"{role} (0x{frame.can_id:03X})", len(frame.data)
-            self._remarks.add(
-                f"{name} with {has} bytes, where the database has {length}", self._times.place, partial=False
-            )
+    def _check_kind(self, frame: Frame) -> None:
+        role, length = self._lengths.get(frame.can_id & (EXTENDED | CAN_ERR_FLAG), ("", 0))
+        has, kind = len(frame.data), other_kind(frame.can_id)
+        if not role or (has == length and not kind):
+            return
+        name = f"{role} (0x{frame.can_id & EXTENDED:03X})"
+        what = kind or f"with {has} bytes, where the database has {length}"
+        self._remarks.add(f"{name} {what}", self._times.place, partial=False)
 
 
 def rebuild(

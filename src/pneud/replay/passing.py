@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from pneud.bus.wire import CAN_EFF_FLAG, CAN_RTR_FLAG
 from pneud.signals import Frame
 
 STANDARD, EXTENDED = 0x7FF, 0x1FFFFFFF  # greatest identifiers
@@ -21,6 +22,13 @@ class Passing(NamedTuple):
     frame: Frame  # its stamp is Unix time
     channel: str
     sent: bool | None  # by whoever recorded; None where the recording does not say
+
+
+def other_kind(can_id: int) -> str:
+    """What a frame is, with its flags, where its number alone does not make it the message of that number."""
+    if can_id & CAN_RTR_FLAG:
+        return "as a request for it (RTR)"
+    return "with a 29-bit identifier" if can_id & CAN_EFF_FLAG else ""
 
 
 def decimal_ns(sign: str, seconds: str, fraction: str | None) -> int:

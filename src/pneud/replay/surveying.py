@@ -11,9 +11,12 @@ from statistics import median_low
 from typing import NamedTuple
 
 from pneud.bus.codec import Codec, Codecs
+from pneud.bus.wire import CAN_ERR_FLAG
 from pneud.log.files.naming import LogError
 from pneud.replay import traffic
+from pneud.replay.passing import EXTENDED, other_kind
 from pneud.replay.remarks import Remarks
+from pneud.signals import Frame
 
 _MOST_INTERVALS, _FEWEST_INTERVALS = 10_000, 3
 _UNLIKE = 30.0  # times the period, or the period times it: not the same unit, or not the same bus
@@ -59,15 +62,15 @@ def survey(path: Path, codecs: Codecs, rate_hz: float) -> Survey:
     remarks = Remarks()
     start_ns: int | None = None
     sent, all_ = _Heard(), _Heard()
-    odd: dict[int, int] = {}  # frames with the identifier of SYNC that are none, by length
+    odd: dict[str, int] = {}  # frames with the number of SYNC that are none, by what they are
     for passing in traffic.read(path, remarks):
         frame = passing.frame
         if start_ns is None:
             start_ns = frame.stamp_ns
-        if frame.can_id != codecs.sync.can_id:
+        if frame.can_id & (EXTENDED | CAN_ERR_FLAG) != codecs.sync.can_id:
             continue
-        if not codecs.sync.valid(frame.data):
-            odd[len(frame.data)] = odd.get(len(frame.data), 0) + 1
+        if why := _unlike(codecs.sync, frame):
+            odd[why] = odd.get(why, 0) + 1
             continue
         all_.take(passing)
         if passing.sent:
@@ -85,17 +88,21 @@ def _because(remarks: Remarks) -> str:
     return "".join(f"; {line}" for line in remarks.lines()[:1])
 
 
-def _no_sync(sync: Codec, odd: dict[int, int]) -> str:
+def _unlike(sync: Codec, frame: Frame) -> str:
+    """Why a frame with the number of SYNC is none; empty where it is one."""
+    if why := other_kind(frame.can_id):
+        return why
+    if len(frame.data) != sync.length:
+        return f"with {len(frame.data)} bytes where the database has {sync.length}"
+    return "" if sync.valid(frame.data) else "always with a wrong checksum"
+
+
+def _no_sync(sync: Codec, odd: dict[str, int]) -> str:
     name = f"SYNC (0x{sync.can_id:03X})"
     if not odd:
         return f"there is no {name} in it, so it has no ticks"
-    length, count = max(odd.items(), key=lambda item: item[1])
-    if length == sync.length:
-        return f"{name} is there {count} times, but always with a wrong checksum, so it has no ticks"
-    return (
-        f"{name} is there {count} times, but with {length} bytes where the database has {sync.length},"
-        " so it has no ticks"
-    )
+    why, count = max(odd.items(), key=lambda item: item[1])
+    return f"{name} is there {count} times, but {why}, so it has no ticks"
 
 
 def _check_times(path: Path, intervals_ns: list[int], period_ns: float) -> None:
@@ -105,6 +112,8 @@ def _check_times(path: Path, intervals_ns: list[int], period_ns: float) -> None:
     ratio = interval_ns / period_ns
     if 1 / _UNLIKE <= ratio <= _UNLIKE:
         return
+    if interval_ns < 0:
+        raise LogError(f"{path}: its stamps go back from SYNC to SYNC; was it sorted the other way round?")
     if interval_ns == 0:
         raise LogError(f"{path}: its stamps do not go on from SYNC to SYNC; without times it has no ticks")
     unit = next((unit for factor, unit in _UNITS if factor / 2 <= ratio <= factor * 2), None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 from collections.abc import Iterator
+from io import TextIOWrapper
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,23 +38,27 @@ def lines(path: Path, remarks: Remarks) -> Iterator[Line]:
         OSError: the file cannot be read.
         LogError: it is UTF-16.
     """
-    with open_file(path) as file:
+    with open_file(path) as file, TextIOWrapper(file, "latin-1") as text:  # a lone CR ends a line as well
+
+        def readline() -> bytes:
+            return text.readline(_LONGEST).encode("latin-1")
+
         number = 0
-        while piece := file.readline(_LONGEST):
+        while piece := readline():
             number += 1
             if number == 1:
                 if piece.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
                     raise LogError(f"{path}: is UTF-16; save it as UTF-8")
                 piece = piece.removeprefix(codecs.BOM_UTF8)
             has_nuls = b"\0" in (piece[:1], piece[-1:])
-            text = piece.strip(_BLANK)
-            while not piece.endswith(b"\n") and (more := file.readline(_LONGEST)):
+            line = piece.strip(_BLANK)
+            while not piece.endswith(b"\n") and (more := readline()):
                 piece = more
-                if len(text) < _LONGEST:
-                    text += piece.strip(_BLANK)
+                if len(line) < _LONGEST:
+                    line += piece.strip(_BLANK)
             if has_nuls:
                 remarks.add(_NULS, f"line {number}")
-            if said := _text(text).strip():
+            if said := _text(line).strip():
                 yield Line(number, said, piece.endswith(b"\n"))
 
 

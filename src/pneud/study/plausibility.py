@@ -27,6 +27,7 @@ LIGHT_M_S2, LIGHTEST_M_S2 = 1000.0, 10_000.0  # acceleration by the piston's who
 WIDE, WIDEST = 0.15, 0.35  # dead zone over the greatest command
 SLOW_RAD_S = 2.0  # bandwidth; disturbances would be left to themselves
 RUBBING = 0.4  # friction over the piston's force
+THIN_M = 1e-4  # a dead length below this is no chamber with a hose
 FAR = 4.0  # times what the controller believes: rather a slip of the pen
 SIZES = {
     "cylinder": ("piston_area_1_m2", "piston_area_2_m2", "stroke_m", "moving_mass_kg"),
@@ -174,6 +175,36 @@ def _rig(c: Config, p: PlantParameters, of: str = "") -> Iterator[Doubt]:
         yield Doubt(f"{of}cylinder.{key}", words, load_n >= force_n)
 
 
+def _chambers(c: Config, of: str = "") -> Iterator[Doubt]:
+    for key in ("dead_length_1_m", "dead_length_2_m"):
+        dead_m, stroke_m = getattr(c.cylinder, key), c.cylinder.stroke_m
+        if not THIN_M <= dead_m <= stroke_m:
+            words = f"a dead length of {dead_m:g} m on a stroke of {stroke_m:g} m"
+            yield Doubt(f"{of}cylinder.{key}", words, False)
+
+
+def _viscous(c: Config, p: PlantParameters) -> Iterator[Doubt]:
+    """Of the plant alone: what the controller believes in is part of what the reference asks for."""
+    speed_m_s = max(abs(at.velocity_m_s) for at in course(axis_of(c, 0.0).reference))
+    rubbing_n, force_n = p.friction.viscous_n_s_m * speed_m_s, piston_force_n(p)
+    if rubbing_n > RUBBING * force_n:
+        words = f"{rubbing_n:.3g} N of friction at {speed_m_s:.2g} m/s against {force_n:.3g} N of the piston"
+        yield Doubt("plant.friction.viscous_n_s_m", words, rubbing_n >= force_n)
+
+
+def _homing(c: Config, p: PlantParameters) -> Iterator[Doubt]:
+    if c.encoder.kind != "incremental":
+        return
+    pushes_n, force_n = c.encoder.homing.force_n, piston_force_n(p)
+    rubbing_n = max(p.friction.static_n, p.friction.coulomb_n)
+    if pushes_n <= rubbing_n:
+        words = f"{pushes_n:g} N do not overcome {rubbing_n:.3g} N of friction"
+        yield Doubt("encoder.homing.force_n", words, True)
+    elif pushes_n > MUCH * force_n:
+        words = f"{pushes_n:g} N of the piston's {force_n:.3g} N"
+        yield Doubt("encoder.homing.force_n", words, pushes_n > force_n)
+
+
 def _far(c: Config) -> Iterator[Doubt]:
     """What of the plant is much more or less than the controller believes."""
     true = truth_of(c)
@@ -208,8 +239,10 @@ def findings(c: Config, command_lsb_v: float, bandwidth_rad_s: float) -> list[Do
     believed = plant_of(knowing)._replace(
         friction=friction_of(c.control.friction), valve=axis.controller.valve
     )
-    found = [*_rig(c, believed), *_law(c, believed, bandwidth_rad_s), *_motion(c, axis, believed)]
+    found = [*_rig(c, believed), *_chambers(c), *_homing(c, believed)]
+    found += [*_law(c, believed, bandwidth_rad_s), *_motion(c, axis, believed)]
     said = {finding.words for finding in found}
-    of_plant = [*_rig(truth_of(c), plant_of(c), "plant."), *_far(c)]
+    true, there = truth_of(c), plant_of(c)
+    of_plant = [*_rig(true, there, "plant."), *_chambers(true, "plant."), *_viscous(c, there), *_far(c)]
     found += [finding for finding in of_plant if finding.words not in said]
     return sorted(found, key=lambda finding: not finding.is_error)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -11,7 +12,7 @@ import typer
 from pneud.config.reading import load_with_text, parse
 from pneud.config.sections import ConfigError
 from pneud.loading import at_rate, codecs_of
-from pneud.log.files.naming import log_path, new_log
+from pneud.log.files.naming import LogError, log_path, new_log
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import LogHeader
 from pneud.replay import sidecar, traffic
@@ -67,7 +68,8 @@ def import_(
     Raises:
         ConfigError: an option or the configuration cannot be used.
         DatabaseError: the DBC cannot be used.
-        LogError: the recording cannot be read, or the log cannot be written.
+        LogError: the recording cannot be read, or the log is there already.
+        OSError: the log cannot be written.
     """
     if recording.suffix.lower() not in FORMATS:
         raise ConfigError(f"{recording}: no such format; its name must end in one of {', '.join(FORMATS)}")
@@ -100,14 +102,13 @@ def import_(
     with new_log(path) as descriptor:
         writer = LogWriter(descriptor, header)
         found = rebuild(ticks, writer, config, codecs, source.known)
-        done = writer.close() and writer.written > 0
+        whole = writer.close()
+        if not whole:
+            raise OSError(writer.error, os.strerror(writer.error), str(path))
         if writer.unwritten:
             remarks.add("ticks that no log can hold, left out", path.name, count=writer.unwritten)
-        if not done:
-            for line in remarks.lines():
-                print(line, file=sys.stderr)
-            what = f"{path}: could not be written whole" if writer.error else f"{recording}: made no tick"
-            raise ConfigError(what)
+        if not writer.written:
+            raise LogError(f"{recording}: made no tick; {'; '.join(remarks.lines())}")
     print(f"{path}: {writer.written} ticks from channel {surveyed.channel}")
     if source.known is None:
         print(

@@ -108,7 +108,7 @@ def _from_json(path: Path) -> list[Septic]:
     """Pieces as `upload` has them: a list of [duration, eight coefficients], seconds and metres."""
     try:
         found = json_.loads(read_whole(path))
-        return [Septic(*map(float, piece)) for piece in found]
+        return [Septic._make(map(float, piece)) for piece in found]
     except OSError as e:
         raise ProfileError(f"{path}: cannot be read: {e.strerror}") from None
     except (ValueError, TypeError, OverflowError, RecursionError) as e:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -51,9 +52,11 @@ def change(
         values[name] = value
         if name != "law":
             try:
-                values[name] = float(value)
+                values[name] = number = float(value)
             except ValueError:
                 raise ConfigError(f"{setting!r}: {value!r} is no number") from None
+            if not math.isfinite(number):
+                raise ConfigError(f"{setting!r}: {value!r} is no finite number")
     return ask(socket, json, "tune_set", _changed, gains=values)
 
 

@@ -111,9 +111,9 @@ class Ring:
             fcntl.fcntl(descriptor, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW)
             with contextlib.suppress(OSError):  # Linux before 5.1 has but the mode to go by
                 fcntl.fcntl(descriptor, fcntl.F_ADD_SEALS, _SEAL_FUTURE_WRITE)
-        except OSError:
+        except OSError as e:
             os.close(descriptor)
-            raise
+            raise OSError(e.errno, f"no memory for the ring to the recorder: {e.strerror}") from None
         for page in range(0, size, mmap.PAGESIZE):
             memory[page] = 0
         ring = cls(memory, slots, slot_bytes, pack)
