@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from pneud import resources
 from pneud.config.conversions import axis_of, plant_of
+from pneud.config.flow import L_S_BAR, area_of, conductance_of
 from pneud.config.learnt import start_of, values_learnt
 from pneud.config.models import Config, CylinderConfig, GasConfig, ValveConfig
 from pneud.config.plant import PlantCylinderConfig, PlantGasConfig, PlantValveConfig
@@ -91,6 +92,54 @@ def test_the_other_keys_of_the_controller_that_the_plant_uses_can_differ() -> No
     assert axis_of(c, LSB_V) == axis_of(KNOWN, LSB_V)
 
 
+def rated(**valve: Any) -> Config:
+    """The controller's valve by another rating."""
+    data = KNOWN.model_dump(by_alias=True)
+    data["valve"] = {**data["valve"], "orifice_area_m2": None, **valve}
+    return Config.model_validate(data)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *(("nominal_flow_l_min", 1424.0), ("sonic_conductance_l_s_bar", 5.6), ("kv_m3_h", 1.21)),
+        ("cv", 1.4),
+    ],
+)
+@pytest.mark.parametrize("flow", ["orifice", "iso6358"])
+def test_a_valve_by_any_rating_of_its_sheet_is_about_the_same(key: str, value: float, flow: str) -> None:
+    area_m2 = area_of(KNOWN)
+    c = rated(**{key: value, "flow": flow})
+    assert area_of(c) == pytest.approx(area_m2, rel=0.01)
+    assert conductance_of(c) / L_S_BAR == pytest.approx(5.6, rel=0.01)
+    assert plant_of(c).cylinder.c1 == pytest.approx(plant_of(KNOWN).cylinder.c1, rel=0.01)
+    assert plant_of(told(valve={key: value})).cylinder == plant_of(rated(**{key: value})).cylinder
+
+
+def test_a_valve_has_one_rating() -> None:
+    for ratings in ({}, {"cv": 1.0, "kv_m3_h": 1.0}):
+        with pytest.raises(ValueError, match="give one of orifice_area_m2"):
+            rated(**ratings)
+    with pytest.raises(ValueError, match="at most"):
+        told(valve={"cv": 1.0, "kv_m3_h": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("flow", "orifice"), ("critical_ratio", 0.4), ("exponent", 0.55), ("exhaust_ratio", 0.8)],
+)
+def test_how_air_flows_in_the_plant_is_its_own_business(key: str, value: Any) -> None:
+    believed = rated(sonic_conductance_l_s_bar=5.6, flow="iso6358")
+    data = believed.model_dump(by_alias=True)
+    data["plant"]["valve"][key] = value
+    c = Config.model_validate(data)
+    changed = differing(plant_of(c), plant_of(believed))
+    assert changed
+    assert changed <= {"gas", "cylinder"}
+    assert plant_of(c).cylinder.c1 == plant_of(believed).cylinder.c1
+    assert axis_of(c, LSB_V) == axis_of(believed, LSB_V)
+
+
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(-0.5, 0.5))
 def test_edges_of_the_dead_zone_are_where_the_file_has_them(plus: float, minus: float, centre: float) -> None:
     valve = {"dead_zone_positive_v": plus, "dead_zone_negative_v": minus, "centre_v": centre}
@@ -121,6 +170,7 @@ def test_a_plant_that_cannot_be_is_refused(plant: dict[str, Any]) -> None:
     [
         ({"cylinder": {"moving_mass_kg": 150.0}}, "plant.cylinder.moving_mass_kg"),
         ({"valve": {"orifice_area_m2": 2.8e-6}}, "plant.valve.orifice_area_m2"),
+        ({"valve": {"cv": 0.1}}, "plant.valve.cv"),
         ({"valve": {"dead_zone_positive_v": 2.0, "dead_zone_negative_v": 1.0}}, "plant.valve.dead_zone_v"),
         ({"cylinder": {"load_n": 450.0}}, "plant.cylinder.load_n"),
     ],

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from pneud.axis.standing import Expected
 from pneud.axis.state import AxisParameters, Gate
+from pneud.config import flow
 from pneud.config.learnt import adaptation_of, start_of
-from pneud.config.models import BusConfig, Config, ControlConfig, RealtimeConfig
+from pneud.config.models import BusConfig, Config, ControlConfig, RealtimeConfig, ValveConfig
 from pneud.config.plant import FrictionConfig, PlantValveConfig
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.feedforward import Creep
@@ -20,8 +22,8 @@ from pneud.control.reference import Bounds, Sine
 from pneud.control.standstill import Standstill
 from pneud.control.step import Controller
 from pneud.physics import cylinder as cyl
-from pneud.physics import gas as gas_
 from pneud.physics.friction import Friction
+from pneud.physics.gas import Gas
 from pneud.physics.plant import PlantParameters
 from pneud.physics.valve import Valve, spool_transition
 from pneud.safety.checks import Limits
@@ -52,16 +54,9 @@ PASSING_S = 0.1  # a reference that passes the Stribeck speed in less does not c
 BLEND_S = 0.1  # in which one set of gains gives way to another
 
 
-def gas_of(c: Config) -> gas_.Gas:
-    """The gas as plain numbers."""
-    g = c.gas
-    return gas_.gas(
-        k=g.heat_capacity_ratio,
-        R=g.gas_constant_j_kg_k,
-        temperature_k=g.temperature_k,
-        atmosphere_pa=g.atmosphere_pa,
-        supply_pa=g.supply_pa,
-    )
+def gas_of(c: Config) -> Gas:
+    """The gas as plain numbers, flowing as the valve has it."""
+    return flow.gas_of(c)
 
 
 def cylinder_of(c: Config) -> cyl.Cylinder:
@@ -74,9 +69,10 @@ def cylinder_of(c: Config) -> cyl.Cylinder:
         stroke_m=k.stroke_m,
         x_e1=k.dead_length_1_m,
         x_e2=k.dead_length_2_m,
-        orifice_m2=c.valve.orifice_area_m2,
+        orifice_m2=flow.area_of(c),
         u_max_v=c.valve.u_max_v,
         g=gas_of(c),
+        exhaust=c.valve.exhaust_ratio,
     )
 
 
@@ -103,13 +99,9 @@ def truth_of(c: Config) -> Config:
     p = c.plant
     v = p.valve
     plus, minus = edges_v(v)
-    valve = {
-        "orifice_area_m2": v.orifice_area_m2 or c.valve.orifice_area_m2,
-        "u_max_v": v.u_max_v or c.valve.u_max_v,
-        "bandwidth_hz": v.bandwidth_hz,
-        "damping": v.damping,
-        "dead_zone_v": 0.5 * (plus + minus),
-    }
+    valve: dict[str, Any] = dict.fromkeys(flow.RATINGS) if flow.given(v) else {}
+    valve |= v.model_dump(include=set(ValveConfig.model_fields), exclude_none=True)
+    valve["dead_zone_v"] = 0.5 * (plus + minus)
     return c.model_copy(
         update={
             "cylinder": c.cylinder.model_copy(update=p.cylinder.model_dump(exclude_none=True)),
@@ -374,9 +366,9 @@ def _swings_pa_m_s(c: Config) -> tuple[float, float]:
     """Fastest change of each chamber's pressure by valve and piston together, times the chamber's length."""
     g, k = gas_of(c), cylinder_of(c)
     upstream_pa = max(c.limits.supply_max_pa, c.limits.chamber_max_pa)
-    flow = k.c1 * c.valve.u_max_v * g.gamma_choked * upstream_pa
+    filled = k.c1 * max(1.0, k.exhaust) * c.valve.u_max_v * g.gamma_choked * upstream_pa
     moved = g.k * c.limits.chamber_max_pa * c.limits.speed_m_s
-    return flow / k.A1 + moved, flow / k.A2 + moved
+    return filled / k.A1 + moved, filled / k.A2 + moved
 
 
 def homing_of(c: Config) -> HomingParameters:

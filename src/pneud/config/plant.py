@@ -6,12 +6,17 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from pneud.config.flow import RATINGS, given
 from pneud.config.sections import (
     Area,
     Command,
+    CriticalRatio,
     Damping,
     DeadZone,
     EncoderKind,
+    ExhaustRatio,
+    Exponent,
+    Flow,
     Force,
     HeatRatio,
     Inclination,
@@ -72,9 +77,17 @@ class PlantGasConfig(Section):
 
 
 class PlantValveConfig(Section):
-    """The true valve; area, greatest command and time-out are those of `[valve]` and `[bus]` if not given."""
+    """The true valve; size, flow, range and time-out are as in `[valve]` and `[bus]` if not given."""
 
-    orifice_area_m2: Orifice | None = None
+    orifice_area_m2: Orifice | None = None  # one of these five at most
+    nominal_flow_l_min: Positive | None = None
+    sonic_conductance_l_s_bar: Positive | None = None
+    kv_m3_h: Positive | None = None
+    cv: Positive | None = None
+    flow: Flow | None = None
+    critical_ratio: CriticalRatio | None = None
+    exponent: Exponent | None = None
+    exhaust_ratio: ExhaustRatio | None = None
     u_max_v: Command | None = None
     bandwidth_hz: NonNegative = 0.0  # 0: none
     damping: Damping = 0.7
@@ -84,6 +97,12 @@ class PlantValveConfig(Section):
     centre_v: Annotated[float, Field(gt=-2.5, lt=2.5)] = 0.0  # command from which both edges count
     dac_bits: Annotated[int, Field(ge=0, le=24)] = 0  # 0: any voltage
     timeout_ms: Timeout | None = None  # without a command, after which it centres itself
+
+    @model_validator(mode="after")
+    def _one_rating(self) -> PlantValveConfig:
+        if len(given(self)) > 1:
+            raise ValueError(f"give one of {', '.join(RATINGS)} at most")
+        return self
 
 
 class PlantSensorsConfig(Section):

@@ -118,6 +118,7 @@ def cylinder_learnt(c: Cylinder, so_far: Learnt) -> Cylinder:
         c.F1_nominal,
         c.rod_force_n,
         c.reverse_flow,
+        c.exhaust,
     )
 
 

@@ -94,7 +94,8 @@ def _march(
     A1, A2, M, length, rear = c.A1, c.A2, c.M, c.L, c.x_e1
     front = rear + c.stroke_m
     n, supply, atmosphere = p.polytropic_exponent, g.supply_pa, g.atmosphere_pa
-    rate = n / g.k * c.c1
+    filling = n / g.k * c.c1
+    emptying = filling * c.exhaust
     load = c.rod_force_n + p.load_n + force_ext_n
     disturbed, reverse = p.disturbance != 0, p.reverse_flow
     d1 = d2 = 0.0
@@ -125,9 +126,12 @@ def _march(
             d1, d2 = disturbances(t_s + (i + 0.5) * h, p)
         before = p1 * A1 - p2 * A2
         if u != 0.0:
-            other1, other2 = (supply, atmosphere) if u > 0.0 else (atmosphere, supply)
-            rate1 = rate * abs(u) / (A1 * x1)
-            rate2 = rate * abs(u) / (A2 * (length - x1))
+            if u > 0.0:
+                other1, rate1, other2, rate2 = supply, filling * u, atmosphere, emptying * u
+            else:
+                other1, rate1, other2, rate2 = atmosphere, emptying * -u, supply, filling * -u
+            rate1 /= A1 * x1
+            rate2 /= A2 * (length - x1)
             if not reverse:
                 rate1 = rate1 if (p1 < other1) == (u > 0.0) else 0.0
                 rate2 = rate2 if (p2 < other2) == (u < 0.0) else 0.0
