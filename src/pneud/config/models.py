@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from pneud.config.flow import RATINGS, given
 from pneud.config.learnt import start_of
+from pneud.config.measured import Places, check_map, edges_of
 from pneud.config.plant import FrictionConfig, PlantConfig
 from pneud.config.sections import (
     GRAVITY_M_S2,
@@ -80,6 +81,9 @@ class GasConfig(Section):
         return self
 
 
+MAP_EDGE_V = 1e-3  # by which map and dead_zone_v may differ
+
+
 class ValveConfig(Section):
     """The proportional valve as the controller knows it; its size by one rating, open to the end."""
 
@@ -96,11 +100,21 @@ class ValveConfig(Section):
     bandwidth_hz: NonNegative = 0.0  # natural frequency of the spool; 0: none
     damping: Damping = 0.7  # of the spool
     dead_zone_v: DeadZone = 0.0  # half width about the centre
+    map: Places = ()  # [[command in V, relative opening], …] as measured, from end to end
 
     @model_validator(mode="after")
     def _one_rating(self) -> ValveConfig:
         if len(found := given(self)) != 1:
             raise ValueError(f"give one of {', '.join(RATINGS)}{f'; not {len(found)}' if found else ''}")
+        return self
+
+    @model_validator(mode="after")
+    def _map_rises(self) -> ValveConfig:
+        if self.map:
+            check_map(self.map, self.u_max_v)
+            dead_zone_v = edges_of(self.map).dead_zone_v
+            if abs(self.dead_zone_v - dead_zone_v) > MAP_EDGE_V:
+                raise ValueError(f"dead_zone_v must be that of map, {dead_zone_v:g}")
         return self
 
 

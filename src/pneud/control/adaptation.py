@@ -102,6 +102,9 @@ def valve_learnt(valve: Valve, so_far: Learnt) -> Valve:
         valve.zeta,
         0.5 * (plus + minus),
         valve.centre_v + 0.5 * (plus - minus),
+        valve.bent,
+        valve.plus,
+        valve.minus,
     )
 
 
