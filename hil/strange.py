@@ -33,6 +33,7 @@ import numpy as np
 from hil.second_rig import SIZES
 from numpy.typing import NDArray
 
+from pneud.config.flow import area_of
 from pneud.config.models import Config
 from pneud.console.client import Client, RefusedError
 from pneud.console.endpoint import PlaceError
@@ -82,7 +83,7 @@ def truth_of(c: Config) -> dict[str, Any]:
             "dead_length_1_m": k["dead length"] * c.cylinder.dead_length_1_m,
             "dead_length_2_m": k["dead length"] * c.cylinder.dead_length_2_m,
         },
-        "valve": {"orifice_area_m2": k["flow"] * c.valve.orifice_area_m2},
+        "valve": {"orifice_area_m2": k["flow"] * area_of(c)},
         "plant": {
             "initial_x1_m": c.plant.initial_x1_m + longer_m,
             "valve": {

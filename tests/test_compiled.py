@@ -24,11 +24,14 @@ from pneud.axis.cycle import Axis, cycle
 from pneud.compiled import backend as backend_module
 from pneud.compiled.backend import FUNCTIONS, INTERPRETED, Backend, backend, compiled, sample
 from pneud.config import conversions
+from pneud.config.measured import Places, with_map
 from pneud.control.plan import COMING_TO_REST, FOLLOWING, GOING, JOINING, NONE, RESTING
 from pneud.control.reference import Septic, at, septic, sine
 from pneud.control.step import join
 from pneud.control.tunables import tunables
 from pneud.loading import load as load_axis
+from pneud.physics.gas import iso6358
+from pneud.physics.plant import Detail
 from pneud.replay.lockstep import Simulation
 from pneud.rig import dynamics
 from pneud.rt.folders import cache_folder
@@ -98,6 +101,30 @@ def test_compiled_functions_return_and_raise_what_the_originals_do(index: int) -
             arguments[4] = arguments[3] + 1e-3 * r.random()
             arguments[5] = arguments[5]._replace(step_s=1e-4)
         assert outcome(made, arguments) == outcome(function, arguments)
+
+
+DETAIL = Detail(
+    True, 0.02, 0.03, 0.05, 0.2, 4e7, 2e-7, True, 3e-7, 0.05, 1e-3, 1e-4, 1e-6, 1e-4, 500.0, -500.0, 100.0
+)
+
+
+@pytest.mark.parametrize("slips", [True, False])
+@pytest.mark.parametrize("places", [(), ((-5.0, -1.0), (-0.2, 0.0), (0.1, 0.0), (1.0, 0.1), (5.0, 1.0))])
+def test_a_plant_with_all_details_is_the_same_to_the_last_bit(slips: bool, places: Places) -> None:
+    p = conversions.plant_of(loaded().config)
+    p = p._replace(
+        gas=iso6358(p.gas, 0.3, 0.55),
+        cylinder=p.cylinder._replace(exhaust=0.9),
+        valve=with_map(p.valve, places),
+        detail=DETAIL._replace(slips=slips),
+    )
+    a = b = dynamics.initial_state(p)
+    r, u, made = random.Random(2), 0.0, of(dynamics.advance)
+    for i in range(400):
+        u = r.uniform(-5.0, 5.0) * r.random() ** 3 if i % 20 == 0 else u
+        a, b = (f(s, u, 0.0, i * 1e-3, (i + 1) * 1e-3, p) for f, s in ((dynamics.advance, a), (made, b)))
+        assert repr(a) == repr(b)
+    assert a.depth.elements.z1 != 0.0 or not slips
 
 
 def test_whatever_the_c_cannot_do_is_left_to_python() -> None:

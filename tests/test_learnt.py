@@ -16,6 +16,7 @@ from console_bench import Bench
 from log_samples import tick_at
 from pneud.axis.state import switched_on
 from pneud.config import conversions
+from pneud.config.flow import area_of
 from pneud.config.learnt import QUANTITIES, adaptation_of, start_of, values_learnt
 from pneud.config.models import Config
 from pneud.config.reading import load_config
@@ -63,7 +64,7 @@ def test_values_are_told_as_the_configuration_has_them() -> None:
         {
             "dead_zone_positive_v": 0.12,
             "dead_zone_negative_v": 0.09,
-            "orifice_area_m2": 1.1 * C.valve.orifice_area_m2,
+            "orifice_area_m2": 1.1 * area_of(C),
             "bandwidth_hz": C.valve.bandwidth_hz / 1.25,
             "coulomb_n": 0.8 * C.control.friction.coulomb_n,
             "bristle_stiffness_n_m": 2.0 * C.control.friction.bristle_stiffness_n_m,

@@ -11,13 +11,14 @@ from hypothesis import strategies as st
 
 from pneud import resources
 from pneud.config.conversions import axis_of, plant_of
+from pneud.config.flow import L_S_BAR, area_of, conductance_of
 from pneud.config.learnt import start_of, values_learnt
 from pneud.config.models import Config, CylinderConfig, GasConfig, ValveConfig
 from pneud.config.plant import PlantCylinderConfig, PlantGasConfig, PlantValveConfig
 from pneud.config.reading import load_config, parse
 from pneud.config.sections import ConfigError
 from pneud.loading import load
-from pneud.physics.plant import PlantParameters
+from pneud.physics.plant import Detail, PlantParameters
 from pneud.physics.valve import opening
 from pneud.replay.lockstep import Simulation
 from pneud.rig.dynamics import advance, initial_state
@@ -91,6 +92,128 @@ def test_the_other_keys_of_the_controller_that_the_plant_uses_can_differ() -> No
     assert axis_of(c, LSB_V) == axis_of(KNOWN, LSB_V)
 
 
+def rated(**valve: Any) -> Config:
+    """The controller's valve by another rating."""
+    data = KNOWN.model_dump(by_alias=True)
+    data["valve"] = {**data["valve"], "orifice_area_m2": None, **valve}
+    return Config.model_validate(data)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *(("nominal_flow_l_min", 1424.0), ("sonic_conductance_l_s_bar", 5.6), ("kv_m3_h", 1.21)),
+        ("cv", 1.4),
+    ],
+)
+@pytest.mark.parametrize("flow", ["orifice", "iso6358"])
+def test_a_valve_by_any_rating_of_its_sheet_is_about_the_same(key: str, value: float, flow: str) -> None:
+    area_m2 = area_of(KNOWN)
+    c = rated(**{key: value, "flow": flow})
+    assert area_of(c) == pytest.approx(area_m2, rel=0.01)
+    assert conductance_of(c) / L_S_BAR == pytest.approx(5.6, rel=0.01)
+    assert plant_of(c).cylinder.c1 == pytest.approx(plant_of(KNOWN).cylinder.c1, rel=0.01)
+    assert plant_of(told(valve={key: value})).cylinder == plant_of(rated(**{key: value})).cylinder
+
+
+def test_a_valve_has_one_rating() -> None:
+    for ratings in ({}, {"cv": 1.0, "kv_m3_h": 1.0}):
+        with pytest.raises(ValueError, match="give one of orifice_area_m2"):
+            rated(**ratings)
+    with pytest.raises(ValueError, match="at most"):
+        told(valve={"cv": 1.0, "kv_m3_h": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("flow", "orifice"), ("critical_ratio", 0.4), ("exponent", 0.55), ("exhaust_ratio", 0.8)],
+)
+def test_how_air_flows_in_the_plant_is_its_own_business(key: str, value: Any) -> None:
+    believed = rated(sonic_conductance_l_s_bar=5.6, flow="iso6358")
+    data = believed.model_dump(by_alias=True)
+    data["plant"]["valve"][key] = value
+    c = Config.model_validate(data)
+    changed = differing(plant_of(c), plant_of(believed))
+    assert changed
+    assert changed <= {"gas", "cylinder"}
+    assert plant_of(c).cylinder.c1 == plant_of(believed).cylinder.c1
+    assert axis_of(c, LSB_V) == axis_of(believed, LSB_V)
+
+
+DETAILS: dict[str, tuple[dict[str, dict[str, Any]], Any]] = {
+    "play_v": ({"valve": {"hysteresis_v": 0.04}}, 0.02),
+    "leak_in_v": ({"valve": {"leakage": 0.01, "leakage_exhaust": 0.0}}, 0.05),
+    "leak_out_v": ({"valve": {"leakage_exhaust": 0.02}}, 0.1),
+    "wall_s": ({"": {"wall_time_s": 0.3, "polytropic_exponent": None}}, 0.3),
+    "receiver_pa_kg": ({"supply": {"receiver_m3": 1e-3}}, 286.987 * 293.0 / 1e-3),
+    "slips": ({"friction": {"model": "gms"}}, True),
+    "rise_1_pa": ({"friction": {"pressure_share_bar": 0.03}}, 3e-7),
+    "forward_share": ({"friction": {"forward_share": -0.05}}, -0.05),
+    "pressure_lag_s": ({"sensors": {"pressure_lag_s": 1e-3}}, 1e-3),
+    "encoder_lag_s": ({"sensors": {"encoder_lag_s": 1e-4}}, 1e-4),
+    "encoder_noise_m": ({"sensors": {"encoder_noise_m": 1e-6}}, 1e-6),
+    "encoder_offset_m": ({"sensors": {"encoder_offset_m": 1e-3}}, 1e-3),
+    "p1_offset_pa": ({"sensors": {"p1_offset_pa": 500.0}}, 500.0),
+    "p2_offset_pa": ({"sensors": {"p2_offset_pa": -500.0}}, -500.0),
+    "supply_offset_pa": ({"sensors": {"supply_offset_pa": 1000.0}}, 1000.0),
+}
+
+
+def with_plant(tables: dict[str, dict[str, Any]]) -> Config:
+    data = KNOWN.model_dump(by_alias=True)
+    for table, values in tables.items():
+        (data["plant"][table] if table else data["plant"]).update(values)
+    return Config.model_validate(data)
+
+
+@pytest.mark.parametrize("of", DETAILS)
+def test_a_key_of_a_detail_changes_that_and_nothing_else(of: str) -> None:
+    tables, value = DETAILS[of]
+    c = with_plant(tables)
+    changed = differing(plant_of(c), plant_of(KNOWN))
+    assert changed - {"polytropic_exponent"} == {"detail"}
+    found, plain = plant_of(c).detail, plant_of(KNOWN).detail
+    assert getattr(found, of) == pytest.approx(value)
+    assert {f for f in found._fields if getattr(found, f) != getattr(plain, f)} - {"regulator_kg_s_pa"} == {
+        "on",
+        of,
+    }
+    assert axis_of(c, LSB_V) == axis_of(KNOWN, LSB_V)
+
+
+def test_every_detail_has_a_key() -> None:
+    assert {*DETAILS, "on", "regulator_kg_s_pa"} == set(Detail._fields)
+    c = with_plant({"supply": {"receiver_m3": 1e-3, "regulator_l_min_bar": 600.0}})
+    assert plant_of(c).detail.regulator_kg_s_pa * 1e5 == pytest.approx(0.01 * 1.185)  # 10 l/s ANR
+
+
+def test_hoses_are_volumes_that_the_controller_does_not_know_of() -> None:
+    c = with_plant({"hoses": {"volume_1_m3": 1e-5, "volume_2_m3": 2e-5}})
+    p, q = plant_of(c), plant_of(KNOWN)
+    assert differing(p, q) == {"cylinder", "initial_x1"}
+    assert (p.cylinder.x_e1 - q.cylinder.x_e1) * q.cylinder.A1 == pytest.approx(1e-5)
+    assert pytest.approx(1e-5 / q.cylinder.A1 + 2e-5 / q.cylinder.A2) == p.cylinder.L - q.cylinder.L
+    assert axis_of(c, LSB_V) == axis_of(KNOWN, LSB_V)
+
+
+def test_pressures_may_be_told_in_bits() -> None:
+    c = with_plant({"sensors": {"pressure_resolution_pa": 0.0, "pressure_bits": 12}})
+    assert plant_of(c).pressure_resolution_pa == pytest.approx(244.1, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("tables", "says"),
+    [
+        ({"sensors": {"pressure_resolution_pa": 20.0, "pressure_bits": 12}}, "pressure_bits"),
+        ({"": {"wall_time_s": 0.3, "polytropic_exponent": 1.3}}, "wall_time_s"),
+        ({"valve": {"map": ((-5.0, -1.0), (5.0, 1.0)), "centre_v": 0.1}}, "edges and centre of its own"),
+    ],
+)
+def test_what_says_the_same_twice_is_refused(tables: dict[str, Any], says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        with_plant(tables)
+
+
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(-0.5, 0.5))
 def test_edges_of_the_dead_zone_are_where_the_file_has_them(plus: float, minus: float, centre: float) -> None:
     valve = {"dead_zone_positive_v": plus, "dead_zone_negative_v": minus, "centre_v": centre}
@@ -121,6 +244,7 @@ def test_a_plant_that_cannot_be_is_refused(plant: dict[str, Any]) -> None:
     [
         ({"cylinder": {"moving_mass_kg": 150.0}}, "plant.cylinder.moving_mass_kg"),
         ({"valve": {"orifice_area_m2": 2.8e-6}}, "plant.valve.orifice_area_m2"),
+        ({"valve": {"cv": 0.1}}, "plant.valve.cv"),
         ({"valve": {"dead_zone_positive_v": 2.0, "dead_zone_negative_v": 1.0}}, "plant.valve.dead_zone_v"),
         ({"cylinder": {"load_n": 450.0}}, "plant.cylinder.load_n"),
     ],

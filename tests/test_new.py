@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pneud.config import library
-from pneud.config.conversions import cylinder_of, gas_of
+from pneud.config.conversions import cylinder_of
+from pneud.config.flow import conductance_of
 from pneud.config.sections import ConfigError
 from pneud.loading import load
-from pneud.physics.ratings import conductance_of_orifice
 from pneud.replay.lockstep import Simulation, backend_of
 from pneud.signals import State
 from pneud.study.draft import Answers, drafted
@@ -45,7 +45,7 @@ def pneud(folder: Path, *args: str) -> subprocess.CompletedProcess[str]:
 def test_a_valve_of_the_library_has_the_flow_of_its_sheet(name: str) -> None:
     sheet = library.valve(name)
     c = drafted(answers(valve=name)).config
-    C = conductance_of_orifice(c.valve.orifice_area_m2, gas_of(c))
+    C = conductance_of(c)
     assert pytest.approx(sheet.conductance, rel=1e-3) == C
     assert sheet.source.startswith("Festo")
 

@@ -13,7 +13,7 @@ from pneud.config.conversions import cylinder_of, gas_of
 from pneud.config.reading import load_config
 from pneud.physics.cylinder import F0, F1_FLOOR, F1_exhaust, F1_fill
 from pneud.physics.friction import Friction, friction_force, relaxation_rate, slide, stribeck
-from pneud.physics.gas import LINEAR_FROM, flow_factor, signed_flow, subsonic_factor
+from pneud.physics.gas import LINEAR_FROM, Gas, flow_factor, iso6358, signed_flow, subsonic_factor
 from pneud.physics.valve import Valve, dead_zone_inverse, opening, spool_transition
 from pneud.rig.chamber import exchange, inflow
 
@@ -23,6 +23,7 @@ CYLINDER = cylinder_of(CONFIG)
 SEALS = Friction(40.0, 55.0, 0.02, 60.0, 1e5, 300.0)
 pressures = st.floats(2e4, 1.2e6)
 ratios = st.floats(0.01, 1.0)
+gases = st.just(GAS) | st.builds(iso6358, st.just(GAS), st.floats(0.1, 0.55), st.floats(0.4, 0.6))
 
 
 def test_the_flow_factor_is_choked_at_low_ratios_and_nothing_at_one() -> None:
@@ -34,40 +35,43 @@ def test_the_flow_factor_is_choked_at_low_ratios_and_nothing_at_one() -> None:
     )
 
 
-@given(ratios, ratios)
-def test_the_flow_factor_never_grows_with_the_ratio(a: float, b: float) -> None:
+@given(ratios, ratios, gases)
+def test_the_flow_factor_never_grows_with_the_ratio(a: float, b: float, g: Gas) -> None:
     low, high = sorted((a, b))
-    assert flow_factor(low, GAS) >= flow_factor(high, GAS) - 1e-12
+    assert flow_factor(low, g) >= flow_factor(high, g) - 1e-12
 
 
-def test_the_flow_factor_has_no_steps() -> None:
-    for r in (GAS.critical_ratio, LINEAR_FROM, 1.0):
-        assert flow_factor(r - 1e-12, GAS) == pytest.approx(flow_factor(r, GAS), abs=1e-6)
+@given(gases)
+def test_the_flow_factor_has_no_steps(g: Gas) -> None:
+    for r in (g.critical_ratio, LINEAR_FROM, 1.0):
+        assert flow_factor(r - 1e-12, g) == pytest.approx(flow_factor(r, g), abs=1e-6)
 
 
-@given(pressures, pressures)
-def test_flow_reverses_with_the_pressures(a: float, b: float) -> None:
-    assert signed_flow(a, b, GAS) == -signed_flow(b, a, GAS)
-    assert (signed_flow(a, b, GAS) > 0) == (a > b)
+@given(pressures, pressures, gases)
+def test_flow_reverses_with_the_pressures(a: float, b: float, g: Gas) -> None:
+    assert signed_flow(a, b, g) == -signed_flow(b, a, g)
+    assert (signed_flow(a, b, g) > 0) == (a > b)
 
 
-@given(pressures, pressures)
-def test_flow_into_a_chamber_is_the_signed_flow_with_its_derivative(chamber: float, other: float) -> None:
-    flow, slope = inflow(chamber, other, GAS)
-    assert flow == pytest.approx(signed_flow(other, chamber, GAS), rel=1e-9, abs=1e-6)
+@given(pressures, pressures, gases)
+def test_flow_into_a_chamber_is_the_signed_flow_with_its_derivative(
+    chamber: float, other: float, g: Gas
+) -> None:
+    flow, slope = inflow(chamber, other, g)
+    assert flow == pytest.approx(signed_flow(other, chamber, g), rel=1e-9, abs=1e-6)
     assert slope <= 1e-9
     e = 0.01
     r = min(chamber, other) / max(chamber, other)
-    if all(abs(r - kink) > 1e-6 for kink in (GAS.critical_ratio, LINEAR_FROM, 1.0)):
-        high, low = inflow(chamber + e, other, GAS)[0], inflow(chamber - e, other, GAS)[0]
+    if all(abs(r - kink) > 1e-6 for kink in (g.critical_ratio, LINEAR_FROM, 1.0)):
+        high, low = inflow(chamber + e, other, g)[0], inflow(chamber - e, other, g)[0]
         assert slope == pytest.approx((high - low) / (2 * e), rel=1e-3, abs=1e-5)
 
 
-@given(pressures, pressures, st.floats(0.0, 1e6), st.floats(1e-6, 1e-4))
+@given(pressures, pressures, st.floats(0.0, 1e6), st.floats(1e-6, 1e-4), gases)
 def test_flow_brings_a_chamber_towards_the_other_side_and_never_across(
-    chamber: float, other: float, rate: float, h: float
+    chamber: float, other: float, rate: float, h: float, g: Gas
 ) -> None:
-    after = exchange(chamber, other, rate, 0.0, h, GAS)
+    after = exchange(chamber, other, rate, 0.0, h, g)
     assert min(chamber, other) <= after <= max(chamber, other)
 
 

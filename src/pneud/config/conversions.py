@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from pneud.axis.standing import Expected
 from pneud.axis.state import AxisParameters, Gate
+from pneud.config import flow
+from pneud.config.detail import detail_of
 from pneud.config.learnt import adaptation_of, start_of
-from pneud.config.models import BusConfig, Config, ControlConfig, RealtimeConfig
-from pneud.config.plant import FrictionConfig, PlantValveConfig
+from pneud.config.measured import edges_of, with_map
+from pneud.config.models import BusConfig, Config, ControlConfig, CylinderConfig, RealtimeConfig, ValveConfig
+from pneud.config.plant import FrictionConfig, PlantConfig, PlantValveConfig
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.feedforward import Creep
 from pneud.control.homing import HomingParameters
@@ -20,8 +24,8 @@ from pneud.control.reference import Bounds, Sine
 from pneud.control.standstill import Standstill
 from pneud.control.step import Controller
 from pneud.physics import cylinder as cyl
-from pneud.physics import gas as gas_
 from pneud.physics.friction import Friction
+from pneud.physics.gas import Gas
 from pneud.physics.plant import PlantParameters
 from pneud.physics.valve import Valve, spool_transition
 from pneud.safety.checks import Limits
@@ -52,16 +56,9 @@ PASSING_S = 0.1  # a reference that passes the Stribeck speed in less does not c
 BLEND_S = 0.1  # in which one set of gains gives way to another
 
 
-def gas_of(c: Config) -> gas_.Gas:
-    """The gas as plain numbers."""
-    g = c.gas
-    return gas_.gas(
-        k=g.heat_capacity_ratio,
-        R=g.gas_constant_j_kg_k,
-        temperature_k=g.temperature_k,
-        atmosphere_pa=g.atmosphere_pa,
-        supply_pa=g.supply_pa,
-    )
+def gas_of(c: Config) -> Gas:
+    """The gas as plain numbers, flowing as the valve has it."""
+    return flow.gas_of(c)
 
 
 def cylinder_of(c: Config) -> cyl.Cylinder:
@@ -74,16 +71,17 @@ def cylinder_of(c: Config) -> cyl.Cylinder:
         stroke_m=k.stroke_m,
         x_e1=k.dead_length_1_m,
         x_e2=k.dead_length_2_m,
-        orifice_m2=c.valve.orifice_area_m2,
+        orifice_m2=flow.area_of(c),
         u_max_v=c.valve.u_max_v,
         g=gas_of(c),
+        exhaust=c.valve.exhaust_ratio,
     )
 
 
 def valve_of(c: Config) -> Valve:
     """The valve the controller believes in, as plain numbers."""
     v = c.valve
-    return Valve(v.u_max_v, 2.0 * math.pi * v.bandwidth_hz, v.damping, v.dead_zone_v)
+    return with_map(Valve(v.u_max_v, 2.0 * math.pi * v.bandwidth_hz, v.damping, v.dead_zone_v), v.map)
 
 
 def friction_of(f: FrictionConfig) -> Friction:
@@ -103,24 +101,33 @@ def truth_of(c: Config) -> Config:
     p = c.plant
     v = p.valve
     plus, minus = edges_v(v)
-    valve = {
-        "orifice_area_m2": v.orifice_area_m2 or c.valve.orifice_area_m2,
-        "u_max_v": v.u_max_v or c.valve.u_max_v,
-        "bandwidth_hz": v.bandwidth_hz,
-        "damping": v.damping,
-        "dead_zone_v": 0.5 * (plus + minus),
-    }
+    valve: dict[str, Any] = dict.fromkeys(flow.RATINGS) if flow.given(v) else {}
+    valve |= v.model_dump(include=set(ValveConfig.model_fields), exclude_none=True)
+    valve["dead_zone_v"] = 0.5 * (plus + minus)
     return c.model_copy(
         update={
-            "cylinder": c.cylinder.model_copy(update=p.cylinder.model_dump(exclude_none=True)),
+            "cylinder": _with_hoses(
+                c.cylinder.model_copy(update=p.cylinder.model_dump(exclude_none=True)), p
+            ),
             "gas": c.gas.model_copy(update=p.gas.model_dump(exclude_none=True)),
             "valve": c.valve.model_copy(update=valve),
         }
     )
 
 
+def _with_hoses(k: CylinderConfig, p: PlantConfig) -> CylinderConfig:
+    return k.model_copy(
+        update={
+            "dead_length_1_m": k.dead_length_1_m + p.hoses.volume_1_m3 / k.piston_area_1_m2,
+            "dead_length_2_m": k.dead_length_2_m + p.hoses.volume_2_m3 / k.piston_area_2_m2,
+        }
+    )
+
+
 def edges_v(v: PlantValveConfig) -> tuple[float, float]:
     """The edges of the true dead zone for u > 0 and u < 0, as distances from its centre [V]."""
+    if v.map:
+        return edges_of(v.map).dead_zone_v, edges_of(v.map).dead_zone_v
     plus, minus = v.dead_zone_positive_v, v.dead_zone_negative_v
     return v.dead_zone_v if plus is None else plus, v.dead_zone_v if minus is None else minus
 
@@ -129,6 +136,9 @@ def plant_of(c: Config) -> PlantParameters:
     """The true plant as plain numbers."""
     p, true = c.plant, truth_of(c)
     v, (plus, minus) = p.valve, edges_v(p.valve)
+    valve = valve_of(true)
+    if not valve.bent:
+        valve = valve._replace(centre_v=v.centre_v + 0.5 * (plus - minus))
     incremental = (p.sensors.encoder_kind or c.encoder.kind) == "incremental"
     cylinder, gas = cylinder_of(true), gas_of(true)
     if not p.rod_force:
@@ -137,7 +147,7 @@ def plant_of(c: Config) -> PlantParameters:
     return PlantParameters(
         gas=gas,
         cylinder=cylinder,
-        valve=valve_of(true)._replace(centre_v=v.centre_v + 0.5 * (plus - minus)),
+        valve=valve,
         friction=friction_of(p.friction),
         polytropic_exponent=p.polytropic_exponent or gas.k,
         reverse_flow=p.reverse_flow,
@@ -148,13 +158,14 @@ def plant_of(c: Config) -> PlantParameters:
         dac_bits=v.dac_bits,
         valve_timeout_s=(v.timeout_ms or c.bus.valve_timeout_ms) * 1e-3,
         encoder_resolution_m=p.sensors.encoder_resolution_m,
-        pressure_resolution_pa=p.sensors.pressure_resolution_pa,
+        pressure_resolution_pa=p.sensors.pressure_step_pa,
         pressure_noise_pa=p.sensors.pressure_noise_pa,
         encoder_zero_m=start_m - cylinder.x_e1 if incremental else 0.0,
         encoder_referenced=not incremental,
         bitrate_bit_s=p.bitrate_bit_s,
         node_delay_s=p.node_delay_us * 1e-6,
         load_n=true.cylinder.resistance_n,
+        detail=detail_of(c, valve.u_max_v, gas.R, gas.temperature_k),
     )
 
 
@@ -374,9 +385,9 @@ def _swings_pa_m_s(c: Config) -> tuple[float, float]:
     """Fastest change of each chamber's pressure by valve and piston together, times the chamber's length."""
     g, k = gas_of(c), cylinder_of(c)
     upstream_pa = max(c.limits.supply_max_pa, c.limits.chamber_max_pa)
-    flow = k.c1 * c.valve.u_max_v * g.gamma_choked * upstream_pa
+    filled = k.c1 * max(1.0, k.exhaust) * c.valve.u_max_v * g.gamma_choked * upstream_pa
     moved = g.k * c.limits.chamber_max_pa * c.limits.speed_m_s
-    return flow / k.A1 + moved, flow / k.A2 + moved
+    return filled / k.A1 + moved, filled / k.A2 + moved
 
 
 def homing_of(c: Config) -> HomingParameters:

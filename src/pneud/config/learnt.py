@@ -9,6 +9,7 @@ from __future__ import annotations
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
+from pneud.config.flow import area_of
 from pneud.control.adaptation import Adaptation, Learnt, Rate, within
 
 if TYPE_CHECKING:
@@ -119,6 +120,8 @@ def values_learnt(learnt: Learnt, c: Config) -> Values:
 
 
 def _configured(q: Quantity, c: Config) -> float:
+    if q.of == "flow":
+        return area_of(c)
     return c.cylinder.resistance_n if q.of == "load_n" else float(attrgetter(q.key)(c))
 
 

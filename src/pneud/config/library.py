@@ -8,12 +8,12 @@ from typing import Annotated, Any, TypeVar
 from pydantic import Field, ValidationError, model_validator
 
 from pneud import resources
+from pneud.config.flow import L_MIN, L_S_BAR
 from pneud.config.reading import explain
-from pneud.config.sections import ConfigError, Damping, DeadZone, Positive, Section
+from pneud.config.sections import ConfigError, CriticalRatio, Damping, DeadZone, Positive, Section
 from pneud.config.toml import tables_of
 from pneud.physics import ratings
 
-L_MIN, L_S_BAR = 1e-3 / 60.0, 1e-8
 RODLESS_FRICTION, ROD_FRICTION = 0.08, 0.06  # typical parts of the piston's force
 
 
@@ -24,7 +24,7 @@ class ValveSheet(Section):
     source: str
     nominal_flow_l_min: Positive | None = None
     sonic_conductance_l_s_bar: Positive | None = None
-    critical_ratio: Annotated[float, Field(gt=0, lt=0.6)] = ratings.TYPICAL_CRITICAL_RATIO
+    critical_ratio: CriticalRatio = ratings.TYPICAL_CRITICAL_RATIO
     bandwidth_hz: Positive = 100.0  # typical
     damping: Damping = 0.7  # typical
     dead_zone_v: DeadZone = 0.1  # typical

@@ -10,16 +10,22 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from pneud.config.flow import RATINGS, given
 from pneud.config.learnt import start_of
+from pneud.config.measured import Places, check_map, edges_of
 from pneud.config.plant import FrictionConfig, PlantConfig
 from pneud.config.sections import (
     GRAVITY_M_S2,
     STOP_M,
     Area,
     Command,
+    CriticalRatio,
     Damping,
     DeadZone,
     EncoderKind,
+    ExhaustRatio,
+    Exponent,
+    Flow,
     Force,
     GasConstant,
     HeatRatio,
@@ -39,6 +45,7 @@ from pneud.config.sections import (
 )
 from pneud.control.laws import adrc, pid
 from pneud.control.laws.open_loop import OpenLoop
+from pneud.physics.ratings import TYPICAL_CRITICAL_RATIO
 
 
 class CylinderConfig(Section):
@@ -75,14 +82,41 @@ class GasConfig(Section):
         return self
 
 
-class ValveConfig(Section):
-    """The proportional valve as the controller knows it."""
+MAP_EDGE_V = 1e-3  # by which map and dead_zone_v may differ
 
-    orifice_area_m2: Orifice  # open to the end
+
+class ValveConfig(Section):
+    """The proportional valve as the controller knows it; its size by one rating, open to the end."""
+
+    orifice_area_m2: Orifice | None = None  # one of these five
+    nominal_flow_l_min: Positive | None = None  # qnN, 6 → 5 bar above the atmosphere, ANR
+    sonic_conductance_l_s_bar: Positive | None = None  # C of ISO 6358
+    kv_m3_h: Positive | None = None  # of water at 1 bar
+    cv: Positive | None = None  # in US gallons a minute at 1 psi
+    flow: Flow = "orifice"  # how it falls with the pressure ratio: as in the paper, or by C and b
+    critical_ratio: CriticalRatio = TYPICAL_CRITICAL_RATIO  # b; an orifice has its own, 0.53
+    exponent: Exponent = 0.5  # m, the subsonic index
+    exhaust_ratio: ExhaustRatio = 1.0  # flow to the atmosphere over that from the supply
     u_max_v: Command = 5.0  # signed about the centre; the DAC saturates here
     bandwidth_hz: NonNegative = 0.0  # natural frequency of the spool; 0: none
     damping: Damping = 0.7  # of the spool
     dead_zone_v: DeadZone = 0.0  # half width about the centre
+    map: Places = ()  # [[command in V, relative opening], …] as measured, from end to end
+
+    @model_validator(mode="after")
+    def _one_rating(self) -> ValveConfig:
+        if len(found := given(self)) != 1:
+            raise ValueError(f"give one of {', '.join(RATINGS)}{f'; not {len(found)}' if found else ''}")
+        return self
+
+    @model_validator(mode="after")
+    def _map_rises(self) -> ValveConfig:
+        if self.map:
+            check_map(self.map, self.u_max_v)
+            dead_zone_v = edges_of(self.map).dead_zone_v
+            if abs(self.dead_zone_v - dead_zone_v) > MAP_EDGE_V:
+                raise ValueError(f"dead_zone_v must be that of map, {dead_zone_v:g}")
+        return self
 
 
 class LoopConfig(Section):

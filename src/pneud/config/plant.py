@@ -6,24 +6,33 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from pneud.config.flow import RATINGS, given
+from pneud.config.measured import Places, check_map
 from pneud.config.sections import (
     Area,
     Command,
+    CriticalRatio,
     Damping,
     DeadZone,
     EncoderKind,
+    ExhaustRatio,
+    Exponent,
+    Flow,
     Force,
     GasConstant,
     HeatRatio,
     Inclination,
+    Leakage,
     Mass,
     MaybeInfinite,
     NonNegative,
+    Offset,
     Orifice,
     Positive,
     Pressure,
     Resolution,
     Section,
+    Share,
     Stroke,
     Temperature,
     Timeout,
@@ -49,6 +58,14 @@ class FrictionConfig(Section):
         return self
 
 
+class PlantFrictionConfig(FrictionConfig):
+    """The true friction; all zero for none."""
+
+    model: Literal["lugre", "gms"] = "lugre"  # bristles of one kind, or four Maxwell elements that slip
+    pressure_share_bar: Share = 0.0  # more of it for each bar of mean chamber pressure above 3 bar, absolute
+    forward_share: Share = 0.0  # more of it on the way out, and less on the way back
+
+
 class PlantCylinderConfig(Section):
     """The true geometry and load; what is not given is as in `[cylinder]`."""
 
@@ -72,10 +89,32 @@ class PlantGasConfig(Section):
     supply_pa: Pressure | None = None
 
 
-class PlantValveConfig(Section):
-    """The true valve; area, greatest command and time-out are those of `[valve]` and `[bus]` if not given."""
+class PlantSupplyConfig(Section):
+    """A supply that gives way where much is drawn."""
 
-    orifice_area_m2: Orifice | None = None
+    receiver_m3: NonNegative = 0.0  # volume before the valve; 0: the supply is constant
+    regulator_l_min_bar: Positive = 1000.0  # ANR, what flows after for each bar below `gas.supply_pa`
+
+
+class PlantHosesConfig(Section):
+    """Hoses that the controller does not know of, besides the dead lengths."""
+
+    volume_1_m3: NonNegative = 0.0
+    volume_2_m3: NonNegative = 0.0
+
+
+class PlantValveConfig(Section):
+    """The true valve; size, flow, range and time-out are as in `[valve]` and `[bus]` if not given."""
+
+    orifice_area_m2: Orifice | None = None  # one of these five at most
+    nominal_flow_l_min: Positive | None = None
+    sonic_conductance_l_s_bar: Positive | None = None
+    kv_m3_h: Positive | None = None
+    cv: Positive | None = None
+    flow: Flow | None = None
+    critical_ratio: CriticalRatio | None = None
+    exponent: Exponent | None = None
+    exhaust_ratio: ExhaustRatio | None = None
     u_max_v: Command | None = None
     bandwidth_hz: NonNegative = 0.0  # 0: none
     damping: Damping = 0.7
@@ -83,8 +122,27 @@ class PlantValveConfig(Section):
     dead_zone_positive_v: DeadZone | None = None  # edge for u > 0, where it is another
     dead_zone_negative_v: DeadZone | None = None  # likewise for u < 0, as a distance from the centre
     centre_v: Annotated[float, Field(gt=-2.5, lt=2.5)] = 0.0  # command from which both edges count
+    map: Places = ()  # as in `[valve]`; edges and centre are its own
+    hysteresis_v: Annotated[float, Field(ge=0, le=1)] = 0.0  # play of the spool, from one side to the other
+    leakage: Leakage = 0.0  # opening of closed edges from the supply, as a part of the whole one
+    leakage_exhaust: Leakage | None = None  # of those to the atmosphere; none: as much
     dac_bits: Annotated[int, Field(ge=0, le=24)] = 0  # 0: any voltage
     timeout_ms: Timeout | None = None  # without a command, after which it centres itself
+
+    @model_validator(mode="after")
+    def _one_rating(self) -> PlantValveConfig:
+        if len(given(self)) > 1:
+            raise ValueError(f"give one of {', '.join(RATINGS)} at most")
+        return self
+
+    @model_validator(mode="after")
+    def _map_has_edges(self) -> PlantValveConfig:
+        own = (self.dead_zone_positive_v, self.dead_zone_negative_v, self.dead_zone_v or None)
+        if self.map and (self.centre_v or any(edge is not None for edge in own)):
+            raise ValueError("map has edges and centre of its own; give neither dead_zone_v nor centre_v")
+        if self.map:
+            check_map(self.map, self.map[-1][0])
+        return self
 
 
 class PlantSensorsConfig(Section):
@@ -93,7 +151,28 @@ class PlantSensorsConfig(Section):
     encoder_kind: EncoderKind | None = None  # none: as in `[encoder]`
     encoder_resolution_m: Resolution = 0.0
     pressure_resolution_pa: NonNegative = 0.0
+    encoder_noise_m: Resolution = 0.0  # standard deviation
+    encoder_offset_m: Annotated[float, Field(ge=-0.01, le=0.01)] = 0.0
+    encoder_lag_s: Annotated[float, Field(ge=0, le=0.01)] = 0.0  # it shows where the load was
     pressure_noise_pa: NonNegative = 0.0
+    pressure_bits: Annotated[int, Field(ge=0, le=24)] = 0  # of pressure_range_pa, in place of a resolution
+    pressure_range_pa: Pressure = 1.0e6
+    pressure_lag_s: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    p1_offset_pa: Offset = 0.0
+    p2_offset_pa: Offset = 0.0
+    supply_offset_pa: Offset = 0.0
+
+    @property
+    def pressure_step_pa(self) -> float:
+        """Step of what the pressure sensors show [Pa]."""
+        bits = self.pressure_bits
+        return self.pressure_range_pa / 2**bits if bits else self.pressure_resolution_pa
+
+    @model_validator(mode="after")
+    def _one_step(self) -> PlantSensorsConfig:
+        if self.pressure_bits and self.pressure_resolution_pa:
+            raise ValueError("give either pressure_resolution_pa or pressure_bits")
+        return self
 
 
 class PlantConfig(Section):
@@ -108,11 +187,22 @@ class PlantConfig(Section):
     rod_force: bool = True
     reverse_flow: bool = True
     polytropic_exponent: Annotated[float, Field(ge=1, lt=2)] | None = None  # none: adiabatic
+    wall_time_s: Annotated[float, Field(ge=0, le=100)] = (
+        0.0  # in which air gets as warm as the wall; 0: never
+    )
     disturbance: Literal["none", "case1", "case2"] = "none"  # force of the paper's cases
     bitrate_bit_s: MaybeInfinite = 1.0e6  # of the wire that the frames keep busy
     node_delay_us: Annotated[float, Field(ge=0, le=500)] = 20.0  # from SYNC to an answer
     cylinder: PlantCylinderConfig = PlantCylinderConfig()
     gas: PlantGasConfig = PlantGasConfig()
     valve: PlantValveConfig = PlantValveConfig()
-    friction: FrictionConfig = FrictionConfig()
+    friction: PlantFrictionConfig = PlantFrictionConfig()
+    supply: PlantSupplyConfig = PlantSupplyConfig()
+    hoses: PlantHosesConfig = PlantHosesConfig()
     sensors: PlantSensorsConfig = PlantSensorsConfig()
+
+    @model_validator(mode="after")
+    def _heat_or_exponent(self) -> PlantConfig:
+        if self.wall_time_s and self.polytropic_exponent is not None:
+            raise ValueError("give either wall_time_s or polytropic_exponent, which stands for heat exchange")
+        return self

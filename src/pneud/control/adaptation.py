@@ -102,6 +102,9 @@ def valve_learnt(valve: Valve, so_far: Learnt) -> Valve:
         valve.zeta,
         0.5 * (plus + minus),
         valve.centre_v + 0.5 * (plus - minus),
+        valve.bent,
+        valve.plus,
+        valve.minus,
     )
 
 
@@ -118,6 +121,7 @@ def cylinder_learnt(c: Cylinder, so_far: Learnt) -> Cylinder:
         c.F1_nominal,
         c.rod_force_n,
         c.reverse_flow,
+        c.exhaust,
     )
 
 

@@ -1,4 +1,7 @@
-"""Flow of an ideal gas through an orifice (St Venant and Wantzel), equation (6) of the paper, corrected."""
+"""Flow of an ideal gas through a valve: an orifice (St Venant and Wantzel), or by ISO 6358.
+
+The orifice is equation (6) of the paper, corrected. Both let through as much where they are choked.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ LINEAR_FROM = (
 
 
 class Gas(NamedTuple):
-    """An ideal gas and the constants of its flow factor, made by `gas`."""
+    """An ideal gas and the constants of its flow factor, made by `gas` and `iso6358`."""
 
     k: float  # ratio of specific heats
     R: float  # gas constant [J/(kg K)]
@@ -21,6 +24,7 @@ class Gas(NamedTuple):
     critical_ratio: float  # downstream/upstream pressure at which the flow chokes
     gamma_choked: float  # flow factor at and below it
     gamma_linear: float  # flow factor at LINEAR_FROM
+    exponent: float = 0.0  # m of ISO 6358; 0: an orifice
 
 
 def gas(k: float, R: float, temperature_k: float, atmosphere_pa: float, supply_pa: float) -> Gas:
@@ -36,6 +40,29 @@ def gas(k: float, R: float, temperature_k: float, atmosphere_pa: float, supply_p
         gamma_choked=subsonic_factor(critical, k),
         gamma_linear=subsonic_factor(LINEAR_FROM, k),
     )
+
+
+def iso6358(g: Gas, critical_ratio: float, exponent: float) -> Gas:
+    """The gas with the flow factor of ISO 6358, as much of it as through the orifice where both are choked.
+
+    Args:
+        g: the gas.
+        critical_ratio: b.
+        exponent: m, 0.5 for most valves.
+    """
+    return g._replace(
+        critical_ratio=critical_ratio,
+        gamma_linear=g.gamma_choked * subsonic_share(LINEAR_FROM, critical_ratio, exponent),
+        exponent=exponent,
+    )
+
+
+def subsonic_share(r: float, b: float, m: float = 0.5) -> float:
+    """Share of the choked flow at a pressure ratio r by ISO 6358: 1 up to b, 0 from 1 on."""
+    if r <= b:
+        return 1.0
+    x = (r - b) / (1.0 - b)
+    return math.pow(1.0 - x * x, m) if x < 1.0 else 0.0
 
 
 def subsonic_factor(r: float, k: float) -> float:
@@ -54,7 +81,9 @@ def flow_factor(r: float, g: Gas) -> float:
     if r <= g.critical_ratio:
         return g.gamma_choked
     if r < LINEAR_FROM:
-        return subsonic_factor(r, g.k)
+        if g.exponent == 0.0:
+            return subsonic_factor(r, g.k)
+        return g.gamma_choked * subsonic_share(r, g.critical_ratio, g.exponent)
     if r < 1.0:
         return g.gamma_linear * (1.0 - r) / (1.0 - LINEAR_FROM)
     return 0.0

@@ -10,6 +10,31 @@ from pneud.physics.gas import Gas
 from pneud.physics.valve import Valve
 
 
+class Detail(NamedTuple):
+    """What a plant may have besides: all of it is looked at only where it is on."""
+
+    on: bool = False
+    play_v: float = 0.0  # half of the spool's hysteresis
+    leak_in_v: float = 0.0  # opening of the closed edges from the supply
+    leak_out_v: float = 0.0  # and of those to the atmosphere
+    wall_s: float = 0.0  # time constant in which the air takes the wall's temperature; 0: never
+    receiver_pa_kg: float = 0.0  # what the supply falls by with what is drawn; 0: it is constant
+    regulator_kg_s_pa: float = 0.0  # what flows after for each Pa below its pressure
+    slips: bool = False  # Maxwell elements in place of LuGre's bristles
+    rise_1_pa: float = 0.0  # share more of friction for each Pa of mean pressure above FRICTION_AT_PA
+    forward_share: float = 0.0  # of friction more on the way out, and less on the way back
+    pressure_lag_s: float = 0.0  # of the pressure sensors
+    encoder_lag_s: float = 0.0
+    encoder_noise_m: float = 0.0  # standard deviation
+    encoder_offset_m: float = 0.0
+    p1_offset_pa: float = 0.0
+    p2_offset_pa: float = 0.0
+    supply_offset_pa: float = 0.0
+
+
+FRICTION_AT_PA = 3e5  # mean pressure of the chambers at which friction is as its parameters say
+
+
 class PlantParameters(NamedTuple):
     """The true plant, which the controller's model may well differ from."""
 
@@ -33,3 +58,4 @@ class PlantParameters(NamedTuple):
     encoder_referenced: bool  # it says that it knows where it is
     node_delay_s: float  # from the end of SYNC to hand-over of the answers
     load_n: float = 0.0  # constant force against positive motion, the weight's part included
+    detail: Detail = Detail()

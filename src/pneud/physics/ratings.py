@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from pneud.physics.gas import Gas
+from pneud.physics.gas import Gas, flow_factor, subsonic_share
 
 DENSITY_ANR_KG_M3 = 1.185
 TEMPERATURE_ANR_K = 293.15
@@ -17,15 +17,9 @@ TYPICAL_CRITICAL_RATIO = 0.3  # of spool valves whose sheet has none
 KV_OF_CV = 0.865  # m³/h at 1 bar for each US gallon a minute at 1 psi
 
 
-def subsonic_share(r: float, b: float) -> float:
-    """Share of the choked flow at a pressure ratio r (ISO 6358, m = 0.5): 1 up to b, 0 from 1 on."""
-    if r <= b:
-        return 1.0
-    x = (r - b) / (1.0 - b)
-    return math.sqrt(1.0 - x * x) if x < 1.0 else 0.0
-
-
-def volume_flow(C: float, b: float, upstream_pa: float, downstream_pa: float, temperature_k: float) -> float:
+def volume_flow(
+    C: float, b: float, upstream_pa: float, downstream_pa: float, temperature_k: float, m: float = 0.5
+) -> float:
     """Volume flow [m³/s ANR] by ISO 6358.
 
     Args:
@@ -34,19 +28,20 @@ def volume_flow(C: float, b: float, upstream_pa: float, downstream_pa: float, te
         upstream_pa: absolute.
         downstream_pa: absolute.
         temperature_k: of the air upstream.
+        m: subsonic index.
     """
-    share = subsonic_share(downstream_pa / upstream_pa, b)
+    share = subsonic_share(downstream_pa / upstream_pa, b, m)
     return C * upstream_pa * math.sqrt(TEMPERATURE_ANR_K / temperature_k) * share
 
 
-def nominal_flow(C: float, b: float) -> float:
+def nominal_flow(C: float, b: float, m: float = 0.5) -> float:
     """Nominal flow qnN [m³/s ANR]: 6 → 5 bar above the atmosphere at 293.15 K (VDI 3290)."""
-    return volume_flow(C, b, NOMINAL_UPSTREAM_PA, NOMINAL_DOWNSTREAM_PA, TEMPERATURE_ANR_K)
+    return volume_flow(C, b, NOMINAL_UPSTREAM_PA, NOMINAL_DOWNSTREAM_PA, TEMPERATURE_ANR_K, m)
 
 
-def conductance_of_flow(nominal_m3_s: float, b: float = TYPICAL_CRITICAL_RATIO) -> float:
+def conductance_of_flow(nominal_m3_s: float, b: float = TYPICAL_CRITICAL_RATIO, m: float = 0.5) -> float:
     """Sonic conductance [m³/(s Pa)] of a nominal flow [m³/s ANR] at a critical ratio."""
-    return nominal_m3_s / nominal_flow(1.0, b)
+    return nominal_m3_s / nominal_flow(1.0, b, m)
 
 
 def flow_of_kv(kv_m3_h: float) -> float:
@@ -73,3 +68,9 @@ def orifice_of(C: float, g: Gas) -> float:
 def conductance_of_orifice(area_m2: float, g: Gas) -> float:
     """The reverse of `orifice_of` [m³/(s Pa)]."""
     return area_m2 / orifice_of(1.0, g)
+
+
+def nominal_flow_of(C: float, g: Gas) -> float:
+    """Nominal flow [m³/s ANR] that a model with this sonic conductance has, whichever its flow factor is."""
+    share = flow_factor(NOMINAL_DOWNSTREAM_PA / NOMINAL_UPSTREAM_PA, g) / g.gamma_choked
+    return C * NOMINAL_UPSTREAM_PA * share

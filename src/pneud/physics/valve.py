@@ -6,6 +6,23 @@ import math
 from typing import NamedTuple
 
 
+class Bend(NamedTuple):
+    """Relative opening over the relative way from an edge: from place to place, all from x5 on."""
+
+    x1: float = 0.2
+    y1: float = 0.2
+    x2: float = 0.4
+    y2: float = 0.4
+    x3: float = 0.6
+    y3: float = 0.6
+    x4: float = 0.8
+    y4: float = 0.8
+    x5: float = 1.0
+
+
+STRAIGHT = Bend()
+
+
 class Valve(NamedTuple):
     """Parameters of a proportional valve."""
 
@@ -14,6 +31,35 @@ class Valve(NamedTuple):
     zeta: float
     dead_zone_v: float  # half width about the centre within which nothing flows
     centre_v: float = 0.0  # where that is
+    bent: bool = False  # the opening is no straight line from the edge
+    plus: Bend = STRAIGHT  # for u > 0
+    minus: Bend = STRAIGHT
+
+
+def bent(x: float, b: Bend) -> float:
+    """Relative opening, 0 to 1, at a relative way beyond an edge."""
+    if x < b.x1:
+        return b.y1 * x / b.x1
+    if x < b.x2:
+        return b.y1 + (b.y2 - b.y1) * (x - b.x1) / (b.x2 - b.x1)
+    if x < b.x3:
+        return b.y2 + (b.y3 - b.y2) * (x - b.x2) / (b.x3 - b.x2)
+    if x < b.x4:
+        return b.y3 + (b.y4 - b.y3) * (x - b.x3) / (b.x4 - b.x3)
+    return b.y4 + (1.0 - b.y4) * (x - b.x4) / (b.x5 - b.x4) if x < b.x5 else 1.0
+
+
+def straightened(y: float, b: Bend) -> float:
+    """The reverse of `bent`; what is more than the whole opening lies as far beyond its end."""
+    if y < b.y1:
+        return b.x1 * y / b.y1
+    if y < b.y2:
+        return b.x1 + (b.x2 - b.x1) * (y - b.y1) / (b.y2 - b.y1)
+    if y < b.y3:
+        return b.x2 + (b.x3 - b.x2) * (y - b.y2) / (b.y3 - b.y2)
+    if y < b.y4:
+        return b.x3 + (b.x4 - b.x3) * (y - b.y3) / (b.y4 - b.y3)
+    return b.x4 + (b.x5 - b.x4) * (y - b.y4) / (1.0 - b.y4) if y < 1.0 else b.x5 + (y - 1.0)
 
 
 def opening(spool_v: float, valve: Valve) -> float:
@@ -23,11 +69,17 @@ def opening(spool_v: float, valve: Valve) -> float:
     if excess <= 0.0:
         return 0.0
     u = excess * valve.u_max_v / (valve.u_max_v - valve.dead_zone_v)
+    if valve.bent:
+        u = valve.u_max_v * bent(u / valve.u_max_v, valve.plus if deviation > 0.0 else valve.minus)
     return math.copysign(valve.u_max_v if u > valve.u_max_v else u, deviation)  # NaN stays
 
 
 def dead_zone_inverse(opening_v: float, valve: Valve, band_v: float) -> float:
     """Command [V] that gives an effective opening; the step across the dead zone is spread over ±band_v."""
+    if valve.bent:
+        side = valve.plus if opening_v > 0.0 else valve.minus
+        straight_v = valve.u_max_v * straightened(abs(opening_v) / valve.u_max_v, side)
+        opening_v = math.copysign(straight_v, opening_v)
     scaled = valve.centre_v + opening_v * (valve.u_max_v - valve.dead_zone_v) / valve.u_max_v
     if band_v <= 0.0:
         return scaled + (math.copysign(valve.dead_zone_v, opening_v) if opening_v != 0.0 else 0.0)

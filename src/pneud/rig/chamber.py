@@ -20,6 +20,11 @@ def inflow(pressure_pa: float, other_pa: float, g: Gas) -> tuple[float, float]:
     # γ(r) of `gas.flow_factor` and its derivative; written out, since it is much of the plant's time
     if r <= g.critical_ratio:
         factor, slope = g.gamma_choked, 0.0
+    elif r < LINEAR_FROM and g.exponent > 0.0:
+        x = (r - g.critical_ratio) / (1.0 - g.critical_ratio)
+        rest = 1.0 - x * x
+        factor = g.gamma_choked * math.pow(rest, g.exponent)
+        slope = -2.0 * g.exponent * x * factor / (rest * (1.0 - g.critical_ratio))
     elif r < LINEAR_FROM:
         k = g.k
         q = math.pow(r, 1.0 / k)

@@ -33,6 +33,11 @@ def leak(state: PlantState, damage: Damage, h: float, p: PlantParameters) -> Pla
     full = p.polytropic_exponent / g.k * c.c1 * p.valve.u_max_v  # as the valve, fully open
     p1 = exchange(state.p1, g.atmosphere_pa, damage.leak1 * full / (c.A1 * state.x1), 0.0, h, g)
     p2 = exchange(state.p2, g.atmosphere_pa, damage.leak2 * full / (c.A2 * (c.L - state.x1)), 0.0, h, g)
+    if p.detail.on:  # what stays behind expands without heat
+        share1, share2 = (p1 / state.p1) ** (1.0 / g.k), (p2 / state.p2) ** (1.0 / g.k)
+        depth = state.depth
+        masses = {"mass1_kg": share1 * depth.mass1_kg, "mass2_kg": share2 * depth.mass2_kg}
+        state = state._replace(depth=depth._replace(**masses))
     return state._replace(p1=p1, p2=p2)
 
 

@@ -13,7 +13,7 @@ from pneud.bus.wire import CAN_ERR_FLAG, wire_time_ns
 from pneud.physics.plant import PlantParameters
 from pneud.rig import dynamics
 from pneud.rig.dynamics import PlantState, initial_state, stroke_position
-from pneud.rig.sensors import Noise, PressureSensor, quantised
+from pneud.rig.sensors import Noise, PressureSensor, quantised, sensed
 from pneud.rig.transmission import Item, Wire
 from pneud.rig.valvenode import ValveNode
 from pneud.signals import EncoderStatus, Frame
@@ -82,9 +82,9 @@ class PlantNode:
         self.unsendable = 0  # answers with a value that their frame cannot carry
         self._codecs = codecs
         self._advance = advance
-        noise = Noise(seed)
+        self._noise = Noise(seed)
         self._pressure = PressureSensor(
-            noise, p.pressure_noise_pa, p.pressure_resolution_pa, PRESSURE_RANGE_PA
+            self._noise, p.pressure_noise_pa, p.pressure_resolution_pa, PRESSURE_RANGE_PA
         )
         self._delay_ns = round(p.node_delay_s * 1e9)
         self._age_s = min(p.node_delay_s, codecs.older_s)
@@ -235,12 +235,14 @@ class PlantNode:
 
     def _sample(self, t_ns: int, sync_ns: int) -> None:
         p, state, codecs, valve = self.p, self._state, self._codecs, self.valve
-        position = quantised(stroke_position(state, p) - p.encoder_zero_m, p.encoder_resolution_m)
+        true = sensed(state, p)
+        noise_m = p.detail.encoder_noise_m * self._noise.draw() if p.detail.encoder_noise_m else 0.0
+        position = quantised(true.position_m - p.encoder_zero_m + noise_m, p.encoder_resolution_m)
         status = int(EncoderStatus.REFERENCED) if p.encoder_referenced else 0
         read = self._pressure.read
         readings: tuple[tuple[Codec, tuple[float, ...]], ...] = (
             (codecs.encoder, (position, status, self._age_s)),
-            (codecs.pressure, (read(state.p1), read(state.p2), read(p.gas.supply_pa))),
+            (codecs.pressure, (read(true.p1_pa), read(true.p2_pa), read(true.supply_pa))),
             (codecs.valve_status, (valve.output_v, int(valve.state))),
         )
         valve.booted()

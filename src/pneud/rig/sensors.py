@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import random
+from typing import NamedTuple
+
+from pneud.physics.plant import PlantParameters
+from pneud.rig.dynamics import PlantState, stroke_position
 
 
 def quantised(value: float, step: float) -> float:
@@ -23,6 +27,28 @@ def dac_output(command_v: float, bits: int, u_max_v: float) -> float:
     half = 1 << (bits - 1)
     code = round(command_v / u_max_v * half)
     return max(-half, min(half - 1, code)) * u_max_v / half
+
+
+class Sensed(NamedTuple):
+    """What the sensing elements have come to, before noise and steps."""
+
+    position_m: float  # stroke coordinate
+    p1_pa: float
+    p2_pa: float
+    supply_pa: float
+
+
+def sensed(s: PlantState, p: PlantParameters) -> Sensed:
+    """What there is to be read: the truth, or what lags and offsets make of it."""
+    d = p.detail
+    if not d.on:
+        return Sensed(stroke_position(s, p), s.p1, s.p2, p.gas.supply_pa)
+    return Sensed(
+        stroke_position(s, p) - d.encoder_lag_s * s.v + d.encoder_offset_m,
+        s.depth.shown1_pa + d.p1_offset_pa,
+        s.depth.shown2_pa + d.p2_offset_pa,
+        s.depth.shown_supply_pa + d.supply_offset_pa,
+    )
 
 
 class Noise:

@@ -14,7 +14,7 @@ from pneud.physics.gas import signed_flow
 from pneud.physics.plant import PlantParameters
 from pneud.physics.valve import opening
 from pneud.rig.dynamics import PlantState, advance
-from pneud.rig.sensors import quantised
+from pneud.rig.sensors import quantised, sensed
 from pneud.signals import Reference
 
 
@@ -60,10 +60,11 @@ def run(
     for k in range(trace.shape[0]):
         t = k * h
         true_m = rig.x1 - plant.cylinder.x_e1
-        p1 = quantised(rig.p1 + noise_pa[k, 0], plant.pressure_resolution_pa)
-        p2 = quantised(rig.p2 + noise_pa[k, 1], plant.pressure_resolution_pa)
-        ps = quantised(plant.gas.supply_pa + noise_pa[k, 2], plant.pressure_resolution_pa)
-        position = quantised(true_m, plant.encoder_resolution_m)
+        there = sensed(rig, plant)
+        p1 = quantised(there.p1_pa + noise_pa[k, 0], plant.pressure_resolution_pa)
+        p2 = quantised(there.p2_pa + noise_pa[k, 1], plant.pressure_resolution_pa)
+        ps = quantised(there.supply_pa + noise_pa[k, 2], plant.pressure_resolution_pa)
+        position = quantised(there.position_m, plant.encoder_resolution_m)
         state, e = observe(state, position, True, p1, p2, ps, applied_v, h, controller)
         r = Reference(references[k, 0], references[k, 1], references[k, 2], references[k, 3])
         if k == 0:

@@ -132,7 +132,7 @@ def disturbance_rate(c: Config) -> float:
 def acceleration_noise(c: Config) -> float:
     """Standard deviation [m/s²] of x3/M, from noise and resolution of the pressures in [plant.sensors]."""
     s, k = c.plant.sensors, c.cylinder
-    each_pa = math.sqrt(s.pressure_noise_pa**2 + s.pressure_resolution_pa**2 / 12.0)
+    each_pa = math.sqrt(s.pressure_noise_pa**2 + s.pressure_step_pa**2 / 12.0)
     return each_pa * math.hypot(k.piston_area_1_m2, k.piston_area_2_m2) / k.moving_mass_kg
 
 

@@ -49,7 +49,7 @@ def mean_step_v(c: Config) -> float:
     s, k = c.plant.sensors, c.cylinder
     blind_m = c.control.motion.encoder_resolution_m
     resolution_m = (s.encoder_resolution_m or blind_m) * (BLIND_PASSES if blind_m > 0.0 else 1.0)
-    each_pa = math.sqrt(s.pressure_noise_pa**2 + s.pressure_resolution_pa**2 / 12.0)
+    each_pa = math.sqrt(s.pressure_noise_pa**2 + s.pressure_step_pa**2 / 12.0)
     noises = (
         resolution_m / math.sqrt(12.0),
         each_pa * math.hypot(k.piston_area_1_m2, k.piston_area_2_m2),

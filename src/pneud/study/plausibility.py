@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from pneud.axis.cycle import AxisParameters
+from pneud.config import flow
 from pneud.config.conversions import axis_of, friction_of, plant_of, truth_of
 from pneud.config.models import Config
 from pneud.config.plant import PlantConfig
@@ -32,7 +33,6 @@ FAR = 4.0  # times what the controller believes: rather a slip of the pen
 SIZES = {
     "cylinder": ("piston_area_1_m2", "piston_area_2_m2", "stroke_m", "moving_mass_kg"),
     "gas": ("gas_constant_j_kg_k", "atmosphere_pa", "supply_pa"),
-    "valve": ("orifice_area_m2",),
 }  # of which a plant has about as much
 MOVES = (0.02, 0.2, 0.9)  # of the travel
 PLACES = 20  # from which the way to the reference is tried
@@ -214,6 +214,10 @@ def _far(c: Config) -> Iterator[Doubt]:
             if not 1.0 / FAR <= there / believed <= FAR:
                 words = f"{there:g}, where the controller believes in {believed:g}"
                 yield Doubt(f"plant.{table}.{key}", words, False)
+    there, believed = flow.area_of(true), flow.area_of(c)
+    if not 1.0 / FAR <= there / believed <= FAR:
+        words = f"a valve of {there:.3g} m², where the controller believes in {believed:.3g} m²"
+        yield Doubt(f"plant.valve.{(flow.given(c.plant.valve) or ['critical_ratio'])[0]}", words, False)
 
 
 def _law(c: Config, p: PlantParameters, bandwidth_rad_s: float) -> Iterator[Doubt]:

@@ -15,7 +15,7 @@ from pneud.control.reference import Sine, Way, along, rest, sine
 from pneud.control.step import Controller, ControllerState, act, join, observe, start
 from pneud.physics.plant import PlantParameters
 from pneud.rig.dynamics import PlantState, advance, initial_state
-from pneud.rig.sensors import quantised
+from pneud.rig.sensors import quantised, sensed
 from pneud.rt.folders import cache_folder
 from pneud.signals import Reference
 from pure2c import BuildError, compile_functions
@@ -84,10 +84,15 @@ def tick(
     seed, noise1 = noise(b.seed)
     seed, noise2 = noise(seed)
     seed, noise3 = noise(seed)
-    p1 = quantised(rig.p1 + deviation * noise1, step)
-    p2 = quantised(rig.p2 + deviation * noise2, step)
-    supply = quantised(plant.gas.supply_pa + deviation * noise3, step)
-    position = quantised(rig.x1 - plant.cylinder.x_e1, plant.encoder_resolution_m)
+    there = sensed(rig, plant)
+    p1 = quantised(there.p1_pa + deviation * noise1, step)
+    p2 = quantised(there.p2_pa + deviation * noise2, step)
+    supply = quantised(there.supply_pa + deviation * noise3, step)
+    shown_m = there.position_m
+    if plant.detail.encoder_noise_m > 0.0:
+        seed, noise4 = noise(seed)
+        shown_m += plant.detail.encoder_noise_m * noise4
+    position = quantised(shown_m, plant.encoder_resolution_m)
     state, e = observe(b.state, position, True, p1, p2, supply, b.last_v, p.h, p)
     r = asked(t, c)
     if joins:

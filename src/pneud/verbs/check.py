@@ -9,11 +9,13 @@ import typer
 
 from pneud import resources
 from pneud.axis.cycle import Axis
-from pneud.config import conversions
+from pneud.config import conversions, flow
+from pneud.config.models import Config
 from pneud.config.places import line_of
 from pneud.config.sections import ConfigError
 from pneud.control.tunables import in_slot
 from pneud.loading import Loaded, load
+from pneud.physics import ratings
 from pneud.scenario import verdict
 from pneud.scenario.files import is_scenario, load_axis, load_scenario
 from pneud.study import gains, linear
@@ -53,6 +55,7 @@ def check(
     print(f"{loaded.path}: {'fine' if not doubts else f'usable, {len(doubts)} to look at'}")
     stroke, mass = c.cylinder.stroke_m, c.cylinder.moving_mass_kg
     print(f"axis {c.name}: {stroke:g} m stroke, {mass:g} kg, {c.loop.rate_hz:g} Hz")
+    print(f"valve {_flowing(c)}")
     form = "" if entry is not None else f"{c.control.discretisation}, "
     print(f"law {c.control.law}, {form}on {c.bus.channel} with {loaded.dbc.name}")
     if c.control.adaptation.start.log:
@@ -60,6 +63,16 @@ def check(
     for doubt in doubts:
         print(f"warning: {doubt}")
     return 0
+
+
+def _flowing(c: Config) -> str:
+    """What the valve lets through by its ratings, as the law believes in it."""
+    g, C = conversions.gas_of(c), flow.conductance_of(c)
+    l_min = ratings.nominal_flow_of(C, g) / flow.L_MIN
+    return (
+        f"{l_min:.4g} l/min ANR at 6 -> 5 bar: C {C / flow.L_S_BAR:.4g} l/(s bar), b {g.critical_ratio:.2g}"
+        f" ({'ISO 6358' if g.exponent else 'orifice'} of {1e6 * flow.area_of(c):.4g} mm²)"
+    )
 
 
 def _placed(loaded: Loaded, finding: Doubt) -> str:
