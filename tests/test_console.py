@@ -267,6 +267,35 @@ def test_a_refused_piece_ends_the_upload(desk: Bench) -> None:
     assert [r.values for r in desk.requests[3:]] == [()], "what was uploaded before it is gone"
 
 
+def test_what_was_sent_behind_a_refused_piece_is_no_upload(desk: Bench) -> None:
+    desk.answer = lambda r: Answer.MALFORMED if r.values[:1] == (0.7,) else Answer.TAKEN
+    client, bad = desk.connect(), [0.7, *PIECE[1:]]
+    desk.tell(
+        client,
+        message("upload", first=True, last=False, pieces=[PIECE]),
+        message("upload", first=False, last=False, pieces=[bad]),
+        message("upload", first=False, last=True, pieces=[PIECE]),
+        message("track", what="profile"),
+    )
+    for _ in range(12):
+        desk.turn()
+    assert [r.values for r in desk.requests] == [(), tuple(PIECE), tuple(bad), (), (1.0,)]
+
+
+@pytest.mark.parametrize("whose", ["nobody's", "its own, whole", "another's"])
+def test_a_rest_without_its_beginning_is_refused_and_takes_nothing_away(desk: Bench, whose: str) -> None:
+    client = desk.connect()
+    if whose != "nobody's":
+        assert desk.ask(client, "upload", first=True, last=whose != "another's", pieces=[PIECE])["ok"]
+    if whose == "another's":
+        desk.now_s += 100.0  # its lease is over
+        client = desk.connect()
+    before = len(desk.requests)
+    reply = desk.ask(client, "upload", first=False, last=True, pieces=[PIECE])
+    assert reply["error"] == {"type": "invalid", "message": "the upload has not begun, or was refused"}
+    assert len(desk.requests) == before
+
+
 def test_an_upload_whose_client_goes_leaves_nothing(desk: Bench) -> None:
     client = desk.connect()
     assert desk.ask(client, "upload", first=True, last=False, pieces=[PIECE])["ok"]

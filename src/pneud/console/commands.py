@@ -135,7 +135,7 @@ class AxisDesk:
                 requests = [_EMPTY] if first else []
                 requests += [Request(RequestKind.PIECE, tuple(piece)) for piece in pieces]
                 words = f"upload of {len(pieces)} pieces"
-                return Orders(words, tuple(requests), undo=_EMPTY, unfinished=not last)
+                return Orders(words, tuple(requests), undo=_EMPTY, unfinished=not last, follows=not first)
             case protocol.TuneSet(gains=values):
                 return self._tuning.set(values)
             case protocol.TuneReload():

@@ -20,6 +20,7 @@ class Orders(NamedTuple):
     done: Callable[[], dict[str, Any]] | None = None  # called when all are taken; fields for the reply
     undo: Request | None = None  # asked for where not all are taken
     unfinished: bool = False  # another message of the same client is to follow
+    follows: bool = False  # such an unfinished one, without which it is not done
 
 
 class Desk(Protocol):

@@ -495,7 +495,8 @@ class Server:
                 undone()
 
         orders = Orders(f"undo {plan.words}", (plan.undo,), done=undone)
-        self._jobs.append(_Job(None, None, orders, label, refused))
+        # before what the client has sent behind it
+        self._jobs.appendleft(_Job(None, None, orders, label, refused))
 
     def _stop_jog(self, label: str) -> None:
         self._jogging = None
@@ -509,6 +510,10 @@ class Server:
         """Send the next request, if none is under way."""
         while self._flight is None and self._jobs and not self.over:
             job = self._jobs[0]
+            if job.plan.follows and (self._unfinished is None or self._unfinished[0] is not job.client):
+                self._forget(job)
+                self._tell(job, ProtocolError(Error.INVALID, "the upload has not begun, or was refused"))
+                continue
             self._number = (self._number + 1) & 0xFFFF_FFFF
             self._flight = (self._number, job, self._clock() + self._bounds.silent_s)
             if job.plan.undo is not None:
@@ -575,6 +580,9 @@ class Server:
     def _end(self, job: _Job, error: ProtocolError) -> None:
         job.ended = True
         self._undo(job.plan, job.label)
+        self._tell(job, error)
+
+    def _tell(self, job: _Job, error: ProtocolError) -> None:
         error.number = job.number
         self._say(WARNING, f"{job.label}: {job.plan.words} → {error.kind}")
         self._send(job.client, self._refusal(error))
