@@ -64,11 +64,6 @@ def load(
 def codecs_of(bus: BusConfig, name: str, dbc: bytes) -> Codecs:
     """The codecs for a DBC that is not in a file of its own, such as a log's.
 
-    Args:
-        bus: which messages play which roles.
-        name: what to call the DBC in errors.
-        dbc: its bytes.
-
     Raises:
         DatabaseError: the DBC cannot be used.
     """

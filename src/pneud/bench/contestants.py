@@ -138,12 +138,6 @@ def build(program: Path, axis: Loaded) -> None:
 def pneud(track: TrackScript, rate_hz: float, seconds: float, disturb: Disturb | None = None) -> Sample:
     """Our loop, as `pneud --virtual` runs it; durations come from its log.
 
-    Args:
-        track: where.
-        rate_hz: ticks per second.
-        seconds: that count.
-        disturb: what happens beside it meanwhile.
-
     Raises:
         AbsentError: it could not run.
     """

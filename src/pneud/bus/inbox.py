@@ -283,15 +283,7 @@ class Inbox:
         self._fresh |= origin.bit
 
     def _lags(self, origin: _Origin, lag: Lag, counter: int, value: Any, late: bool) -> bool:
-        """Whether a frame whose counter is not the expected one answers an earlier SYNC.
-
-        Args:
-            origin: its source.
-            lag: of that.
-            counter: of the frame.
-            value: its first one.
-            late: it is late by stamp or age.
-        """
+        """Whether a frame whose counter is not the expected one answers an earlier SYNC."""
         behind = lag.behind(counter, self._syncs)
         if not behind:
             return False

@@ -34,14 +34,6 @@ class AxisDesk:
     """The desk of one axis."""
 
     def __init__(self, run: RunFacts, ring: Ring, watch: StatusWatch, memory: Memory | None = None) -> None:
-        """Ready to be asked.
-
-        Args:
-            run: what runs.
-            ring: where its records are.
-            watch: follows them.
-            memory: of the desk before this one, and for the one after it.
-        """
         self.name = run.config.name
         self._run = run
         self._ring = ring

@@ -65,14 +65,7 @@ class Tuning:
     """The running gains and reference of one axis."""
 
     def __init__(self, config: Config, path: Path, text: str, memory: Memory | None = None) -> None:
-        """As they were loaded, or are remembered.
-
-        Args:
-            config: what runs.
-            path: its file.
-            text: the file's, as it was loaded.
-            memory: keeps them for another one that comes after this one.
-        """
+        """As they were loaded, or are remembered."""
         self._values = values_of(config)
         self._config = config
         self._path = path

@@ -77,11 +77,7 @@ class Session:
         return loop.lanes[0]
 
     def _start(self, ends: ExitStack) -> Loop:
-        """Start the crew, and make the loop ready.
-
-        Args:
-            ends: takes how each is ended, the last one first.
-        """
+        """Start the crew, and make the loop ready."""
         ready, o, wanted = self.ready, self.ready.options, self.ready.config.realtime
         cpu = setup.own_cpu(wanted.cpu)
         words, heard = crew.pair()

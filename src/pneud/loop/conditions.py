@@ -40,12 +40,6 @@ class Conditions:
     __slots__ = ("_foreign", "_foreign_until_ns", "_inbox", "_rx_dropped", "_tx_failed", "_way")
 
     def __init__(self, inbox: Inbox, way: BusWay) -> None:
-        """Nothing has happened yet.
-
-        Args:
-            inbox: knows what nodes and controller report of themselves, and who else sends.
-            way: to the bus.
-        """
         self._inbox = inbox
         self._way = way
         self._tx_failed = way.tx_failed
@@ -54,12 +48,7 @@ class Conditions:
         self._foreign_until_ns = 0
 
     def host(self, t_ns: int, others: int) -> int:
-        """Bits of `signals.Host`.
-
-        Args:
-            t_ns: this tick's SYNC.
-            others: bits that come from elsewhere: what the machine, its clock and the recorder lack.
-        """
+        """Bits of `signals.Host`, those from elsewhere among them: what machine, clock and recorder lack."""
         inbox, way = self._inbox, self._way
         host = others | inbox.conditions
         if way.down:

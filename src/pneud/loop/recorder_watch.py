@@ -20,12 +20,6 @@ class RecorderWatch:
     """What is known of a recorder; it changes slowly, and `look` costs system calls."""
 
     def __init__(self, ring: Ring, pid: int) -> None:
-        """A recorder that has not been looked at.
-
-        Args:
-            ring: to it.
-            pid: of its process, a child of this one; 0 for none.
-        """
         self.ring = ring
         self.lost = False
         self.host = 0

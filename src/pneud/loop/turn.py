@@ -40,7 +40,6 @@ class Turn:
     tick: Tick
 
     def __init__(self, axis: Axis, inbox: Inbox, codecs: Codecs) -> None:
-        """An exchange that has not begun."""
         self.axis = axis
         self.inbox = inbox
         self.frames: list[Frame] = []

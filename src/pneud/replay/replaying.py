@@ -239,14 +239,7 @@ def _difference(
 
 
 def differ(name: str, was: float | str, now: float | str, *, exact: bool) -> bool:
-    """Whether a value is another one than the log's.
-
-    Args:
-        name: of the variable.
-        was: its value in the log.
-        now: its other value.
-        exact: the log holds it to the bit; else, as in a compact log, 32 bits or fewer.
-    """
+    """Whether a value is another one than the log's, which in a compact log has 32 bits or fewer."""
     if was == now or repr(was) == repr(now):  # the latter makes NaN equal to itself
         return False
     if not exact and isinstance(was, float) and isinstance(now, float):

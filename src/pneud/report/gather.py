@@ -150,12 +150,7 @@ EVERYTHING = Window()
 
 
 def gather(log: LogReader, window: Window = EVERYTHING, buckets: int = 8192) -> LoggedRun:
-    """Read a log.
-
-    Args:
-        log: the log.
-        window: which part of it.
-        buckets: into how many the series are drawn together at most, with two points for each.
+    """Read a log, or a part of it; its series are drawn together into so many buckets at most.
 
     Raises:
         ConfigError: the configuration in the log cannot be used by this version.

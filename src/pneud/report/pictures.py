@@ -39,10 +39,6 @@ def require() -> None:
 def write(runs: Sequence[LoggedRun], stem: Path) -> list[Path]:
     """Draw every figure into a file of its own.
 
-    Args:
-        runs: what to draw, in the same axes.
-        stem: what the files' names begin with.
-
     Returns:
         The files.
 

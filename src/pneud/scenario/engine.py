@@ -108,17 +108,6 @@ class Engine:
         machine: Machine = _nothing,
         advance: Advance = dynamics.advance,
     ) -> None:
-        """A rig to which nothing has happened yet.
-
-        Args:
-            scenario: what to play.
-            p: the plant.
-            codecs: of the frames.
-            seed: of the sensors' noise, and of what the scenario leaves to chance.
-            rate_hz: of the controller.
-            machine: told of faults of the machine.
-            advance: what integrates the healthy plant.
-        """
         self.scenario = scenario
         self.effects = Effects()
         self.node = PlantNode(p, codecs, seed, hook=self._hook, advance=self._advance)

@@ -53,13 +53,7 @@ class Wanted(NamedTuple):
 
 
 def examine(facts: Facts, reports: Sequence[Report], wanted: Wanted) -> list[Finding]:
-    """All findings, the worst first.
-
-    Args:
-        facts: what the machine is.
-        reports: what it granted when asked as the loop does (`machine.attempt`).
-        wanted: what the configuration asks for.
-    """
+    """All findings, the worst first."""
     found = [*_granted(reports, wanted), *_kernel(facts), *_cpus(facts, wanted), *_time_taken(facts)]
     found += [*_bus(facts, wanted), *_surroundings(facts, wanted)]
     return worst_first(found)

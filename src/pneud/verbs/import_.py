@@ -63,11 +63,6 @@ def import_(
 
     Returns:
         Exit status: 0, or 1 where something of the recording could not be read.
-
-    Raises:
-        ConfigError: an option or the configuration cannot be used.
-        DatabaseError: the DBC cannot be used.
-        LogError: the recording cannot be read, or the log cannot be written.
     """
     if recording.suffix.lower() not in FORMATS:
         raise ConfigError(f"{recording}: no such format; its name must end in one of {', '.join(FORMATS)}")

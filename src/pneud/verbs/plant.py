@@ -31,12 +31,6 @@ def plant(
     """Run the plant until Ctrl-C or SIGTERM; says on standard error what its valve node does.
 
     With a scenario, standard output gets what plant and bus have shown of it, as one JSON object.
-
-    Raises:
-        ConfigError: the configuration or the bus name cannot be used.
-        DatabaseError: the DBC cannot be used.
-        LinkError: the bus cannot be used, or is no virtual one.
-        BuildError: the compiled law is required and cannot be had.
     """
     scenario = load_scenario(scenario_file) if scenario_file is not None else None
     if scenario is not None and scenario.orders:

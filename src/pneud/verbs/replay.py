@@ -66,13 +66,6 @@ def replay(
     Returns:
         Exit status: 0 where every command is the same (or equivalent on another numeric machine), 1 where
         one differs or the log was never engaged; of a log that is played on a bus 0 if all frames were sent.
-
-    Raises:
-        LogError: not a log that this version reads.
-        ConfigError: an option, or its configuration, cannot be used.
-        DatabaseError: its DBC cannot be used.
-        LinkError: the bus cannot be used.
-        BuildError: it requires the compiled law, which cannot be had.
     """
     if not begin_s >= 0.0 or not math.isfinite(begin_s):
         raise ConfigError(f"--from {begin_s:g}: must be a time in seconds, not below 0")

@@ -15,9 +15,6 @@ def status(socket: SocketOption = None, json: JsonOption = False) -> int:
 
     Returns:
         Exit status: 0.
-
-    Raises:
-        PlaceError: no daemon to talk to.
     """
     with Client(socket) as client:
         found = client.ask("status")

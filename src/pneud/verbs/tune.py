@@ -22,9 +22,6 @@ def get(socket: SocketOption = None, json: JsonOption = False) -> int:
 
     Returns:
         Exit status: 0.
-
-    Raises:
-        PlaceError: no daemon to talk to.
     """
     return ask(socket, json, "tune_get", _gains)
 
@@ -38,10 +35,6 @@ def change(
 
     Returns:
         Exit status: 0, or 1 where it was refused.
-
-    Raises:
-        ConfigError: not such settings.
-        PlaceError: no daemon to talk to.
     """
     values: Values = {}
     for setting in settings:
@@ -62,9 +55,6 @@ def reload(socket: SocketOption = None, json: JsonOption = False) -> int:
 
     Returns:
         Exit status: 0, or 1 where it was refused.
-
-    Raises:
-        PlaceError: no daemon to talk to.
     """
     return ask(socket, json, "tune_reload", _changed)
 
@@ -85,10 +75,6 @@ def diff(socket: SocketOption = None, json: JsonOption = False) -> int:
 
     Returns:
         Exit status: 0.
-
-    Raises:
-        ConfigError: the file cannot be used.
-        PlaceError: no daemon to talk to.
     """
     running, path = _running(socket)
     found = values_of(load_config(path))
@@ -102,10 +88,6 @@ def save(socket: SocketOption = None, json: JsonOption = False) -> int:
 
     Returns:
         Exit status: 0.
-
-    Raises:
-        ConfigError: the file cannot be used.
-        PlaceError: no daemon to talk to, or the file cannot be written.
     """
     running, path = _running(socket)
     found = values_of(load_config(path))

@@ -93,13 +93,6 @@ def run_child(
 
     Where the terminal takes no more output, SIGALRM ends the process two seconds after it was told to leave;
     the parent then writes `LEAVE_SCREEN`.
-
-    Args:
-        poll: as for `run`.
-        info: as for `run`.
-        stop: as for `run`.
-        log_counts: as for `run`.
-        attend: as for `run`.
     """
     leaving = False
 

@@ -114,16 +114,7 @@ def serve(
     admission: Admission,
     stop: Callable[[], bool],
 ) -> None:
-    """Serve as the whole life of a forked process, until told to stop.
-
-    Args:
-        poll: yields the records that are new.
-        header: what the log says about its run.
-        parameters: the configuration, for show.
-        listener: where viewers come.
-        admission: who may look.
-        stop: whether the run is over.
-    """
+    """Serve as the whole life of a forked process, until told to stop."""
     leaving = crew.asked_to_leave(signal.SIGTERM, signal.SIGHUP)
     os.nice(_NICE)
     if not be_alone():

@@ -57,10 +57,6 @@ class RecoverReport(NamedTuple):
 def recover(src: Path, dst: Path) -> RecoverReport:
     """Write what can be read of a log into a new one.
 
-    Args:
-        src: the log, whole or not.
-        dst: the new file.
-
     Raises:
         LogError: the source is no MCAP file, or the new file exists.
         OSError: it cannot be written.

@@ -77,17 +77,7 @@ def recorder_main(
     rotation: Rotation | None = None,
     nice: int = NICE,
 ) -> int:
-    """Record until the ring is closed or the parent is gone, then finish the file.
-
-    Args:
-        ring: what to read.
-        descriptor: of the new file; closed here.
-        header: what the log says about its run.
-        parent: process id of the loop.
-        files: to be watched.
-        words: where other processes' words for the log come from.
-        rotation: how the log is split and what is kept; None for one file.
-        nice: niceness of this process.
+    """Record until the ring is closed or the parent is gone, then finish the file; see `start_recorder`.
 
     Returns:
         Exit status: 0, or 1 if records are missing or the file is incomplete.
