@@ -13,6 +13,7 @@ from pneud.axis.state import learnt_so_far
 from pneud.bus.inbox import Inbox
 from pneud.config import conversions
 from pneud.config.learnt import Values, start_of, values_learnt
+from pneud.config.toml import flat
 from pneud.console import handoff
 from pneud.console.facts import RunFacts
 from pneud.console.keeper import fork_console
@@ -175,7 +176,7 @@ class Session:
         return plant, TruthReader(memory)
 
     def _start_viewers(self, ends: ExitStack, at: ViewersPlace) -> None:
-        parameters = self.ready.config.model_dump(mode="json", by_alias=True)
+        parameters = flat(self.ready.config.model_dump(mode="json", by_alias=True))
         viewers = fork_viewers(self.ring, self._header, parameters, at.listener, at.admission)
         ends.callback(crew.end, viewers, VIEWERS_PATIENCE_S)
 

@@ -14,10 +14,9 @@ from typing import Any, get_args
 
 from pneud.bus.codec import ROLES, Codec, Codecs
 from pneud.bus.wire import CAN_ERR_FLAG, wire_time_ns
-from pneud.physics.friction import Friction
 from pneud.physics.plant import PlantParameters
 from pneud.rig import dynamics
-from pneud.rig.damage import UNDAMAGED, advance_damaged
+from pneud.rig.damage import UNDAMAGED, advance_damaged, scaled
 from pneud.rig.dynamics import PlantState
 from pneud.rig.node import ENCODER_NODE, PRESSURE_NODE, VALVE_NODE, Advance, PlantNode
 from pneud.scenario import format as kinds
@@ -412,17 +411,6 @@ class Engine:
             effects.impact_m_s = max(effects.impact_m_s, abs(before.v))
         if math.isfinite(effects.from_m):
             effects.travel_m = max(effects.travel_m, abs(after.x1 - effects.from_m))
-
-
-def scaled(f: Friction, factor: float) -> Friction:
-    """All friction of a rig times a factor, its bristles as stiff as before for the same deflection."""
-    return f._replace(
-        coulomb_n=f.coulomb_n * factor,
-        static_n=f.static_n * factor,
-        viscous_n_s_m=f.viscous_n_s_m * factor,
-        sigma0_n_m=f.sigma0_n_m * factor,
-        sigma1_n_s_m=f.sigma1_n_s_m * factor,
-    )
 
 
 def _error(t_ns: int, error_class: int, controller_status: int = 0) -> Frame:

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from pneud.bus.codec import ROLES
+from pneud.config.sections import NonNegative, Positive, Section
 from pneud.config.toml import tables_of
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
 Probability = Annotated[float, Field(gt=0, le=1)]
 
 Role = Literal["sync", "encoder", "pressure", "valve_status", "valve_command"]
@@ -37,13 +36,7 @@ Signal = Annotated[str, AfterValidator(_known)]
 TRAVEL_MM, IMPACT_M_S = 20.0, 0.05  # what an axis may use up after a fault, unless a reason is given
 
 
-class PlantPart(BaseModel):
-    """A table of the file: unknown keys, NaN and infinity are errors, and nothing changes afterwards."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class When(PlantPart):
+class When(Section):
     """Conditions on the true load that must hold together."""
 
     position_above_m: float | None = None
@@ -52,7 +45,7 @@ class When(PlantPart):
     velocity_below_m_s: float | None = None
 
 
-class InjectedFault(PlantPart):
+class InjectedFault(Section):
     """What all faults have: when they begin, and for how long they last (without `for_s` to the end)."""
 
     since: Literal["armed", "start"] = "armed"  # first valve command with Enable 1, or first SYNC
@@ -328,7 +321,7 @@ MACHINE = StopProcess | Overload | Kill | Operator | Hog | ClockStep | LogFull |
 AnyFault = Annotated[BUS | NODES | PLANT | MACHINE, Field(discriminator="kind")]
 
 
-class Evidence(PlantPart):
+class Evidence(Section):
     """From when on the fault can be seen on the bus: a value beyond a bound in a frame."""
 
     signal: Signal
@@ -336,7 +329,7 @@ class Evidence(PlantPart):
     below: float | None = None
 
 
-class Expect(PlantPart):
+class Expect(Section):
     """What the axis does about it."""
 
     reaction: Literal["centre", "stop", "no_arm", "warn", "none"]
@@ -361,7 +354,7 @@ class Expect(PlantPart):
         return self
 
 
-class Scenario(PlantPart):
+class Scenario(Section):
     """One scenario."""
 
     schema_: Annotated[Literal[1], Field(alias="schema")]

@@ -11,6 +11,7 @@ from pneud.control.laws.pid import Pid
 from pneud.control.laws.slot import ADRC, PID, Slot
 from pneud.control.motion import quickened, triple_pole
 from pneud.control.step import Controller
+from pneud.rig.damage import scaled
 
 PID_FF, ADRC4, ADRC3, ISMC, COMPOSITE = "PID + FF", "ADRC, ESO 4", "ADRC, ESO 3", "ISMC", "composite"
 ISMC_PAPER, COMPOSITE_PAPER = "ISMC, paper's gains", "composite, paper's gains"
@@ -121,7 +122,4 @@ def setting(name: str, base: Controller, gains: Mapping[str, float] | None = Non
 
 def without_force(base: Controller) -> Controller:
     """The controller without what the paper does not have: F̂, its rate, and friction fed forward."""
-    none = base.friction._replace(
-        coulomb_n=0.0, static_n=0.0, viscous_n_s_m=0.0, sigma0_n_m=0.0, sigma1_n_s_m=0.0
-    )
-    return base._replace(use_force=False, force_rate_gain=0.0, friction=none)
+    return base._replace(use_force=False, force_rate_gain=0.0, friction=scaled(base.friction, 0.0))

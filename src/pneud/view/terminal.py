@@ -17,7 +17,7 @@ from rich.control import Control
 from pneud.signals import Record
 from pneud.view.history import History
 from pneud.view.info import ScreenInfo
-from pneud.view.screen import ScreenState, render, status_line
+from pneud.view.screen import Page, ScreenState, status_line
 
 FRAME_S = 0.05
 PLAIN_LINE_S = 2.0
@@ -75,7 +75,7 @@ def run(
                     )
                 else:
                     # half the work of rich's Live, which lays a picture out twice; a page has its exact shape
-                    page = render(snapshot, history, console.size, ascii_only)
+                    page = Page(snapshot, history, console.size, ascii_only)
                     console.print(Control.home(), page, end="", crop=False)
                 due_s = now_s + frame_s
             time.sleep(max(0.0, now_s + FRAME_S - time.monotonic()))

@@ -33,13 +33,6 @@ _SYNC_NS = 3_000_000_000
 _RETRY_NS = 1_000_000_000
 
 
-def realtime_offset_ns() -> int:
-    """Unix time minus monotonic time at this moment [ns]."""
-    before = time.monotonic_ns()
-    now = time.time_ns()
-    return now - (before + time.monotonic_ns()) // 2
-
-
 class LogWriter:
     """Writes one log. Its methods raise nothing when the disk fails: see `error` and `unwritten`."""
 
