@@ -19,15 +19,10 @@ from pneud.safety.supervisor import BLOCKS
 from pneud.signals import Answer, Request, RequestKind, State
 
 _MM = 1e-3
-_SIMPLE = {
-    protocol.Arm: RequestKind.ARM,
-    protocol.Clear: RequestKind.CLEAR,
-    protocol.Hold: RequestKind.HOLD,
-    protocol.Home: RequestKind.HOME,
-}
 _BLOCKS = {"arm": BLOCKS[RequestKind.ARM], "home": BLOCKS[RequestKind.HOME]}  # faults, by what they forbid
 _EMPTY = Request(RequestKind.PIECE)  # the profile
-_URGENT = {protocol.Disarm: RequestKind.DISARM, protocol.Stop: RequestKind.STOP}
+_URGENT = ("disarm", "stop")
+_PLAIN = {verb: RequestKind[verb.upper()] for verb in ("arm", "clear", "hold", "home", *_URGENT)}
 
 
 class AxisDesk:
@@ -109,11 +104,8 @@ class AxisDesk:
         Raises:
             ProtocolError: what is asked for cannot be done.
         """
-        kind = type(message)
-        if kind in _SIMPLE:
-            return Orders(message.verb, (Request(_SIMPLE[kind]),))
-        if kind in _URGENT:
-            return Orders(message.verb, (Request(_URGENT[kind]),), urgent=True)
+        if message.verb in _PLAIN:
+            return Orders(message.verb, (Request(_PLAIN[message.verb]),), urgent=message.verb in _URGENT)
         match message:
             case protocol.Goto():
                 return self._goto(message)
