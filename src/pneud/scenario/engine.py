@@ -295,24 +295,24 @@ class Engine:
 
     def _mishandle(self, playing: _Playing, frame: Frame) -> Sequence[Frame]:
         fault, can_id = playing.fault, frame.can_id
-        if isinstance(fault, kinds.Drop):
-            return ()
-        if isinstance(fault, kinds.Duplicate):
-            return (frame, frame)
-        if isinstance(fault, kinds.Corrupt):
-            bit = self._random.randrange(8 * len(frame.data))
-            data = int.from_bytes(frame.data, "little") ^ 1 << bit
-            return (frame._replace(data=data.to_bytes(len(frame.data), "little")),)
-        if isinstance(fault, kinds.Freeze):
-            return (
-                frame._replace(data=playing.memory.setdefault(can_id, self._last.get(can_id, frame.data))),
-            )
-        if isinstance(fault, kinds.Reorder):
-            kept = playing.memory.pop(can_id, None)
-            if kept is None:
-                playing.memory[can_id] = frame
+        match fault.kind:
+            case "drop":
                 return ()
-            return (frame, kept._replace(stamp_ns=frame.stamp_ns))
+            case "duplicate":
+                return (frame, frame)
+            case "corrupt":
+                bit = self._random.randrange(8 * len(frame.data))
+                data = int.from_bytes(frame.data, "little") ^ 1 << bit
+                return (frame._replace(data=data.to_bytes(len(frame.data), "little")),)
+            case "freeze":
+                last = playing.memory.setdefault(can_id, self._last.get(can_id, frame.data))
+                return (frame._replace(data=last),)
+            case "reorder":
+                kept = playing.memory.pop(can_id, None)
+                if kept is None:
+                    playing.memory[can_id] = frame
+                    return ()
+                return (frame, kept._replace(stamp_ns=frame.stamp_ns))
         delay_ns = round(fault.delay_ms * 1e6 + fault.delay_periods * self._period_ns)
         if fault.after_sync is None:
             stamp_ns = frame.stamp_ns

@@ -69,34 +69,13 @@ class FrameFault(ChosenFault):
     frames: Annotated[tuple[Role, ...], Field(min_length=1)]
 
 
-class Drop(FrameFault):
-    """Frames get lost."""
+class Mishandled(FrameFault):
+    """Frames get lost, come twice, come after the next one of their kind, have one wrong bit, or repeat.
 
-    kind: Literal["drop"]
+    Those that freeze are as the last one before the fault, counter included.
+    """
 
-
-class Duplicate(FrameFault):
-    """Frames come twice."""
-
-    kind: Literal["duplicate"]
-
-
-class Reorder(FrameFault):
-    """A frame comes after the next one of its kind."""
-
-    kind: Literal["reorder"]
-
-
-class Corrupt(FrameFault):
-    """One bit of a frame is wrong."""
-
-    kind: Literal["corrupt"]
-
-
-class Freeze(FrameFault):
-    """Frames repeat the last one before the fault, counter included."""
-
-    kind: Literal["freeze"]
+    kind: Literal["drop", "duplicate", "reorder", "corrupt", "freeze"]
 
 
 class Delay(FrameFault):
@@ -314,7 +293,7 @@ class InterfaceFault(InjectedFault):
     kind: Literal["link_down", "link_deleted", "queue_full"]
 
 
-BUS = Drop | Duplicate | Reorder | Corrupt | Freeze | Delay | Babble | BusOff | ErrorFrames
+BUS = Mishandled | Delay | Babble | BusOff | ErrorFrames
 NODES = Silence | Skip | Reboot | Emcy | Heartbeat | ValveFailure | Value
 PLANT = Supply | Leak | ValveStuck | Seized | Mass | FrictionFault | Force
 MACHINE = StopProcess | Overload | Kill | Operator | Hog | ClockStep | LogFull | Descriptors | InterfaceFault
