@@ -125,6 +125,8 @@ def at_rate(config: Config, rate_hz: float) -> Config:
     Raises:
         ConfigError: the rate is out of bounds, or does not fit the rest.
     """
+    if rate_hz == config.loop.rate_hz:
+        return config
     data = config.model_dump(by_alias=True)
     data["loop"]["rate_hz"] = rate_hz
     try:

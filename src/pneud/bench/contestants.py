@@ -172,10 +172,7 @@ def pneud(track: TrackScript, rate_hz: float, seconds: float, disturb: Disturb |
         elapsed_s=elapsed_s,
         cpu_s={name: after[name].cpu_s - before[name].cpu_s for name in members},
         page_faults=loop.page_faults - before["loop"].page_faults,
-        switches=(
-            loop.voluntary - before["loop"].voluntary,
-            loop.involuntary - before["loop"].involuntary,
-        ),
+        switches=(loop.voluntary - before["loop"].voluntary, loop.involuntary - before["loop"].involuntary),
     )
 
 

@@ -98,9 +98,7 @@ def replay(
         BuildError: it requires the compiled law, which cannot be had.
         LogError: a snapshot that is needed is of another version's axis.
     """
-    chosen = config or parse(log.config_text, f"{log.path}:{log.config_name}")
-    if chosen.loop.rate_hz != log.rate_hz:
-        chosen = at_rate(chosen, log.rate_hz)
+    chosen = at_rate(config or parse(log.config_text, f"{log.path}:{log.config_name}"), log.rate_hz)
     codecs = codecs_of(chosen.bus, log.dbc_name, log.dbc)
     p = conversions.axis_of(chosen, codecs.command_lsb_v)
     turn = Turn(backend(chosen.loop.compiled, p).axis(p), Inbox(codecs, chosen.bus), codecs)

@@ -101,10 +101,7 @@ FIGURES = (
     ),
     Figure("disturbance", "Matched disturbance d̂", "N/s", (Curve("d_hat_n_s", "d̂", BLUE),)),
     Figure(
-        "disturbance-innovation",
-        "Innovation behind d̂",
-        "N",
-        (Curve("x3_innovation_n", "x3 − x̂3", BLUE),),
+        "disturbance-innovation", "Innovation behind d̂", "N", (Curve("x3_innovation_n", "x3 − x̂3", BLUE),)
     ),
     Figure(
         "timing",

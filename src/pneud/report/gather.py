@@ -163,8 +163,7 @@ def gather(log: LogReader, window: Window = EVERYTHING, buckets: int = 8192) -> 
 class _Gatherer:
     def __init__(self, log: LogReader, buckets: int) -> None:
         self.log = log
-        config = parse(log.config_text, f"{log.path}:{log.config_name}")
-        self.config = config if config.loop.rate_hz == log.rate_hz else at_rate(config, log.rate_hz)
+        self.config = at_rate(parse(log.config_text, f"{log.path}:{log.config_name}"), log.rate_hz)
         self.period_ns = round(1e9 / log.rate_hz)
         codecs = codecs_of(self.config.bus, log.dbc_name, log.dbc)
         self.health = Health(codecs, self.config.bus.sync, self.period_ns)

@@ -115,9 +115,5 @@ def _finish(axes: Axes, title: str, y: str, x: str) -> None:
     if handles:
         one_each = dict(zip(labels, handles, strict=True))
         axes.legend(
-            list(one_each.values()),
-            list(one_each),
-            fontsize=8,
-            loc="upper left",
-            bbox_to_anchor=(1.0, 1.0),
+            list(one_each.values()), list(one_each), fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0)
         )

@@ -164,11 +164,7 @@ def settles_in_finite_time(s: Settling) -> bool:
 def claims(main: Sequence[PaperRow], ablation: Sequence[PaperRow], c: Convergence) -> list[Claim]:
     """The paper's claims, in its order."""
     composite = [r for r in main if r.setting.law == COMPOSITE]
-    return [
-        *_of_convergence(composite, c),
-        *_of_comparison(main, ablation),
-        *_of_robustness(c),
-    ]
+    return [*_of_convergence(composite, c), *_of_comparison(main, ablation), *_of_robustness(c)]
 
 
 def _of_convergence(composite: Sequence[PaperRow], c: Convergence) -> list[Claim]:

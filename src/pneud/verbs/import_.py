@@ -69,9 +69,7 @@ def import_(
     if output.suffix != ".mcap":
         raise ConfigError(f"{output}: a log's name ends in .mcap")
     source = _source(recording, dbc, config_file)
-    config = parse(source.config_text, source.config_name)
-    if config.loop.rate_hz != source.rate_hz:
-        config = at_rate(config, source.rate_hz)
+    config = at_rate(parse(source.config_text, source.config_name), source.rate_hz)
     codecs = codecs_of(config.bus, source.dbc_name, source.dbc)
     path = log_path(str(output), config.name)
     surveyed = survey(recording, codecs, source.rate_hz)

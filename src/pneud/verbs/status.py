@@ -11,11 +11,7 @@ _SILENT_S = 0.5
 
 
 def status(socket: SocketOption = None, json: JsonOption = False) -> int:
-    """How the axis is.
-
-    Returns:
-        Exit status: 0.
-    """
+    """How the axis is."""
     with Client(socket) as client:
         found = client.ask("status")
     print(json_.dumps(found) if json else "\n".join(in_words(found)))

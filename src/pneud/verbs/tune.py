@@ -18,11 +18,7 @@ from pneud.verbs import JsonOption, SocketOption
 
 
 def get(socket: SocketOption = None, json: JsonOption = False) -> int:
-    """The running gains and reference.
-
-    Returns:
-        Exit status: 0.
-    """
+    """The running gains and reference."""
     return ask(socket, json, "tune_get", _gains)
 
 
@@ -71,11 +67,7 @@ def _changed(reply: dict[str, Any]) -> str:
 
 
 def diff(socket: SocketOption = None, json: JsonOption = False) -> int:
-    """Where the running gains and reference differ from the file.
-
-    Returns:
-        Exit status: 0.
-    """
+    """Where the running gains and reference differ from the file."""
     running, path = _running(socket)
     found = values_of(load_config(path))
     changes = {n: {"file": found[n], "running": v} for n, v in running.items() if found[n] != v}
@@ -84,11 +76,7 @@ def diff(socket: SocketOption = None, json: JsonOption = False) -> int:
 
 
 def save(socket: SocketOption = None, json: JsonOption = False) -> int:
-    """Write the running gains and reference into the daemon's configuration; comments stay.
-
-    Returns:
-        Exit status: 0.
-    """
+    """Write the running gains and reference into the daemon's configuration; comments stay."""
     running, path = _running(socket)
     found = values_of(load_config(path))
     changes = difference(found, running)

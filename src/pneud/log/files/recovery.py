@@ -24,15 +24,7 @@ from pneud.log.files.part import CONFIG_TEXT, CRC, DBC, check_intact, checked
 from pneud.log.files.writer import CHUNK_BYTES
 from pneud.log.format import framing
 from pneud.log.format.frames import FrameBlock
-from pneud.log.format.framing import (
-    DamageError,
-    LoggedMessage,
-    Piece,
-    attachment,
-    items,
-    metadata,
-    open_mcap,
-)
+from pneud.log.format.framing import DamageError, LoggedMessage, Piece, attachment, items, metadata, open_mcap
 from pneud.log.format.schema import COPY, FRAMES, METADATA, READABLE, TICK, Topic, topics
 
 _COMPRESSION = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")  # in a chunk's head
