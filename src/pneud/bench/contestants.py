@@ -179,12 +179,6 @@ def pneud(track: TrackScript, rate_hz: float, seconds: float, disturb: Disturb |
 def sample_of_log(log: Path, first: int, count: int, began_ns: int | None = None) -> Sample:
     """The durations of some ticks of a log, by their numbers.
 
-    Args:
-        log: the log.
-        first: number of the first tick that counts.
-        count: how many.
-        began_ns: CLOCK_MONOTONIC when the process of the loop was started, where that is known.
-
     Raises:
         LogError: the log cannot be read.
     """

@@ -295,12 +295,7 @@ class Inbox:
         return lag.late(behind, says, self._t_ns - origin.sample_ns)
 
     def measurement(self, skipped: int, host: int) -> Measurement:
-        """The newest valid values; ends this tick.
-
-        Args:
-            skipped: ticks skipped just before this one.
-            host: bits of `signals.Host`.
-        """
+        """The newest valid values; ends this tick."""
         t_ns, fresh = self._t_ns, self._fresh
         encoder, pressure, valve = self._encoder, self._pressure, self._valve
         position_m, status, _ = encoder.values

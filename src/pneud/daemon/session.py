@@ -155,15 +155,9 @@ class Session:
         return Stage(scenario, self.ready.config.loop.rate_hz)
 
     def _start_plant(self, ends: ExitStack, stage: Stage | None) -> tuple[int, TruthReader]:
-        config, how = self.ready.config, self.ready.how
-        rig = Rig(
-            conversions.plant_of(config),
-            self.ready.loaded.codecs,
-            self.ready.options.seed,
-            conversions.plant_priority(config.realtime),
-            how.advance,
-            how.carriage,
-        )
+        config, how, codecs = self.ready.config, self.ready.how, self.ready.loaded.codecs
+        seed, priority = self.ready.options.seed, conversions.plant_priority(config.realtime)
+        rig = Rig(conversions.plant_of(config), codecs, seed, priority, how.advance, how.carriage)
         memory = truth_memory()
         plant = fork_plant(self.ready.link.name, rig, memory, stage)
 

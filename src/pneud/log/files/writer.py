@@ -107,12 +107,7 @@ class LogWriter:
         self._part.metadata(SETUP, notes)
 
     def write(self, record: Record, missed: int = 0) -> None:
-        """Add one record.
-
-        Args:
-            record: the next one.
-            missed: records dropped just before it.
-        """
+        """Add one record, before which so many were dropped."""
         self._number += 1 + missed
         tick = record.tick
         t_ns = self._last_t_ns = tick.t_ns
