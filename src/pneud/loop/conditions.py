@@ -10,12 +10,8 @@ from pneud.signals import Host
 FOREIGN_S = 1.0  # how long another controller counts as present after its last frame
 FOREIGN_NS = round(FOREIGN_S * 1e9)
 # plain numbers: an operation on a flag of the enum module costs ten times as much
-LINK_DOWN, SEND_FAILED, RECEIVE_OVERFLOW, OTHER_CONTROLLER = (
-    int(Host.LINK_DOWN),
-    int(Host.SEND_FAILED),
-    int(Host.RECEIVE_OVERFLOW),
-    int(Host.OTHER_CONTROLLER),
-)
+LINK_DOWN, SEND_FAILED = int(Host.LINK_DOWN), int(Host.SEND_FAILED)
+RECEIVE_OVERFLOW, OTHER_CONTROLLER = int(Host.RECEIVE_OVERFLOW), int(Host.OTHER_CONTROLLER)
 
 
 class BusWay(Protocol):

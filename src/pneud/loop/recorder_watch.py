@@ -8,11 +8,8 @@ from pneud.crew import gone
 from pneud.log.live.ring import Ring
 from pneud.signals import Host
 
-RECORDER_LOST, DISK_FULL, CONFIG_CHANGED = (
-    int(Host.RECORDER_LOST),
-    int(Host.DISK_FULL),
-    int(Host.CONFIG_CHANGED),
-)
+RECORDER_LOST, DISK_FULL = int(Host.RECORDER_LOST), int(Host.DISK_FULL)
+CONFIG_CHANGED = int(Host.CONFIG_CHANGED)
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
