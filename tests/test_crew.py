@@ -237,3 +237,14 @@ def test_a_program_has_ended_after_its_block(stubborn: bool, monkeypatch: pytest
         assert process.stdout.readline() == "there\n"
         assert process.poll() is None
     assert process.returncode == (-signal.SIGKILL if stubborn else -signal.SIGTERM)
+
+
+def test_what_is_in_no_hurry_leaves_this_process_its_priority(tmp_path: Path) -> None:
+    def main() -> None:
+        found: list[int] = []
+        crew.at_low_priority(lambda: found.append(os.nice(0)))
+        (tmp_path / "nice").write_text(f"{found[0]} {os.nice(0)}")
+
+    assert crew.wait(crew.fork(main), 5.0)
+    low, own = map(int, (tmp_path / "nice").read_text().split())
+    assert own == os.nice(0) < low

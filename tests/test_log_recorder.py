@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 
 from log_samples import FAULTS, bits, header, noisy, tick_at, write_log
+from pneud.bus import wire
 from pneud.log.files.naming import LogError, create_log
 from pneud.log.files.reader import read_log
-from pneud.log.files.writer import LogWriter, realtime_offset_ns
+from pneud.log.files.writer import LogWriter
 from pneud.log.format.schema import Level
 from pneud.log.live.recorder import start_recorder
 from pneud.log.live.ring import RecorderStatus, Ring
@@ -400,7 +401,7 @@ def test_events_that_repeat_are_held_back_and_counted(tmp_path: Path) -> None:
 
 
 def test_stamps_in_the_file_are_unix_time(tmp_path: Path) -> None:
-    offset = realtime_offset_ns()
+    offset = wire.realtime_offset_ns()
     assert abs(time.monotonic_ns() + offset - time.time_ns()) < 10**9
     path = tmp_path / "x.mcap"
     with_frame = record(1)._replace(frames=(Frame(1_400_000, 0x181, b"x"),))

@@ -41,7 +41,7 @@ from pneud.signals import (
 from pneud.view.history import BUCKET_NS, SPAN_S, History, Trace, span_s, sparkline
 from pneud.view.info import ScreenInfo
 from pneud.view.processes import LEAVE_SCREEN
-from pneud.view.screen import ScreenState, render, status_line
+from pneud.view.screen import Page, ScreenState, status_line
 from pneud.view.terminal import run, run_child
 
 MS = 1_000_000
@@ -94,7 +94,7 @@ def drawn(
     """The page's lines as plain text."""
     console = Console(file=io.StringIO(), width=size[0], color_system=None, legacy_windows=False)
     with console.capture() as capture:
-        console.print(render(ScreenState(history.last, info), history, size, ascii_only), end="")
+        console.print(Page(ScreenState(history.last, info), history, size, ascii_only), end="")
     return capture.get().splitlines()
 
 
@@ -156,7 +156,7 @@ def test_what_is_learnt_and_what_is_amiss_fit_into_80_columns_and_what_is_at_its
     (none,) = [line for line in drawn(history) if line.startswith("learnt")]
     assert none.split() == ["learnt", "-"]
     console = Console(file=io.StringIO(), width=80, force_terminal=True, color_system="standard")
-    console.print(render(ScreenState(history.last, info), history, (80, 24)))
+    console.print(Page(ScreenState(history.last, info), history, (80, 24)))
     assert "33m400/112 mV" in console.file.getvalue()  # type: ignore[attr-defined]
 
 
@@ -260,7 +260,7 @@ def test_an_ascii_console_gets_ascii_without_being_told() -> None:
     raw = io.BytesIO()
     console = Console(file=io.TextIOWrapper(raw, encoding="ascii"), width=80, force_terminal=True)
     history = history_of(*(at(i) for i in range(1000)))
-    console.print(render(ScreenState(history.last, INFO), history, (80, 24)))
+    console.print(Page(ScreenState(history.last, INFO), history, (80, 24)))
     console.file.flush()
     assert b"us" in raw.getvalue()
     assert raw.getvalue().isascii()

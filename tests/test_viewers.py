@@ -24,10 +24,11 @@ import pytest
 from commands import background, pneud_here
 from generators import log as document
 from mangled import simulated
+from pneud.config.toml import flat
 from pneud.log.files.reader import read_log
 from pneud.log.format.schema import tick_fields, topics
 from pneud.resources import configs
-from pneud.view.viewers import Listener, flat
+from pneud.view.viewers import Listener
 
 pytestmark = pytest.mark.realtime
 

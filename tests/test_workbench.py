@@ -217,7 +217,7 @@ def test_what_is_no_number_has_no_size(tmp_path: Path) -> None:
     d.add(a, a._replace(state=2, command=a.command._replace(s=math.nan)))
     d.add(b, b)
     spreads = d.spreads()
-    assert math.isnan(spreads["state"].most) and math.isnan(spreads["command.s"].most)
+    assert math.isnan(spreads["state"].max) and math.isnan(spreads["command.s"].max)
     assert (spreads["state"].ticks, d.ticks, d.differing) == (1, 2, 1)
 
 

@@ -215,13 +215,7 @@ def kill(pid: int) -> None:
 def program(
     *command: str | Path, out: int | None = None, err: int | None = None
 ) -> Iterator[subprocess.Popen[str]]:
-    """Run another program for as long as a block; afterwards it has ended, whatever it takes.
-
-    Args:
-        command: the program and its arguments.
-        out: its standard output, as for `subprocess`.
-        err: its standard error.
-    """
+    """Run another program for as long as a block; afterwards it has ended, whatever it takes."""
     process = subprocess.Popen(command, stdout=out, stderr=err, text=True)
     try:
         yield process

@@ -63,11 +63,6 @@ def load(
 def codecs_of(bus: BusConfig, name: str, dbc: bytes) -> Codecs:
     """The codecs for a DBC that is not in a file of its own, such as a log's.
 
-    Args:
-        bus: which messages play which roles.
-        name: what to call the DBC in errors.
-        dbc: its bytes.
-
     Raises:
         DatabaseError: the DBC cannot be used.
     """
@@ -126,6 +121,8 @@ def at_rate(config: Config, rate_hz: float) -> Config:
     Raises:
         ConfigError: the rate is out of bounds, or does not fit the rest.
     """
+    if rate_hz == config.loop.rate_hz:
+        return config
     data = config.model_dump(by_alias=True)
     data["loop"]["rate_hz"] = rate_hz
     try:

@@ -150,18 +150,8 @@ def _build(cc: Path, source: str, cache: Cache) -> bytes:
     with cache.workshop() as folder:
         here = Path(f"/proc/self/fd/{folder}")
         (here / "made.c").write_text(source, encoding="utf-8")
-        command: list[str | Path] = [
-            cc,
-            *EXACT,
-            "-shared",
-            "-fPIC",
-            "-I",
-            include,
-            "-o",
-            "made.so",
-            "made.c",
-            "-lm",
-        ]
+        options = (*EXACT, "-shared", "-fPIC", "-I", include)
+        command: list[str | Path] = [cc, *options, "-o", "made.so", "made.c", "-lm"]
         try:
             done = subprocess.run(
                 command,

@@ -49,7 +49,7 @@ def open_private(path: Path) -> int:
                 if found.st_mode & 0o022 and not found.st_mode & stat.S_ISVTX:
                     raise PermissionError(f"{place}: others may write to it; chmod go-w {place}")
             else:
-                _check_private(place, found)
+                check_private(place, found)
             folder, here = inside, place
         return os.open(".", os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC, dir_fd=folder)
 
@@ -68,7 +68,8 @@ def _check_owner(place: Path, found: os.stat_result) -> None:
         raise PermissionError(f"{place}: belongs to user {found.st_uid}, not to {os.geteuid()} or root")
 
 
-def _check_private(place: Path, found: os.stat_result) -> None:
+def check_private(place: Path, found: os.stat_result) -> None:
+    """Raise PermissionError, one line for a person, unless this user alone may enter a folder."""
     if found.st_uid != os.geteuid():
         raise PermissionError(f"{place}: belongs to user {found.st_uid}, not to {os.geteuid()}; remove it")
     if found.st_mode & 0o077:

@@ -23,16 +23,7 @@ from types import NoneType
 from typing import Any, TypeGuard, get_type_hints
 
 from pure2c.arithmetic import binary, builtin
-from pure2c.types import (
-    PLAIN,
-    Many,
-    Maybe,
-    TranslationError,
-    Type,
-    Typed,
-    fields_of,
-    plain,
-)
+from pure2c.types import PLAIN, Many, Maybe, TranslationError, Type, Typed, fields_of, plain
 
 _HELPERS = Path(__file__).with_name("helpers.h")
 _PLACE = re.compile(r"(\w+|\(\*\w+\))(\.\w+)*")  # C that stands for a variable or a part of one

@@ -19,12 +19,7 @@ _PER_DECADE = 24  # columns; finer ones would show the timers' rasters
 
 
 def page(report: Mapping[str, Any], text: str) -> str:
-    """The page.
-
-    Args:
-        report: the object of the benchmark.
-        text: the same in words.
-    """
+    """The page."""
     histograms = report["wakeup_histograms_ns"]
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>pneud bench</title>\n'

@@ -138,12 +138,6 @@ def build(program: Path, axis: Loaded) -> None:
 def pneud(track: TrackScript, rate_hz: float, seconds: float, disturb: Disturb | None = None) -> Sample:
     """Our loop, as `pneud --virtual` runs it; durations come from its log.
 
-    Args:
-        track: where.
-        rate_hz: ticks per second.
-        seconds: that count.
-        disturb: what happens beside it meanwhile.
-
     Raises:
         AbsentError: it could not run.
     """
@@ -178,21 +172,12 @@ def pneud(track: TrackScript, rate_hz: float, seconds: float, disturb: Disturb |
         elapsed_s=elapsed_s,
         cpu_s={name: after[name].cpu_s - before[name].cpu_s for name in members},
         page_faults=loop.page_faults - before["loop"].page_faults,
-        switches=(
-            loop.voluntary - before["loop"].voluntary,
-            loop.involuntary - before["loop"].involuntary,
-        ),
+        switches=(loop.voluntary - before["loop"].voluntary, loop.involuntary - before["loop"].involuntary),
     )
 
 
 def sample_of_log(log: Path, first: int, count: int, began_ns: int | None = None) -> Sample:
     """The durations of some ticks of a log, by their numbers.
-
-    Args:
-        log: the log.
-        first: number of the first tick that counts.
-        count: how many.
-        began_ns: CLOCK_MONOTONIC when the process of the loop was started, where that is known.
 
     Raises:
         LogError: the log cannot be read.

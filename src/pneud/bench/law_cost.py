@@ -66,18 +66,7 @@ def tick(
     t_s: float,
     p: Law,
 ) -> LawState:
-    """One tick: a complete set of measurements in, a state with the command out.
-
-    Args:
-        state: of the last tick.
-        position_m: encoder, stroke coordinate.
-        p1_pa: pressure of chamber 1, absolute.
-        p2_pa: pressure of chamber 2, absolute.
-        supply_pa: supply pressure, absolute.
-        applied_v: command acting when the sample was taken.
-        t_s: time since the beginning.
-        p: parameters; the last tick was one nominal period ago.
-    """
+    """One tick: a complete set of measurements in, a state with the command out."""
     c = p.controller
     controller, estimate = observe(
         state.controller, position_m, True, p1_pa, p2_pa, supply_pa, applied_v, c.h, c

@@ -23,14 +23,7 @@ def as_object(
     machine: Mapping[str, Any],
     setting: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Everything that was found.
-
-    Args:
-        series: by name, ours among them.
-        missing: who could not take part, and why.
-        machine: what this machine is.
-        setting: rate, priority, bus and the like.
-    """
+    """Everything that was found."""
     ours = series.get(OURS)
     ratios = {}
     if ours is not None:

@@ -108,11 +108,6 @@ class Codecs:
 def load_codecs(bus: BusConfig, dbc_path: Path, *, keep: bool = False) -> Codecs:
     """The codecs for the messages named in `bus.frames`.
 
-    Args:
-        bus: which messages play which roles.
-        dbc_path: the DBC.
-        keep: keep in the user's cache what the DBC says.
-
     Raises:
         DatabaseError: the file, a message or a signal is missing or cannot be used; names it and the cure.
     """

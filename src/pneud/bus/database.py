@@ -51,11 +51,7 @@ class MessageSpec(NamedTuple):
 
 
 def messages(dbc: bytes, *, keep: bool = False) -> list[MessageSpec]:
-    """The messages of a DBC.
-
-    Args:
-        dbc: content of the file.
-        keep: use and fill the cache; without a place for one this makes no difference.
+    """The messages of a DBC, by the cache where that is wanted and there is a place for one.
 
     Raises:
         Exception: it is no usable DBC; what the parser lets through is not only its own errors.

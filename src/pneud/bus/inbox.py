@@ -283,15 +283,7 @@ class Inbox:
         self._fresh |= origin.bit
 
     def _lags(self, origin: _Origin, lag: Lag, counter: int, value: Any, late: bool) -> bool:
-        """Whether a frame whose counter is not the expected one answers an earlier SYNC.
-
-        Args:
-            origin: its source.
-            lag: of that.
-            counter: of the frame.
-            value: its first one.
-            late: it is late by stamp or age.
-        """
+        """Whether a frame whose counter is not the expected one answers an earlier SYNC."""
         behind = lag.behind(counter, self._syncs)
         if not behind:
             return False
@@ -303,12 +295,7 @@ class Inbox:
         return lag.late(behind, says, self._t_ns - origin.sample_ns)
 
     def measurement(self, skipped: int, host: int) -> Measurement:
-        """The newest valid values; ends this tick.
-
-        Args:
-            skipped: ticks skipped just before this one.
-            host: bits of `signals.Host`.
-        """
+        """The newest valid values; ends this tick."""
         t_ns, fresh = self._t_ns, self._fresh
         encoder, pressure, valve = self._encoder, self._pressure, self._valve
         position_m, status, _ = encoder.values

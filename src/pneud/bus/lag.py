@@ -87,12 +87,7 @@ class Lag:
         self.open = self.agreed < AGREE or self._shift > 0
 
     def behind(self, counter: int, syncs: int) -> int:
-        """By how many SYNCs a frame lags; 0 where it does not, or where that is not known.
-
-        Args:
-            counter: of the frame.
-            syncs: sent so far.
-        """
+        """By how many SYNCs a frame lags; 0 where it does not, or where that is not known."""
         lag = (self.offset + syncs - counter) & self._mask
         if self.agreed >= AGREE and 0 < lag <= self._most:
             return lag

@@ -112,10 +112,6 @@ class Link:
     def send(self, can_id: int, data: bytes) -> int:
         """Send one frame now or never.
 
-        Args:
-            can_id: identifier, with its flag bits.
-            data: at most 8 bytes.
-
         Returns:
             CLOCK_MONOTONIC [ns] right after it was handed to the kernel, or −1 when it could not be.
         """

@@ -28,12 +28,7 @@ def longest_s(data_bytes: int, bitrate_bit_s: float) -> float:
 
 
 def load_of(config: Config, codecs: Codecs) -> Load:
-    """What this axis's frames cost in every tick.
-
-    Args:
-        config: its bit rate; whether there is a SYNC.
-        codecs: the lengths of its frames.
-    """
+    """What this axis's frames cost in every tick."""
     rate = config.bus.bitrate_bit_s
     answers = (codecs.encoder, codecs.pressure, codecs.valve_status)
     asked_s = longest_s(codecs.sync.length, rate) + NODE_S if config.bus.sync else 0.0

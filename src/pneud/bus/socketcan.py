@@ -34,11 +34,6 @@ class SocketCan:
     def __init__(self, interface: str, *, virtual: bool = False, by: wire.Carriage = wire.CARRIAGE) -> None:
         """Open `interface`.
 
-        Args:
-            interface: such as can0.
-            virtual: refuse whatever is not of kind vcan.
-            by: how frames are taken and given.
-
         Raises:
             NotVirtualError: not of kind vcan, though `virtual`.
             SocketCanError: no SocketCAN, no such interface, not up, no permission.

@@ -121,11 +121,6 @@ class Party:
     def drain(self, offset_ns: int, into: list[Frame], wait_ns: int = 0) -> int:
         """Append everything that has arrived, in the order of its stamps; also lets others join and leave.
 
-        Args:
-            offset_ns: what to take from the kernel's CLOCK_REALTIME stamps.
-            into: where to.
-            wait_ns: how long to wait for something to happen.
-
         Returns:
             How many frames came.
         """

@@ -172,13 +172,6 @@ def take(
 ) -> bool:
     """Append the next frame that waits in a non-blocking socket, if there is one.
 
-    Args:
-        sock: where from.
-        offset_ns: what to take from the kernel's stamp.
-        into: where to.
-        counts: as from `counts`.
-        class_: of the frame.
-
     Returns:
         False where the other end has closed and everything has been read.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from typing import Any
 
 
@@ -24,3 +25,13 @@ def tables_of(text: str) -> dict[str, Any]:
         raise TomlError("not valid TOML: brackets within brackets, far too deep") from None
     except ValueError as e:  # an integer of thousands of digits
         raise TomlError(f"not valid TOML: {str(e).partition(';')[0]}") from None
+
+
+def flat(value: Any, prefix: str = "") -> dict[str, Any]:
+    """Nested tables as names with dots between them."""
+    if not isinstance(value, Mapping):
+        return {prefix: value}
+    found: dict[str, Any] = {}
+    for key, inner in value.items():
+        found |= flat(inner, f"{prefix}.{key}" if prefix else str(key))
+    return found

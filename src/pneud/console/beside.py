@@ -35,13 +35,6 @@ class Beside:
         clock: Callable[[], float] = time.monotonic,
         start: Callable[[Callable[[], None]], None] = _in_a_thread,
     ) -> None:
-        """Nobody wants it yet.
-
-        Args:
-            work: what takes long.
-            clock: seconds.
-            start: runs what it is given and need not wait for it.
-        """
         self.descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._work = work
         self._clock = clock

@@ -39,10 +39,7 @@ class Client:
     """A connection to a running daemon."""
 
     def __init__(self, socket_path: str | None = None) -> None:
-        """Connect.
-
-        Args:
-            socket_path: `--socket`; None looks where daemons put theirs.
+        """Connect to a socket, or to that of the daemon that runs.
 
         Raises:
             PlaceError: there is no daemon, or several, or it may not be talked to.

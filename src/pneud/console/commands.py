@@ -19,29 +19,16 @@ from pneud.safety.supervisor import BLOCKS
 from pneud.signals import Answer, Request, RequestKind, State
 
 _MM = 1e-3
-_SIMPLE = {
-    protocol.Arm: RequestKind.ARM,
-    protocol.Clear: RequestKind.CLEAR,
-    protocol.Hold: RequestKind.HOLD,
-    protocol.Home: RequestKind.HOME,
-}
 _BLOCKS = {"arm": BLOCKS[RequestKind.ARM], "home": BLOCKS[RequestKind.HOME]}  # faults, by what they forbid
 _EMPTY = Request(RequestKind.PIECE)  # the profile
-_URGENT = {protocol.Disarm: RequestKind.DISARM, protocol.Stop: RequestKind.STOP}
+_URGENT = ("disarm", "stop")
+_PLAIN = {verb: RequestKind[verb.upper()] for verb in ("arm", "clear", "hold", "home", *_URGENT)}
 
 
 class AxisDesk:
     """The desk of one axis."""
 
     def __init__(self, run: RunFacts, ring: Ring, watch: StatusWatch, memory: Memory | None = None) -> None:
-        """Ready to be asked.
-
-        Args:
-            run: what runs.
-            ring: where its records are.
-            watch: follows them.
-            memory: of the desk before this one, and for the one after it.
-        """
         self.name = run.config.name
         self._run = run
         self._ring = ring
@@ -117,11 +104,8 @@ class AxisDesk:
         Raises:
             ProtocolError: what is asked for cannot be done.
         """
-        kind = type(message)
-        if kind in _SIMPLE:
-            return Orders(message.verb, (Request(_SIMPLE[kind]),))
-        if kind in _URGENT:
-            return Orders(message.verb, (Request(_URGENT[kind]),), urgent=True)
+        if message.verb in _PLAIN:
+            return Orders(message.verb, (Request(_PLAIN[message.verb]),), urgent=message.verb in _URGENT)
         match message:
             case protocol.Goto():
                 return self._goto(message)

@@ -128,9 +128,6 @@ def _give_to_group(path: Path) -> bool:
 def find(given: str | None) -> socket.socket:
     """Connect to the daemon's socket.
 
-    Args:
-        given: `--socket`; None asks `$PNEUD_SOCKET`, then looks where daemons put theirs.
-
     Raises:
         PlaceError: there is none, there are several, or it is somebody else's.
     """

@@ -39,13 +39,6 @@ def fork_console(
 
     They finish by themselves when the ring is closed or this process dies, however it dies.
 
-    Args:
-        listener: bound and listening.
-        loop: the console's end of the hand-off.
-        words: the teller's end to the recorder.
-        run: what runs.
-        ring: where its records are.
-
     Returns:
         The keeper's process id; a SIGHUP reaches the console through it.
 

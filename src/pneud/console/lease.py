@@ -13,11 +13,7 @@ class Lease(Generic[Holder]):
     """The right to command; times are seconds of a clock that only goes forward."""
 
     def __init__(self, span_s: float = LEASE_S) -> None:
-        """Nobody's lease.
-
-        Args:
-            span_s: how long it holds after each command.
-        """
+        """Nobody's lease; it holds for so long after each command."""
         self._span_s = span_s
         self._holder: Holder | None = None
         self._until_s = 0.0
@@ -33,12 +29,7 @@ class Lease(Generic[Holder]):
         return max(0.0, self._until_s - now_s) if self.holder(now_s) is not None else 0.0
 
     def take(self, who: Holder, now_s: float, *, by_force: bool = False) -> bool:
-        """Take or renew it.
-
-        Args:
-            who: asks.
-            now_s: time.
-            by_force: whoever holds it loses it.
+        """Take or renew it, by force from whoever holds it.
 
         Returns:
             Whether `who` commands now.

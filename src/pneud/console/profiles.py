@@ -140,13 +140,6 @@ def chirp(
 ) -> list[Septic]:
     """A sine whose frequency changes linearly; it swells from rest and fades to it within a period.
 
-    Args:
-        centre_m: around which it swings.
-        amplitude_m: of the swing.
-        from_hz: first frequency, positive.
-        to_hz: last frequency, positive.
-        duration_s: of it all, at least a period of both.
-
     Raises:
         ProfileError: not positive, not finite, too short, or too long for a profile.
     """
@@ -206,12 +199,6 @@ def steps(positions_m: Sequence[float], dwell_s: float, bounds: Bounds) -> list[
 
 def check(pieces: Sequence[Septic], bounds: Bounds, low_m: float, high_m: float) -> None:
     """See whether the axis will take a profile, as it looks at it itself.
-
-    Args:
-        pieces: the profile.
-        bounds: `AxisParameters.motion`.
-        low_m: least position that may be asked for.
-        high_m: greatest one.
 
     Raises:
         ProfileError: where and what it exceeds, in one line.

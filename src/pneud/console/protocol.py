@@ -61,58 +61,20 @@ class RequestBase(BaseModel):
     id: Number
 
 
-class Status(RequestBase):
-    """How the axis is."""
+class Plain(RequestBase):
+    """One whose verb says it all."""
 
-    verb: Literal["status"]
-
-
-class Attach(RequestBase):
-    """The memory in which the loop leaves its records, for reading."""
-
-    verb: Literal["attach"]
-
-
-class Observe(RequestBase):
-    """Never command from this connection."""
-
-    verb: Literal["observe"]
-
-
-class Arm(RequestBase):
-    """Engage and hold."""
-
-    verb: Literal["arm"]
-
-
-class Disarm(RequestBase):
-    """Stop, then centre."""
-
-    verb: Literal["disarm"]
-
-
-class Stop(RequestBase):
-    """Stop."""
-
-    verb: Literal["stop"]
-
-
-class Clear(RequestBase):
-    """Clear what is latched."""
-
-    verb: Literal["clear"]
-
-
-class Hold(RequestBase):
-    """Come to rest and hold."""
-
-    verb: Literal["hold"]
-
-
-class Home(RequestBase):
-    """Find the reference."""
-
-    verb: Literal["home"]
+    verb: Literal[
+        "status",  # how the axis is
+        "attach",  # the memory in which the loop leaves its records, for reading
+        "observe",  # never command from this connection
+        "arm",  # engage and hold
+        "disarm",  # stop, then centre
+        "stop",
+        "clear",  # what is latched
+        "hold",  # come to rest and hold
+        "home",  # find the reference
+    ]
 
 
 class Goto(RequestBase):
@@ -181,15 +143,9 @@ class Mark(RequestBase):
     text: Annotated[str, Field(min_length=1, max_length=200)]
 
 
-Request = (
-    Status | Attach | Observe | Arm | Disarm | Stop | Clear | Hold | Home | Goto | Jog | Track | Upload
-    | TuneGet
-    | TuneSet
-    | TuneReload
-    | Mark
-)  # fmt: skip
+Request = Plain | Goto | Jog | Track | Upload | TuneGet | TuneSet | TuneReload | Mark
 VERBS: dict[str, type[Request]] = {
-    kind.model_fields["verb"].annotation.__args__[0]: kind for kind in Request.__args__
+    verb: kind for kind in Request.__args__ for verb in kind.model_fields["verb"].annotation.__args__
 }
 
 

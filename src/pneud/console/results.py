@@ -17,14 +17,7 @@ def ask(
     words: Callable[[dict[str, Any]], str] = lambda reply: str(reply.get("state", "done")),
     **fields: Any,
 ) -> int:
-    """Ask for one thing and print what came of it: for people, the state that the axis is in afterwards.
-
-    Args:
-        socket: the daemon's, or None for the one that runs.
-        json: print an object.
-        verb: what to ask for.
-        words: what to say of a reply instead.
-        fields: of the request.
+    """Ask for one thing and print what came of it: for people `words`, as the state that the axis is in then.
 
     Returns:
         Exit status: 0, or 1 where it was refused.

@@ -370,15 +370,15 @@ class Server:
             self._refuse(client, e)
             return
         number = message.id
-        match message:
-            case protocol.Status():
+        match message.verb:
+            case "status":
                 self._files.do(self._bounds.look_s, lambda _: self._tell_status(client, number))
-            case protocol.TuneGet():
+            case "tune_get":
                 self._send(client, self._reply(number, **self._desk.gains()))
-            case protocol.Observe():
+            case "observe":
                 client.read_only = True
                 self._send(client, self._reply(number))
-            case protocol.Attach():
+            case "attach":
                 self._attach(client, number)
             case _:
                 self._read_first(message, lambda read: self._command(client, message, read))

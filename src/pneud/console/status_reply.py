@@ -20,12 +20,7 @@ class StatusWatch:
     """Follows the records of one run."""
 
     def __init__(self, ring: Ring, sync: bool = True) -> None:
-        """Begin with the oldest record that is still in the ring.
-
-        Args:
-            ring: where the records are.
-            sync: every source owes a frame in every tick.
-        """
+        """Begin with the oldest record that is still in the ring."""
         self.learnt: Learnt | None = None  # by the last snapshot
         self._ring = ring
         self._amiss = Amiss(sync)

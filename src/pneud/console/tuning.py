@@ -9,6 +9,7 @@ from pneud.config.conversions import reference_of
 from pneud.config.models import Config
 from pneud.config.reading import parse
 from pneud.config.sections import ConfigError
+from pneud.config.toml import flat
 from pneud.console.memory import Memory
 from pneud.console.orders import Orders
 from pneud.console.protocol import Error, ProtocolError
@@ -65,14 +66,7 @@ class Tuning:
     """The running gains and reference of one axis."""
 
     def __init__(self, config: Config, path: Path, text: str, memory: Memory | None = None) -> None:
-        """As they were loaded, or are remembered.
-
-        Args:
-            config: what runs.
-            path: its file.
-            text: the file's, as it was loaded.
-            memory: keeps them for another one that comes after this one.
-        """
+        """As they were loaded, or are remembered."""
         self._values = values_of(config)
         self._config = config
         self._path = path
@@ -140,7 +134,7 @@ class Tuning:
         except ConfigError as e:
             raise ProtocolError(Error.CONFIGURATION, str(e)) from None
         tunable = {".".join(key) for name in NAMES for key in keys(name)}
-        running, found = _flat(self._config.model_dump()), _flat(config.model_dump())
+        running, found = flat(self._config.model_dump()), flat(config.model_dump())
         # the rate may have been given on the command line
         other = sorted(
             key
@@ -184,13 +178,3 @@ class Tuning:
         changed = {name.partition(".")[2]: wanted[name] for name in REFERENCE}
         reference = self._config.reference.model_copy(update=changed)
         return reference_of(self._config.model_copy(update={"reference": reference}))
-
-
-def _flat(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in table.items():
-        if isinstance(value, dict):
-            flat |= _flat(value, f"{prefix}{key}.")
-        else:
-            flat[prefix + key] = value
-    return flat

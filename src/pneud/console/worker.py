@@ -44,13 +44,7 @@ def load() -> None:
 
 
 def serve(post: Post, keeper: int, place: int) -> None:
-    """Serve until the ring is closed or the loop is gone; SIGHUP takes gains and reference of the file.
-
-    Args:
-        post: what it works with.
-        keeper: process id of the one that forks the consoles; this one does not outlive it.
-        place: how many consoles of this run came before.
-    """
+    """Serve until the ring is closed or the loop is gone; SIGHUP takes gains and reference of the file."""
     reload = False
 
     def hang_up(*_: object) -> None:

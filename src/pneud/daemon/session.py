@@ -13,6 +13,7 @@ from pneud.axis.state import learnt_so_far
 from pneud.bus.inbox import Inbox
 from pneud.config import conversions
 from pneud.config.learnt import Values, start_of, values_learnt
+from pneud.config.toml import flat
 from pneud.console import handoff
 from pneud.console.facts import RunFacts
 from pneud.console.keeper import fork_console
@@ -77,11 +78,7 @@ class Session:
         return loop.lanes[0]
 
     def _start(self, ends: ExitStack) -> Loop:
-        """Start the crew, and make the loop ready.
-
-        Args:
-            ends: takes how each is ended, the last one first.
-        """
+        """Start the crew, and make the loop ready."""
         ready, o, wanted = self.ready, self.ready.options, self.ready.config.realtime
         cpu = setup.own_cpu(wanted.cpu)
         words, heard = crew.pair()
@@ -158,15 +155,9 @@ class Session:
         return Stage(scenario, self.ready.config.loop.rate_hz)
 
     def _start_plant(self, ends: ExitStack, stage: Stage | None) -> tuple[int, TruthReader]:
-        config, how = self.ready.config, self.ready.how
-        rig = Rig(
-            conversions.plant_of(config),
-            self.ready.loaded.codecs,
-            self.ready.options.seed,
-            conversions.plant_priority(config.realtime),
-            how.advance,
-            how.carriage,
-        )
+        config, how, codecs = self.ready.config, self.ready.how, self.ready.loaded.codecs
+        seed, priority = self.ready.options.seed, conversions.plant_priority(config.realtime)
+        rig = Rig(conversions.plant_of(config), codecs, seed, priority, how.advance, how.carriage)
         memory = truth_memory()
         plant = fork_plant(self.ready.link.name, rig, memory, stage)
 
@@ -179,7 +170,7 @@ class Session:
         return plant, TruthReader(memory)
 
     def _start_viewers(self, ends: ExitStack, at: ViewersPlace) -> None:
-        parameters = self.ready.config.model_dump(mode="json", by_alias=True)
+        parameters = flat(self.ready.config.model_dump(mode="json", by_alias=True))
         viewers = fork_viewers(self.ring, self._header, parameters, at.listener, at.admission)
         ends.callback(crew.end, viewers, VIEWERS_PATIENCE_S)
 

@@ -10,12 +10,8 @@ from pneud.signals import Host
 FOREIGN_S = 1.0  # how long another controller counts as present after its last frame
 FOREIGN_NS = round(FOREIGN_S * 1e9)
 # plain numbers: an operation on a flag of the enum module costs ten times as much
-LINK_DOWN, SEND_FAILED, RECEIVE_OVERFLOW, OTHER_CONTROLLER = (
-    int(Host.LINK_DOWN),
-    int(Host.SEND_FAILED),
-    int(Host.RECEIVE_OVERFLOW),
-    int(Host.OTHER_CONTROLLER),
-)
+LINK_DOWN, SEND_FAILED = int(Host.LINK_DOWN), int(Host.SEND_FAILED)
+RECEIVE_OVERFLOW, OTHER_CONTROLLER = int(Host.RECEIVE_OVERFLOW), int(Host.OTHER_CONTROLLER)
 
 
 class BusWay(Protocol):
@@ -40,12 +36,6 @@ class Conditions:
     __slots__ = ("_foreign", "_foreign_until_ns", "_inbox", "_rx_dropped", "_tx_failed", "_way")
 
     def __init__(self, inbox: Inbox, way: BusWay) -> None:
-        """Nothing has happened yet.
-
-        Args:
-            inbox: knows what nodes and controller report of themselves, and who else sends.
-            way: to the bus.
-        """
         self._inbox = inbox
         self._way = way
         self._tx_failed = way.tx_failed
@@ -54,12 +44,7 @@ class Conditions:
         self._foreign_until_ns = 0
 
     def host(self, t_ns: int, others: int) -> int:
-        """Bits of `signals.Host`.
-
-        Args:
-            t_ns: this tick's SYNC.
-            others: bits that come from elsewhere: what the machine, its clock and the recorder lack.
-        """
+        """Bits of `signals.Host`, those from elsewhere among them: what machine, clock and recorder lack."""
         inbox, way = self._inbox, self._way
         host = others | inbox.conditions
         if way.down:

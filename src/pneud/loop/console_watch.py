@@ -21,20 +21,11 @@ class ConsoleWatch:
     __slots__ = ("_commanded", "_ring")
 
     def __init__(self, ring: Ring) -> None:
-        """Nobody has asked for anything.
-
-        Args:
-            ring: where the console says that it lives.
-        """
         self._ring = ring
         self._commanded = False  # the axis is engaged at an operator's request
 
     def host(self, t_ns: int) -> int:
-        """Bits of `signals.Host`.
-
-        Args:
-            t_ns: this tick's SYNC.
-        """
+        """Bits of `signals.Host`."""
         if not self._commanded:
             return 0
         beat_ns = self._ring.console_ns

@@ -46,16 +46,6 @@ class Lane:
         truth: TruthReader | None = None,
         console: LoopEnd | None = None,
     ) -> None:
-        """An axis whose run has not begun.
-
-        Args:
-            turn: its exchange.
-            link: its way to the bus.
-            recorder: takes its records.
-            options: how the run goes.
-            truth: true positions of a software plant.
-            console: where operators' requests come from.
-        """
         self.turn = turn
         self.conditions = Conditions(turn.inbox, link)
         self.recorder = recorder
@@ -76,11 +66,7 @@ class Lane:
         self._record_ns = -1  # that the last record took to hand over
 
     def ask(self, ending: bool) -> None:
-        """Find what is asked of the axis in this tick, by the run itself or else by an operator.
-
-        Args:
-            ending: the run has been told to end.
-        """
+        """Find what is asked of the axis in this tick, by the run itself or else by an operator."""
         request, self._asked = self._own_request(ending), False
         if request is None and self._console is not None:
             request = self._console.take()
@@ -100,21 +86,12 @@ class Lane:
         return Request(RequestKind.ARM, (1.0,))
 
     def host(self, t_ns: int, others: int) -> int:
-        """Bits of `signals.Host`.
-
-        Args:
-            t_ns: this tick's SYNC.
-            others: bits that come from elsewhere: what the machine and its clock lack.
-        """
+        """Bits of `signals.Host`, those from elsewhere among them."""
         lost = 0 if self._shut else self._watch.host(t_ns)
         return self.conditions.host(t_ns, others | lost | self.recorder.host)
 
     def see_truth(self, sync_ns: int) -> None:
-        """Look for the true position at this tick's SYNC.
-
-        Args:
-            sync_ns: when SYNC had been sent.
-        """
+        """Look for the true position at this tick's SYNC."""
         if self._truth is not None:
             self._truth_m = self._truth.get(self.turn.t_ns, sync_ns)
 

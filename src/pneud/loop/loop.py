@@ -33,14 +33,6 @@ class Loop:
     """
 
     def __init__(self, lanes: Sequence[Lane], codecs: Codecs, link: Link, options: Options) -> None:
-        """A loop that is ready to run.
-
-        Args:
-            lanes: its axes; they answer one SYNC.
-            codecs: of SYNC.
-            link: the bus.
-            options: how the run goes.
-        """
         self.lanes = lanes
         self._turns = [lane.turn for lane in lanes]
         self._link = link
@@ -117,10 +109,6 @@ class Loop:
 
     def _wait(self, t_ns: int, sync_ns: int) -> int:
         """Wait until every axis has its set, or for as long as there is time.
-
-        Args:
-            t_ns: this tick's SYNC.
-            sync_ns: when it had been sent.
 
         Returns:
             When the waiting ended.

@@ -24,12 +24,7 @@ class Options(NamedTuple):
 
 
 def options_of(
-    c: Config,
-    *,
-    auto_arm: bool,
-    duration_s: float | None,
-    end_on_fault: bool,
-    no_realtime: bool,
+    c: Config, *, auto_arm: bool, duration_s: float | None, end_on_fault: bool, no_realtime: bool
 ) -> Options:
     """Options from a configuration and the command line."""
     return Options(

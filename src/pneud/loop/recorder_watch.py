@@ -8,11 +8,8 @@ from pneud.crew import gone
 from pneud.log.live.ring import Ring
 from pneud.signals import Host
 
-RECORDER_LOST, DISK_FULL, CONFIG_CHANGED = (
-    int(Host.RECORDER_LOST),
-    int(Host.DISK_FULL),
-    int(Host.CONFIG_CHANGED),
-)
+RECORDER_LOST, DISK_FULL = int(Host.RECORDER_LOST), int(Host.DISK_FULL)
+CONFIG_CHANGED = int(Host.CONFIG_CHANGED)
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -20,12 +17,6 @@ class RecorderWatch:
     """What is known of a recorder; it changes slowly, and `look` costs system calls."""
 
     def __init__(self, ring: Ring, pid: int) -> None:
-        """A recorder that has not been looked at.
-
-        Args:
-            ring: to it.
-            pid: of its process, a child of this one; 0 for none.
-        """
         self.ring = ring
         self.lost = False
         self.host = 0

@@ -60,13 +60,7 @@ class Tally:
         self._timed = timed
 
     def add(self, record: Record, plan: Plan, *, ending: bool) -> None:
-        """One tick more.
-
-        Args:
-            record: of the tick.
-            plan: what the reference was doing then.
-            ending: the run has been told to end.
-        """
+        """One tick more."""
         tick = record.tick
         self.ever_present |= tick.present
         self.ever_latched |= tick.latched
@@ -89,11 +83,7 @@ class Tally:
             self.tracking.add(tick, plan.since_ns, record.truth_m)
 
     def asked_to_arm(self, tick: Tick) -> None:
-        """See what an axis makes of being asked to arm by the run itself: what shows only then shows again.
-
-        Args:
-            tick: the one in which it was asked.
-        """
+        """See what an axis makes of being asked to arm by the run; what shows only then shows again."""
         self.refused = 0 if is_engaged(tick.state) else tick.present & BLOCKS_ARM
 
     def never_armed(self) -> list[str] | None:
@@ -123,13 +113,7 @@ class Tracking:
         self._last_v = math.nan
 
     def add(self, tick: Tick, join_ns: int, truth_m: float) -> None:
-        """One tick that follows the reference.
-
-        Args:
-            tick: the tick.
-            join_ns: the reference's t = 0.
-            truth_m: true position at SYNC, NaN where unknown.
-        """
+        """One tick that follows the reference, whose t = 0 is at `join_ns`; no true position is NaN."""
         if tick.t_ns - join_ns < AFTER_S * 1e9:
             return
         r, m = tick.reference, tick.measurement

@@ -40,7 +40,6 @@ class Turn:
     tick: Tick
 
     def __init__(self, axis: Axis, inbox: Inbox, codecs: Codecs) -> None:
-        """An exchange that has not begun."""
         self.axis = axis
         self.inbox = inbox
         self.frames: list[Frame] = []
@@ -89,12 +88,7 @@ class Turn:
         return tick
 
     def command(self, sequence: int, counter: int) -> bytes:
-        """What to send to the valve.
-
-        Args:
-            sequence: counter of this tick's SYNC.
-            counter: of the command, as far as it fits.
-        """
+        """What to send to the valve, by the counters of SYNC and, as far as it fits, of the command."""
         c = self.tick.command
         self.data = data = self._encode(c.voltage_v, c.enable, sequence, counter=counter & self._mask)
         return data

@@ -17,15 +17,7 @@ from typing import IO, NamedTuple
 
 from pneud.bus.wire import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
 from pneud.log.files.naming import LogError
-from pneud.replay.passing import (
-    EXTENDED,
-    FD,
-    NO_IDENTIFIER,
-    REQUEST,
-    SECOND_NS,
-    STANDARD,
-    Passing,
-)
+from pneud.replay.passing import EXTENDED, FD, NO_IDENTIFIER, REQUEST, SECOND_NS, STANDARD, Passing
 from pneud.replay.remarks import Remarks
 from pneud.rt.inputs import open_file
 from pneud.signals import Frame

@@ -21,8 +21,8 @@ class CommandSpread(NamedTuple):
 
     ticks: int  # in which it does
     first_tick: int
-    most: float  # greatest difference; NaN for what is no number
-    most_tick: int
+    max: float  # greatest difference; NaN for what is no number
+    max_tick: int
     rms: float  # over all ticks compared in which it is a number; NaN for what is no number
 
 

@@ -33,11 +33,6 @@ def frames(log: LogReader, codecs: Codecs, path: Path) -> Exported:
     that `pneud import` finds the same ticks. Where a frame came in while a command was on its way out, its
     stamp lies a little before that of the line above it.
 
-    Args:
-        log: the log.
-        codecs: of its axis.
-        path: ends in .log (candump), .asc or .blf.
-
     Raises:
         OSError: a file cannot be written.
     """
@@ -80,10 +75,6 @@ def _unix(frame: Frame, offset_ns: int) -> Frame:
 
 def table(log: LogReader, path: Path) -> Exported:
     """Write a row for each tick, all its numbers in SI units as their names say.
-
-    Args:
-        log: the log.
-        path: ends in .csv or .parquet.
 
     Raises:
         LogError: pyarrow is missing.

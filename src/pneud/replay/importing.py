@@ -58,15 +58,6 @@ class Ticks:
     def __init__(
         self, frames: Iterable[Passing], codecs: Codecs, survey: Survey, times: Times, remarks: Remarks
     ) -> None:
-        """Nothing read yet.
-
-        Args:
-            frames: the recording.
-            codecs: which of its messages are SYNC and command.
-            survey: of the recording.
-            times: makes the log's times of its stamps.
-            remarks: takes what is no message of ours though it has its identifier.
-        """
         self.elsewhere = 0  # frames on other channels, left out
         self._frames = frames
         self._codecs = codecs
@@ -133,13 +124,6 @@ def rebuild(
     ticks: Iterable[Heard], writer: LogWriter, config: Config, codecs: Codecs, known: Sidecar | None
 ) -> Rebuilt:
     """Write the log of a recording.
-
-    Args:
-        ticks: of the recording.
-        writer: of the new log, closed by the caller.
-        config: of the axis.
-        codecs: of its frames.
-        known: what was written beside the frames, if they were exported.
 
     Raises:
         LogError: the recording cannot be read.

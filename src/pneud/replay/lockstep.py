@@ -149,11 +149,6 @@ class Simulation:
 def simulate(config_file: str | Path, duration_s: float = 10.0, seed: int = 0) -> Iterator[Record]:
     """The ticks of a run in simulated time, with what comes to rest after it.
 
-    Args:
-        config_file: path, or bare name of a configuration that comes with pneud.
-        duration_s: simulated time until the axis is told to shut down.
-        seed: of the sensors' noise.
-
     Raises:
         ConfigError: the configuration cannot be used.
         DatabaseError: its DBC cannot be used.

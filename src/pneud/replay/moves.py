@@ -53,7 +53,6 @@ class Course:
     """
 
     def __init__(self, moves: list[Move]) -> None:
-        """Nothing has been asked for yet."""
         self._moves = moves
         self._results: list[dict[str, Any]] = []
         self._armed = self._ended = self.over = False

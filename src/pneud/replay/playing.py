@@ -27,15 +27,7 @@ def play(
     from_s: float = 0.0,
     stop: Callable[[], bool] = lambda: False,
 ) -> Played:
-    """Send what was received, each frame when its time has come; one that cannot be sent is not tried again.
-
-    Args:
-        log: the log.
-        link: the bus.
-        speed: how much faster than it was.
-        from_s: begin so long after the log's start.
-        stop: asked before every frame.
-    """
+    """Send what was received, each frame in its time; one that cannot be sent is not tried again."""
     sent = failed = latest_ns = 0
     began_ns = first_ns = 0
     for stamp_ns, can_id, data in _received(log, from_s):

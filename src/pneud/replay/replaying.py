@@ -98,9 +98,7 @@ def replay(
         BuildError: it requires the compiled law, which cannot be had.
         LogError: a snapshot that is needed is of another version's axis.
     """
-    chosen = config or parse(log.config_text, f"{log.path}:{log.config_name}")
-    if chosen.loop.rate_hz != log.rate_hz:
-        chosen = at_rate(chosen, log.rate_hz)
+    chosen = at_rate(config or parse(log.config_text, f"{log.path}:{log.config_name}"), log.rate_hz)
     codecs = codecs_of(chosen.bus, log.dbc_name, log.dbc)
     p = conversions.axis_of(chosen, codecs.command_lsb_v)
     turn = Turn(backend(chosen.loop.compiled, p).axis(p), Inbox(codecs, chosen.bus), codecs)
@@ -239,14 +237,7 @@ def _difference(
 
 
 def differ(name: str, was: float | str, now: float | str, *, exact: bool) -> bool:
-    """Whether a value is another one than the log's.
-
-    Args:
-        name: of the variable.
-        was: its value in the log.
-        now: its other value.
-        exact: the log holds it to the bit; else, as in a compact log, 32 bits or fewer.
-    """
+    """Whether a value is another one than the log's, which in a compact log has 32 bits or fewer."""
     if was == now or repr(was) == repr(now):  # the latter makes NaN equal to itself
         return False
     if not exact and isinstance(was, float) and isinstance(now, float):

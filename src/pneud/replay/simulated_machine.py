@@ -41,10 +41,8 @@ class SimulatedMachine:
         elif isinstance(fault, StopProcess) and fault.who == "daemon":
             self._stall_ticks = round(fault.for_s * 1e9 / self._period_ns)
         elif isinstance(fault, Overload):
-            self._overload_ticks, self._overload_until_ns = (
-                round(fault.stand_s * 1e9 / self._period_ns),
-                until_ns,
-            )
+            self._overload_ticks = round(fault.stand_s * 1e9 / self._period_ns)
+            self._overload_until_ns = until_ns
         elif isinstance(fault, StopProcess) and fault.who == "plant":
             self._plant_until_ns = until_ns
 

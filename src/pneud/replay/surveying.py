@@ -51,11 +51,6 @@ class _Heard:
 def survey(path: Path, codecs: Codecs, rate_hz: float) -> Survey:
     """Look through a recording.
 
-    Args:
-        path: of the recording.
-        codecs: of its frames.
-        rate_hz: at which SYNC should come.
-
     Raises:
         LogError: it cannot be read, there is no SYNC in it, or its times cannot be those of this axis.
     """

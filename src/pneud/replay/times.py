@@ -13,14 +13,7 @@ class Times:
     """Takes the times of one frame after another."""
 
     def __init__(self, start_ns: int, offset_ns: int, period_ns: float, remarks: Remarks) -> None:
-        """Nothing seen yet.
-
-        Args:
-            start_ns: when the recording begins.
-            offset_ns: what to take from its stamps.
-            period_ns: between two SYNCs.
-            remarks: takes where the clock was set.
-        """
+        """Nothing seen yet; `offset_ns` is what to take from the stamps."""
         self._begun_ns = self._newest_ns = start_ns - offset_ns
         self._shift_ns = offset_ns
         self._period_ns = round(period_ns)

@@ -24,11 +24,7 @@ _CHANNEL = "can0"
 
 
 def write(path: Path, frames: Iterable[tuple[Frame, bool]]) -> int:
-    """Write frames in their order.
-
-    Args:
-        path: its suffix is one of `FORMATS`.
-        frames: with Unix stamps, and whether they were sent.
+    """Write frames with Unix stamps, and whether they were sent, in a format of `FORMATS` by the suffix.
 
     Returns:
         How many.
@@ -76,11 +72,7 @@ def _write_other(path: Path, frames: Iterable[tuple[Frame, bool]]) -> int:
 
 
 def read(path: Path, remarks: Remarks | None = None) -> Iterator[Passing]:
-    """The classic frames of a recording in their order.
-
-    Args:
-        path: its suffix is one of `FORMATS`.
-        remarks: takes what is passed over.
+    """The classic frames of a recording in their order; its suffix is one of `FORMATS`.
 
     Raises:
         LogError: the file cannot be read, or is no recording.

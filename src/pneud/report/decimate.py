@@ -25,12 +25,7 @@ class Envelope:
     """Least and greatest value of each bucket, column by column."""
 
     def __init__(self, columns: int, buckets: int) -> None:
-        """Nothing so far.
-
-        Args:
-            columns: how many.
-            buckets: the greatest number of buckets; with more samples than that, at least half as many.
-        """
+        """Nothing so far; `buckets` are the most, and with more samples than that at least half as many."""
         self._limit = buckets
         self._level = 0  # a bucket holds 2**level samples
         self._t: list[Floats] = []
@@ -42,12 +37,7 @@ class Envelope:
         self._rest = np.empty((0, columns))
 
     def add(self, t_s: Floats, values: Floats) -> None:
-        """Take samples.
-
-        Args:
-            t_s: (n,) times.
-            values: (n, columns).
-        """
+        """Take samples: (n,) times, (n, columns) values."""
         t = np.concatenate((self._rest_t, t_s))
         v = np.concatenate((self._rest, np.where(np.isfinite(values), values, np.nan)))
         size = 1 << self._level
@@ -115,11 +105,7 @@ class Path:
     KEPT = 4  # of a bucket
 
     def __init__(self, buckets: int) -> None:
-        """Nothing so far.
-
-        Args:
-            buckets: the greatest number of buckets, of four samples each.
-        """
+        """Nothing so far; `buckets` are the most, of four samples each."""
         self._limit = buckets
         self._level = 0
         self._rest = np.empty((0, 3))

@@ -150,12 +150,7 @@ EVERYTHING = Window()
 
 
 def gather(log: LogReader, window: Window = EVERYTHING, buckets: int = 8192) -> LoggedRun:
-    """Read a log.
-
-    Args:
-        log: the log.
-        window: which part of it.
-        buckets: into how many the series are drawn together at most, with two points for each.
+    """Read a log, or a part of it; its series are drawn together into so many buckets at most.
 
     Raises:
         ConfigError: the configuration in the log cannot be used by this version.
@@ -168,8 +163,7 @@ def gather(log: LogReader, window: Window = EVERYTHING, buckets: int = 8192) -> 
 class _Gatherer:
     def __init__(self, log: LogReader, buckets: int) -> None:
         self.log = log
-        config = parse(log.config_text, f"{log.path}:{log.config_name}")
-        self.config = config if config.loop.rate_hz == log.rate_hz else at_rate(config, log.rate_hz)
+        self.config = at_rate(parse(log.config_text, f"{log.path}:{log.config_name}"), log.rate_hz)
         self.period_ns = round(1e9 / log.rate_hz)
         codecs = codecs_of(self.config.bus, log.dbc_name, log.dbc)
         self.health = Health(codecs, self.config.bus.sync, self.period_ns)
@@ -201,37 +195,21 @@ class _Gatherer:
             raise LogError(f"{self.log.path}: no tick in it{why}")
         self._name_marks()
         end_s = self.last_s + 1e-9 * self.period_ns
-        log = self.log
+        found = {name: value for name, value in vars(self).items() if name in LoggedRun._fields}
+        found |= {name: spans.finish(end_s) for name, spans in found.items() if isinstance(spans, Spans)}
+        for name in ("present", "latched"):
+            found[name] = {bit: spans.finish(end_s) for bit, spans in sorted(found[name].items())}
         return LoggedRun(
-            name=log.path.name,
-            log=log,
-            config=self.config,
-            start_unix_s=self.start_unix_s,
-            first_engaged_s=self.first_engaged_s,
-            last_s=self.last_s,
-            ticks=self.ticks,
-            skipped=self.skipped,
-            missing=log.missing,
-            columns={name: i for i, name in enumerate(COLUMNS)},
-            series=self.series.points(),
-            phase=self.phase.points(),
-            states=self.states.finish(end_s),
-            present={bit: spans.finish(end_s) for bit, spans in sorted(self.present.items())},
-            latched={bit: spans.finish(end_s) for bit, spans in sorted(self.latched.items())},
-            saturated=self.saturated.finish(end_s),
-            gaps=self.gaps.finish(end_s),
-            in_position=self.in_position.finish(end_s),
-            hunting=self.hunting.finish(end_s),
-            marks=self.marks,
-            more_marks=self.more_marks,
-            events=self.events,
-            more_events=self.more_events,
-            timing=self.timing,
-            health=self.health,
-            readings=self.readings,
-            learning=self.learning,
-            error_against="true position" if self.has_truth else "encoder",
-            figures=self.judge.figures(),
+            **found
+            | {
+                "name": self.log.path.name,
+                "missing": self.log.missing,
+                "columns": {name: i for i, name in enumerate(COLUMNS)},
+                "series": self.series.points(),
+                "phase": self.phase.points(),
+                "error_against": "true position" if self.has_truth else "encoder",
+                "figures": self.judge.figures(),
+            }
         )
 
     def _windowed(self, window: Window) -> Iterator[tuple[Block, NDArray[np.float64]]]:

@@ -27,13 +27,7 @@ Words = NDArray[np.uint64]
 
 
 def raw(field: SignalField, data: Words, length: int) -> Ints:
-    """Raw values of a field of many frames.
-
-    Args:
-        field: where it lies.
-        data: the frames' bytes as little-endian integers.
-        length: bytes in a frame.
-    """
+    """Raw values of a field of many frames."""
     word = data.byteswap() >> np.uint64(64 - 8 * length) if field.big_endian else data
     bits = word >> np.uint64(shift(field, length)) & np.uint64((1 << field.length) - 1)
     value = bits.astype(np.int64)
@@ -72,15 +66,7 @@ class SourceHealth:
     def add(
         self, t_ns: Ints, frames: FrameColumns, sync_sent_ns: Ints, command_sent_ns: Ints, sync: bool
     ) -> None:
-        """Take the frames of a block.
-
-        Args:
-            t_ns: of the ticks.
-            frames: of the block.
-            sync_sent_ns: when each tick's SYNC was sent, negative where it was not.
-            command_sent_ns: likewise for the command.
-            sync: whether frames answer SYNC.
-        """
+        """Take the frames of a block."""
         codec = self.codec
         mine = (frames.can_id == codec.can_id) & (frames.part != SENT)
         kept = np.flatnonzero(mine)
@@ -143,13 +129,6 @@ class Health:
     """All of a log's frames."""
 
     def __init__(self, codecs: Codecs, sync: bool, period_ns: int) -> None:
-        """Nothing so far.
-
-        Args:
-            codecs: of the axis.
-            sync: whether the frames answer SYNC.
-            period_ns: of the ticks.
-        """
         self.sources = tuple(
             SourceHealth(name, codec, codecs.older_s if name == "encoder" else float("inf"))
             for name, codec in (

@@ -17,7 +17,6 @@ class Learning:
     """Follows the snapshots of a log."""
 
     def __init__(self, config: Config) -> None:
-        """Nothing so far."""
         self.last: Values = {}
         self.t_s: list[float] = []
         self._config = config

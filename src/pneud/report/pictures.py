@@ -39,10 +39,6 @@ def require() -> None:
 def write(runs: Sequence[LoggedRun], stem: Path) -> list[Path]:
     """Draw every figure into a file of its own.
 
-    Args:
-        runs: what to draw, in the same axes.
-        stem: what the files' names begin with.
-
     Returns:
         The files.
 
@@ -119,9 +115,5 @@ def _finish(axes: Axes, title: str, y: str, x: str) -> None:
     if handles:
         one_each = dict(zip(labels, handles, strict=True))
         axes.legend(
-            list(one_each.values()),
-            list(one_each),
-            fontsize=8,
-            loc="upper left",
-            bbox_to_anchor=(1.0, 1.0),
+            list(one_each.values()), list(one_each), fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0)
         )

@@ -19,11 +19,6 @@ class Readings:
     """Those of a log, counted as `Amiss` counts those of a run."""
 
     def __init__(self, sync: bool) -> None:
-        """None so far.
-
-        Args:
-            sync: every source owes a frame in every tick.
-        """
         self.by_second: dict[tuple[str, str], Counter[int]] = {
             (source, kind): Counter() for source in SOURCES for kind in Counts._fields
         }

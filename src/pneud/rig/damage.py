@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+from pneud.physics.friction import Friction
 from pneud.physics.plant import PlantParameters
 from pneud.rig.chamber import exchange
 from pneud.rig.dynamics import PlantState, advance
@@ -78,3 +79,14 @@ def advance_damaged(
         state = inner(state, command_v, force_ext_n, t_s, t_s + h, p)
         state = leak(state, damage, 0.5 * h, p)
     return state
+
+
+def scaled(f: Friction, factor: float) -> Friction:
+    """All friction of a rig times a factor, its bristles as stiff as before for the same deflection."""
+    return f._replace(
+        coulomb_n=f.coulomb_n * factor,
+        static_n=f.static_n * factor,
+        viscous_n_s_m=f.viscous_n_s_m * factor,
+        sigma0_n_m=f.sigma0_n_m * factor,
+        sigma1_n_s_m=f.sigma1_n_s_m * factor,
+    )

@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from pure2c.folders import check_private
+
 LOCK = "lock"
 LOCK_TIMEOUT_S = 2.0
 
@@ -67,20 +69,13 @@ def private_folder(path: Path) -> Path:
     found = path.lstat()
     if not stat.S_ISDIR(found.st_mode):
         raise NotADirectoryError(f"{path}: is no folder; remove it")
-    if found.st_uid != os.geteuid():
-        raise PermissionError(f"{path}: belongs to user {found.st_uid}, not to {os.geteuid()}; remove it")
-    if found.st_mode & 0o077:
-        raise PermissionError(f"{path}: others may enter it; chmod 700 {path}")
+    check_private(path, found)
     return path
 
 
 @contextmanager
 def locked(path: Path, *, create: bool) -> Iterator[None]:
-    """Hold a folder's lock, whose holder may remove the folder.
-
-    Args:
-        path: the folder.
-        create: make it where it is missing.
+    """Hold a folder's lock, whose holder may remove the folder; make it where it is missing and wanted.
 
     Raises:
         OSError: no such folder, or somebody holds the lock for too long.

@@ -26,14 +26,6 @@ class Service:
         faults: Sequence[str],
         environ: Mapping[str, str] = os.environ,
     ) -> None:
-        """A service that has not told anything yet.
-
-        Args:
-            rate_hz: ticks per second.
-            states: names by number.
-            faults: names by bit.
-            environ: NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID, as systemd sets them.
-        """
         address = environ.get("NOTIFY_SOCKET", "")
         self._address = "\0" + address[1:] if address.startswith("@") else address
         self._socket: socket.socket | None = None
@@ -51,14 +43,7 @@ class Service:
         self._punctual = 0
 
     def report(self, t_ns: int, skipped: int, state: int, faults: int) -> None:
-        """Tell what is new; to be called every `every` ticks.
-
-        Args:
-            t_ns: now.
-            skipped: ticks left out since the last call.
-            state: number of the state.
-            faults: bits of the faults to name.
-        """
+        """Tell what is new; to be called every `every` ticks."""
         if self._punctual < SETTLED:
             if skipped > PUNCTUAL * self.every:
                 self._punctual = 0

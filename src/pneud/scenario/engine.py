@@ -14,10 +14,9 @@ from typing import Any, get_args
 
 from pneud.bus.codec import ROLES, Codec, Codecs
 from pneud.bus.wire import CAN_ERR_FLAG, wire_time_ns
-from pneud.physics.friction import Friction
 from pneud.physics.plant import PlantParameters
 from pneud.rig import dynamics
-from pneud.rig.damage import UNDAMAGED, advance_damaged
+from pneud.rig.damage import UNDAMAGED, advance_damaged, scaled
 from pneud.rig.dynamics import PlantState
 from pneud.rig.node import ENCODER_NODE, PRESSURE_NODE, VALVE_NODE, Advance, PlantNode
 from pneud.scenario import format as kinds
@@ -108,17 +107,6 @@ class Engine:
         machine: Machine = _nothing,
         advance: Advance = dynamics.advance,
     ) -> None:
-        """A rig to which nothing has happened yet.
-
-        Args:
-            scenario: what to play.
-            p: the plant.
-            codecs: of the frames.
-            seed: of the sensors' noise, and of what the scenario leaves to chance.
-            rate_hz: of the controller.
-            machine: told of faults of the machine.
-            advance: what integrates the healthy plant.
-        """
         self.scenario = scenario
         self.effects = Effects()
         self.node = PlantNode(p, codecs, seed, hook=self._hook, advance=self._advance)
@@ -307,24 +295,24 @@ class Engine:
 
     def _mishandle(self, playing: _Playing, frame: Frame) -> Sequence[Frame]:
         fault, can_id = playing.fault, frame.can_id
-        if isinstance(fault, kinds.Drop):
-            return ()
-        if isinstance(fault, kinds.Duplicate):
-            return (frame, frame)
-        if isinstance(fault, kinds.Corrupt):
-            bit = self._random.randrange(8 * len(frame.data))
-            data = int.from_bytes(frame.data, "little") ^ 1 << bit
-            return (frame._replace(data=data.to_bytes(len(frame.data), "little")),)
-        if isinstance(fault, kinds.Freeze):
-            return (
-                frame._replace(data=playing.memory.setdefault(can_id, self._last.get(can_id, frame.data))),
-            )
-        if isinstance(fault, kinds.Reorder):
-            kept = playing.memory.pop(can_id, None)
-            if kept is None:
-                playing.memory[can_id] = frame
+        match fault.kind:
+            case "drop":
                 return ()
-            return (frame, kept._replace(stamp_ns=frame.stamp_ns))
+            case "duplicate":
+                return (frame, frame)
+            case "corrupt":
+                bit = self._random.randrange(8 * len(frame.data))
+                data = int.from_bytes(frame.data, "little") ^ 1 << bit
+                return (frame._replace(data=data.to_bytes(len(frame.data), "little")),)
+            case "freeze":
+                last = playing.memory.setdefault(can_id, self._last.get(can_id, frame.data))
+                return (frame._replace(data=last),)
+            case "reorder":
+                kept = playing.memory.pop(can_id, None)
+                if kept is None:
+                    playing.memory[can_id] = frame
+                    return ()
+                return (frame, kept._replace(stamp_ns=frame.stamp_ns))
         delay_ns = round(fault.delay_ms * 1e6 + fault.delay_periods * self._period_ns)
         if fault.after_sync is None:
             stamp_ns = frame.stamp_ns
@@ -423,17 +411,6 @@ class Engine:
             effects.impact_m_s = max(effects.impact_m_s, abs(before.v))
         if math.isfinite(effects.from_m):
             effects.travel_m = max(effects.travel_m, abs(after.x1 - effects.from_m))
-
-
-def scaled(f: Friction, factor: float) -> Friction:
-    """All friction of a rig times a factor, its bristles as stiff as before for the same deflection."""
-    return f._replace(
-        coulomb_n=f.coulomb_n * factor,
-        static_n=f.static_n * factor,
-        viscous_n_s_m=f.viscous_n_s_m * factor,
-        sigma0_n_m=f.sigma0_n_m * factor,
-        sigma1_n_s_m=f.sigma1_n_s_m * factor,
-    )
 
 
 def _error(t_ns: int, error_class: int, controller_status: int = 0) -> Frame:

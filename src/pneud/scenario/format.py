@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from pneud.bus.codec import ROLES
+from pneud.config.sections import NonNegative, Positive, Section
 from pneud.config.toml import tables_of
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
 Probability = Annotated[float, Field(gt=0, le=1)]
 
 Role = Literal["sync", "encoder", "pressure", "valve_status", "valve_command"]
@@ -37,13 +36,7 @@ Signal = Annotated[str, AfterValidator(_known)]
 TRAVEL_MM, IMPACT_M_S = 20.0, 0.05  # what an axis may use up after a fault, unless a reason is given
 
 
-class PlantPart(BaseModel):
-    """A table of the file: unknown keys, NaN and infinity are errors, and nothing changes afterwards."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class When(PlantPart):
+class When(Section):
     """Conditions on the true load that must hold together."""
 
     position_above_m: float | None = None
@@ -52,7 +45,7 @@ class When(PlantPart):
     velocity_below_m_s: float | None = None
 
 
-class InjectedFault(PlantPart):
+class InjectedFault(Section):
     """What all faults have: when they begin, and for how long they last (without `for_s` to the end)."""
 
     since: Literal["armed", "start"] = "armed"  # first valve command with Enable 1, or first SYNC
@@ -76,34 +69,13 @@ class FrameFault(ChosenFault):
     frames: Annotated[tuple[Role, ...], Field(min_length=1)]
 
 
-class Drop(FrameFault):
-    """Frames get lost."""
+class Mishandled(FrameFault):
+    """Frames get lost, come twice, come after the next one of their kind, have one wrong bit, or repeat.
 
-    kind: Literal["drop"]
+    Those that freeze are as the last one before the fault, counter included.
+    """
 
-
-class Duplicate(FrameFault):
-    """Frames come twice."""
-
-    kind: Literal["duplicate"]
-
-
-class Reorder(FrameFault):
-    """A frame comes after the next one of its kind."""
-
-    kind: Literal["reorder"]
-
-
-class Corrupt(FrameFault):
-    """One bit of a frame is wrong."""
-
-    kind: Literal["corrupt"]
-
-
-class Freeze(FrameFault):
-    """Frames repeat the last one before the fault, counter included."""
-
-    kind: Literal["freeze"]
+    kind: Literal["drop", "duplicate", "reorder", "corrupt", "freeze"]
 
 
 class Delay(FrameFault):
@@ -321,14 +293,14 @@ class InterfaceFault(InjectedFault):
     kind: Literal["link_down", "link_deleted", "queue_full"]
 
 
-BUS = Drop | Duplicate | Reorder | Corrupt | Freeze | Delay | Babble | BusOff | ErrorFrames
+BUS = Mishandled | Delay | Babble | BusOff | ErrorFrames
 NODES = Silence | Skip | Reboot | Emcy | Heartbeat | ValveFailure | Value
 PLANT = Supply | Leak | ValveStuck | Seized | Mass | FrictionFault | Force
 MACHINE = StopProcess | Overload | Kill | Operator | Hog | ClockStep | LogFull | Descriptors | InterfaceFault
 AnyFault = Annotated[BUS | NODES | PLANT | MACHINE, Field(discriminator="kind")]
 
 
-class Evidence(PlantPart):
+class Evidence(Section):
     """From when on the fault can be seen on the bus: a value beyond a bound in a frame."""
 
     signal: Signal
@@ -336,7 +308,7 @@ class Evidence(PlantPart):
     below: float | None = None
 
 
-class Expect(PlantPart):
+class Expect(Section):
     """What the axis does about it."""
 
     reaction: Literal["centre", "stop", "no_arm", "warn", "none"]
@@ -361,7 +333,7 @@ class Expect(PlantPart):
         return self
 
 
-class Scenario(PlantPart):
+class Scenario(Section):
     """One scenario."""
 
     schema_: Annotated[Literal[1], Field(alias="schema")]

@@ -63,10 +63,7 @@ Undo = Callable[[], None]
 def fork_saboteur(scenario: Scenario, orders: int, victims: Victims) -> int:
     """Start the process; it leaves when it is told to, or its parent dies.
 
-    Args:
-        scenario: what is played.
-        orders: descriptor to read numbers of faults from, one byte each.
-        victims: the processes and the interface.
+    Numbers of faults come through `orders`, one byte each.
 
     Returns:
         Its process id.

@@ -22,10 +22,6 @@ class Stage:
     def __init__(self, scenario: Scenario, rate_hz: float) -> None:
         """Pipes between those who play.
 
-        Args:
-            scenario: what to play.
-            rate_hz: of the controller.
-
         Raises:
             OSError: no more descriptors.
         """

@@ -58,14 +58,7 @@ def allowed_ticks(expect: Expect, config: Config) -> int | None:
 
 
 def judge(scenario: Scenario, config: Config, seen: Observed, effects: dict[str, Any]) -> dict[str, Any]:
-    """What came of a scenario, for JSON: `met`, and in `problems` why not.
-
-    Args:
-        scenario: what was played.
-        config: the axis's.
-        seen: what the axis has shown.
-        effects: what plant and bus have shown (`plant.scenario.Effects`).
-    """
+    """What came of a scenario, for JSON: `met`, and in `problems` why not."""
     expect = scenario.expect
     problems = [] if effects["onset"] else ["the fault never began"]
     shown = names(seen.present | seen.latched)

@@ -32,13 +32,6 @@ def diagnose(
 ) -> int:
     """Examine the machine, and the service where one is installed, for a configuration; print what is found.
 
-    Args:
-        config_file: of the axis.
-        json: print one JSON object.
-        read: tells what the machine is.
-        attempt: tries for what the loop asks of it.
-        service: examines what is installed.
-
     Returns:
         Exit status: 0 when everything that the configuration requires is there, else 1.
 

@@ -19,7 +19,7 @@ from pneud import resources
 from pneud.config.models import Config
 from pneud.config.sections import ConfigError
 from pneud.rt.outputs import write_whole
-from pneud.service.probe import Finding, Grade
+from pneud.service.probe import Finding, Grade, judged
 
 USER = "pneud"
 CONFIGS = Path("etc/pneud")
@@ -233,7 +233,7 @@ def examine(
         for place, text in files(executable, axis).items()
         if not (root / place).is_file() or (root / place).read_text() != text
     ]
-    yield _judged(
+    yield judged(
         not stale,
         "service units",
         f"missing, or not of this pneud: {', '.join(stale)}" if stale else f"those of {executable}",
@@ -246,10 +246,6 @@ def examine(
     yield _readable(root, CONFIGS / f"{axis.name}.toml")
     if (root / "run/systemd/system").is_dir():
         yield from _loaded(axis, priority, run)
-
-
-def _judged(ok: bool, name: str, found: str, reason: str, cure: str, bad: Grade = Grade.WARNING) -> Finding:
-    return Finding(name, Grade.OK, found, reason, "") if ok else Finding(name, bad, found, reason, cure)
 
 
 def _number(path: Path) -> int | None:
@@ -265,7 +261,7 @@ def _user(root: Path, executable: Path) -> Finding:
         return Finding(name, Grade.LACK, f"there is no user or no group {USER}", reason, "systemd-sysusers")
     found, _, cure = unseen(executable, Path(sys.base_prefix)).partition("; ")
     there = f"{USER} ({user}:{group})"
-    return _judged(not cure, name, f"{there}; {found}" if cure else there, reason, cure, Grade.LACK)
+    return judged(not cure, name, f"{there}; {found}" if cure else there, reason, cure, Grade.LACK)
 
 
 def _readable(root: Path, path: Path) -> Finding:
@@ -278,7 +274,7 @@ def _readable(root: Path, path: Path) -> Finding:
     ours = mode.st_gid == _number(root / "etc/group")
     ok = bool(mode.st_mode & (stat.S_IROTH | (stat.S_IRGRP if ours else 0)))
     found = f"/{path}" if ok else f"/{path}: user {USER} may not read it"
-    return _judged(ok, name, found, reason, f"chmod a+r /{path}", Grade.LACK)
+    return judged(ok, name, found, reason, f"chmod a+r /{path}", Grade.LACK)
 
 
 def _loaded(axis: Unit, priority: int, run: Callable[[Sequence[str]], str]) -> Iterator[Finding]:
@@ -298,7 +294,7 @@ def _loaded(axis: Unit, priority: int, run: Callable[[Sequence[str]], str]) -> I
     if state == "failed":
         cure = f"journalctl -u {unit}; then systemctl reset-failed {unit} and systemctl start {unit}"
     found = f"{unit}: {values.get('UnitFileState') or 'not there'}, {state}{told}"
-    yield _judged(
+    yield judged(
         enabled and not reload and state != "failed",
         "service",
         found + (", the unit changed since systemd read it" if reload else ""),
@@ -307,7 +303,7 @@ def _loaded(axis: Unit, priority: int, run: Callable[[Sequence[str]], str]) -> I
     )
     rtprio, memlock = values.get("LimitRTPRIO", ""), values.get("LimitMEMLOCK", "")
     granted = rtprio == "infinity" or (rtprio.isdigit() and int(rtprio) >= priority)
-    yield _judged(
+    yield judged(
         granted and memlock == "infinity",
         "service limits",
         f"LimitRTPRIO={rtprio}, LimitMEMLOCK={memlock}",

@@ -82,15 +82,7 @@ def read(
     af_can: Callable[[], str] = try_af_can,
     which: Callable[[str], str | None] = shutil.which,
 ) -> Facts:
-    """The facts of this machine.
-
-    Args:
-        interface: name of the network interface that the configuration wants, if any.
-        log_folder: where logs go; it need not exist yet.
-        root: what to take for /.
-        af_can: tells why there are no sockets of AF_CAN; empty where there are.
-        which: finds a command.
-    """
+    """The facts of this machine, an interface that is wanted, and a folder for logs, which need not exist."""
     cpu = root / "sys/devices/system/cpu"
     info = _text(root / "proc/cpuinfo")
     there = next((p for p in (log_folder, *log_folder.parents) if p.is_dir()), None)

@@ -53,13 +53,7 @@ class Wanted(NamedTuple):
 
 
 def examine(facts: Facts, reports: Sequence[Report], wanted: Wanted) -> list[Finding]:
-    """All findings, the worst first.
-
-    Args:
-        facts: what the machine is.
-        reports: what it granted when asked as the loop does (`machine.attempt`).
-        wanted: what the configuration asks for.
-    """
+    """All findings, the worst first."""
     found = [*_granted(reports, wanted), *_kernel(facts), *_cpus(facts, wanted), *_time_taken(facts)]
     found += [*_bus(facts, wanted), *_surroundings(facts, wanted)]
     return worst_first(found)
@@ -70,7 +64,8 @@ def worst_first(findings: Sequence[Finding]) -> list[Finding]:
     return sorted(findings, key=lambda finding: finding.level)
 
 
-def _finding(ok: bool, name: str, found: str, reason: str, cure: str, bad: Grade = Grade.WARNING) -> Finding:
+def judged(ok: bool, name: str, found: str, reason: str, cure: str, bad: Grade = Grade.WARNING) -> Finding:
+    """A finding that is good or bad; nothing is to be done about a good one."""
     return Finding(name, Grade.OK, found, reason, "") if ok else Finding(name, bad, found, reason, cure)
 
 
@@ -91,7 +86,7 @@ def _granted(reports: Sequence[Report], wanted: Wanted) -> Iterator[Finding]:
         demanded = wanted.required and report.name in ("fifo", "memory")
         bad = Grade.LACK if demanded or report.name == "affinity" else Grade.WARNING
         found, _, cure = report.reason.partition("; ") if not report.ok else (report.reason, "", "")
-        yield _finding(report.ok, name, found, reason, cure or "see docs/timing.md", bad)
+        yield judged(report.ok, name, found, reason, cure or "see docs/timing.md", bad)
     if wanted.priority > 0 and "fifo" not in [report.name for report in reports]:
         bad = Grade.LACK if wanted.required else Grade.WARNING
         yield Finding("scheduling", bad, "could not be tried", _GRANTS["fifo"][1], "try again")
@@ -116,7 +111,7 @@ _MODELS = {
 
 
 def _kernel(f: Facts) -> Iterator[Finding]:
-    yield _finding(
+    yield judged(
         f.preemption == "rt",
         "preemption",
         _MODELS.get(f.preemption, "the kernel's model is unknown"),
@@ -125,7 +120,7 @@ def _kernel(f: Facts) -> Iterator[Finding]:
     )
     share = f.rt_runtime
     if share is not None:
-        yield _finding(
+        yield judged(
             share >= RT_SHARE,
             "real-time share",
             f"real-time tasks may take {100 * share:g} % of a CPU",
@@ -133,7 +128,7 @@ def _kernel(f: Facts) -> Iterator[Finding]:
             "sysctl kernel.sched_rt_runtime_us=950000",
         )
     if f.group_rt_runtime_us is not None:
-        yield _finding(
+        yield judged(
             f.group_rt_runtime_us != 0,
             "group's real-time share",
             f"the control group has {f.group_rt_runtime_us} µs of real-time in each period",
@@ -143,7 +138,7 @@ def _kernel(f: Facts) -> Iterator[Finding]:
 
 
 def _cpus(f: Facts, wanted: Wanted) -> Iterator[Finding]:
-    yield _finding(
+    yield judged(
         len(f.cpus) > 1,
         "CPUs",
         f"{len(f.cpus)} for this process ({f.cpu_model})",
@@ -158,7 +153,7 @@ def _cpus(f: Facts, wanted: Wanted) -> Iterator[Finding]:
         isolated, found = False, "the loop is not pinned to a CPU"
         cure = f"set realtime.cpu, best to an isolated one ({', '.join(map(str, f.isolated)) or 'none is'})"
     if len(f.cpus) > 1:
-        yield _finding(
+        yield judged(
             isolated,
             "isolation",
             f"{found}, {'isolated' if isolated else 'shared with everything else'}",
@@ -166,7 +161,7 @@ def _cpus(f: Facts, wanted: Wanted) -> Iterator[Finding]:
             cure,
         )
     slow = [governor for governor in f.governors if governor != "performance"]
-    yield _finding(
+    yield judged(
         not slow,
         "frequency",
         f"governor {', '.join(f.governors)}" if f.governors else "no governor: firmware or host decides",
@@ -174,7 +169,7 @@ def _cpus(f: Facts, wanted: Wanted) -> Iterator[Finding]:
         "cpupower frequency-set -g performance",
     )
     throttled = f.thermal_throttles or 0
-    yield _finding(
+    yield judged(
         throttled == 0,
         "temperature",
         f"throttled {throttled} times since boot" if f.thermal_throttles is not None else "no counter",
@@ -184,7 +179,7 @@ def _cpus(f: Facts, wanted: Wanted) -> Iterator[Finding]:
 
 
 def _time_taken(f: Facts) -> Iterator[Finding]:
-    yield _finding(
+    yield judged(
         not f.hypervisor,
         "hypervisor",
         f.hypervisor or "none",
@@ -192,7 +187,7 @@ def _time_taken(f: Facts) -> Iterator[Finding]:
         "run a rig on hardware; if it must be a guest, pin its CPUs and give them to nobody else",
     )
     if f.stolen is not None:
-        yield _finding(
+        yield judged(
             f.stolen < STEAL,
             "stolen time",
             f"{100 * f.stolen:.2g} % of the time since boot",
@@ -201,21 +196,21 @@ def _time_taken(f: Facts) -> Iterator[Finding]:
         )
     quota = "no limit" if f.quota_cpus is None else f"limited to {f.quota_cpus:g} CPUs"
     count = f", stopped {f.quota_throttles} times" if f.quota_throttles else ""
-    yield _finding(
+    yield judged(
         f.quota_cpus is None and not f.quota_throttles,
         "CPU quota",
         f"{quota}{count}",
         "a control group that has used up its quota stands still, and the recorder with it",
         "lift CPUQuota= of the unit or --cpus of the container",
     )
-    yield _finding(
+    yield judged(
         f.clock_source in FAST_CLOCKS and f.clock_ns < SLOW_CLOCK_NS,
         "clock source",
         f"{f.clock_source or 'unknown'}, {f.clock_ns:.0f} ns a reading",
         "every tick reads the clock about eight times",
         "dmesg says why the CPU's own counter was not taken; where it is sound: clocksource=tsc tsc=reliable",
     )
-    yield _finding(
+    yield judged(
         f.timer_resolution_s <= HRTIMER_RESOLUTION_S,
         "timers",
         f"resolution {f.timer_resolution_s * 1e9:g} ns",
@@ -227,7 +222,7 @@ def _time_taken(f: Facts) -> Iterator[Finding]:
 
 def _bus(f: Facts, wanted: Wanted) -> Iterator[Finding]:
     name = wanted.interface
-    yield _finding(
+    yield judged(
         not f.af_can,
         "SocketCAN",
         f"no sockets of AF_CAN: {f.af_can}" if f.af_can else "AF_CAN",
@@ -243,7 +238,7 @@ def _bus(f: Facts, wanted: Wanted) -> Iterator[Finding]:
         cure = f"ip link show type can; name the right one: bus.channel = socketcan:IF, not {name}"
         yield Finding("interface", Grade.LACK, f"{name}: {what}", "the rig's bus", cure)
         return
-    yield _finding(
+    yield judged(
         found.up,
         "interface",
         f"{name} is {'up' if found.up else 'down'}",
@@ -251,7 +246,7 @@ def _bus(f: Facts, wanted: Wanted) -> Iterator[Finding]:
         f"ip link set {name} up type can bitrate 1000000 restart-ms 100 berr-reporting on",
         Grade.LACK,
     )
-    yield _finding(
+    yield judged(
         found.queue_length >= QUEUE_LENGTH,
         "transmit queue",
         f"{name} has room for {found.queue_length} frames",
@@ -261,7 +256,7 @@ def _bus(f: Facts, wanted: Wanted) -> Iterator[Finding]:
 
 
 def _surroundings(f: Facts, wanted: Wanted) -> Iterator[Finding]:
-    yield _finding(
+    yield judged(
         f.log_writable,
         "log folder",
         "can be written to" if f.log_writable else "cannot be written to",
@@ -271,14 +266,14 @@ def _surroundings(f: Facts, wanted: Wanted) -> Iterator[Finding]:
     )
     if f.log_free_bytes is not None:
         lasts_s = f.log_free_bytes / (LOG_BYTES_PER_TICK * wanted.rate_hz)
-        yield _finding(
+        yield judged(
             lasts_s >= LEAST_LOG_S,
             "disk space",
             f"{f.log_free_bytes / 1e9:.3g} GB, about {lasts_s / 3600:.3g} h of log at {wanted.rate_hz:g} Hz",
             "the loop outlives a full disk, the log does not",
             "remove old logs, or choose another folder with --log",
         )
-    yield _finding(
+    yield judged(
         not f.debug_build,
         "Python",
         f.python + (", a debug build" if f.debug_build else ""),
@@ -286,7 +281,7 @@ def _surroundings(f: Facts, wanted: Wanted) -> Iterator[Finding]:
         "install a release build of Python",
     )
     busy = f.load is not None and f.load > len(f.cpus)
-    yield _finding(
+    yield judged(
         not busy,
         "load",
         "unknown" if f.load is None else f"{f.load:g} on {len(f.cpus)} CPUs",
@@ -302,7 +297,7 @@ _USES = "cyclictest and a C compiler give `pneud bench` its references, ip and c
 
 def _tools(f: Facts) -> Iterator[Finding]:
     missing = [tool for tool in _PACKAGES if tool not in f.tools]
-    yield _finding(
+    yield judged(
         not missing,
         "tools",
         f"without {', '.join(missing)}" if missing else ", ".join(f.tools),

@@ -17,6 +17,7 @@ from pneud.control.standstill import Standstill
 from pneud.control.step import Controller, start
 from pneud.loading import Loaded
 from pneud.physics.plant import PlantParameters
+from pneud.rig.damage import scaled
 from pneud.rig.dynamics import initial_state
 from pneud.study.closed_loop import run
 
@@ -186,18 +187,6 @@ def spread(bench: Bench) -> dict[str, Case]:
     """The sine of 0.5 Hz on plants that differ from the model by one parameter each."""
     c, track = bench.loaded.config, sine_of(bench, 0.5, 8.0)
 
-    def rubbing(factor: float) -> PlantParameters:
-        f = bench.rig.plant.friction
-        return bench.rig.plant._replace(
-            friction=f._replace(
-                coulomb_n=f.coulomb_n * factor,
-                static_n=f.static_n * factor,
-                viscous_n_s_m=f.viscous_n_s_m * factor,
-                sigma0_n_m=f.sigma0_n_m * factor,
-                sigma1_n_s_m=f.sigma1_n_s_m * factor,
-            )
-        )
-
     def on(plant: PlantParameters) -> Case:
         return case(bench, track, (4.0, 8.0), bench.rig._replace(plant=plant))
 
@@ -206,7 +195,7 @@ def spread(bench: Bench) -> dict[str, Case]:
         f"mass x {m:g}": on(plant._replace(cylinder=plant.cylinder._replace(M=plant.cylinder.M * m)))
         for m in (0.5, 1.5)
     }
-    found |= {f"friction x {f:g}": on(rubbing(f)) for f in (0.5, 2.0)}
+    found |= {f"friction x {f:g}": on(plant._replace(friction=scaled(plant.friction, f))) for f in (0.5, 2.0)}
     for bar in (5.0, 7.0):
         found[f"supply {bar:g} bar"] = on(plant_of(with_(c, gas=with_(c.gas, supply_pa=bar * 1e5))))
     for celsius in (5.0, 40.0):

@@ -164,11 +164,7 @@ def settles_in_finite_time(s: Settling) -> bool:
 def claims(main: Sequence[PaperRow], ablation: Sequence[PaperRow], c: Convergence) -> list[Claim]:
     """The paper's claims, in its order."""
     composite = [r for r in main if r.setting.law == COMPOSITE]
-    return [
-        *_of_convergence(composite, c),
-        *_of_comparison(main, ablation),
-        *_of_robustness(c),
-    ]
+    return [*_of_convergence(composite, c), *_of_comparison(main, ablation), *_of_robustness(c)]
 
 
 def _of_convergence(composite: Sequence[PaperRow], c: Convergence) -> list[Claim]:
@@ -304,25 +300,11 @@ def bounds(main: Sequence[PaperRow], c: Convergence) -> list[Bound]:
         for r in main
         if r.setting.law == COMPOSITE and r.setting.form == "explicit" and r.setting.h_s == 0.01
     )
-    found.append(
-        Bound(
-            "steady RMS of the explicit composite law at 10 ms: it fails",
-            "mm",
-            FAILED_M * 1e3,
-            least * 1e3,
-            True,
-        )
-    )
+    what = "steady RMS of the explicit composite law at 10 ms: it fails"
+    found.append(Bound(what, "mm", FAILED_M * 1e3, least * 1e3, True))
     error = max(abs(x.amplitude_m_s2 / x.predicted_m_s2 - 1.0) for x in c.limit_cycles)
-    found.append(
-        Bound(
-            "limit cycle of explicit u* on the chain against (h k3/2)^(1/(1−α3))",
-            "%",
-            1.0,
-            error * 100.0,
-            False,
-        )
-    )
+    what = "limit cycle of explicit u* on the chain against (h k3/2)^(1/(1−α3))"
+    found.append(Bound(what, "%", 1.0, error * 100.0, False))
     return found
 
 

@@ -192,12 +192,7 @@ def converge() -> Convergence:
     plant = paper_loop(1).plant
     rod_n = plant.gas.atmosphere_pa * (plant.cylinder.A1 - plant.cylinder.A2)
     return Convergence(
-        settling=(
-            chain_settling(first),
-            chain_settling(ISMC_GAINS),
-            chain_settling(linear),
-            loop_settling(),
-        ),
+        settling=(chain_settling(first), chain_settling(ISMC_GAINS), chain_settling(linear), loop_settling()),
         limit_cycles=tuple(limit_cycle(g, h) for g in (*composite, ISMC_GAINS) for h in SAMPLE_TIMES_S),
         starts=tuple(start_from(x1) for x1 in STARTS_M),
         unmatched=tuple(unmatched(force, h) for force in (*FORCES_N, rod_n) for h in SAMPLE_TIMES_S),

@@ -68,62 +68,29 @@ def pictures(found: Reproduction) -> list[Picture]:
             number = 3 if case == 1 else 6
             under = f"Case {case}, h = {h_s * 1e3:g} ms, {form}"
             suffix = f"{h_s * 1e3:g}ms-{form}"
-            for i, (what, draw, size) in enumerate(
-                (
-                    ("position, velocity and their errors", _tracking, (9.5, 6.0)),
-                    ("observer errors", _observer, (9.5, 3.2)),
-                    ("control input", _command, (9.5, 3.0)),
-                )
+            for i, what, draw, height in (
+                (0, "position, velocity and their errors", _tracking, 6.0),
+                (1, "observer errors", _observer, 3.2),
+                (2, "control input", _command, 3.0),
             ):
-                drawn.append(
-                    _picture(
-                        f"figure-{number + i}-{suffix}",
-                        f"Figure {number + i}: {what}. {under}",
-                        found.start,
-                        size,
-                        draw,
-                        traces,
-                        h_s,
-                    )
-                )
-    drawn.append(
-        _picture(
-            "error-log",
-            "Position error on a log axis, implicit forms, without reverse flow",
-            found.start,
-            (9.5, 3.8),
-            _errors,
-            found.traces,
-        )
-    )
-    drawn.append(
-        _picture(
-            "settling",
-            "Finite-time or exponential: the chain (13) and the closed loop",
-            "left: the chain from w = (50 mm, 0, 0); right: time until |w1| stays below 1/1000 of its start",
-            (9.5, 4.0),
-            _settling,
-            found.convergence,
-        )
-    )
-    drawn.append(
-        _picture(
-            "limit-cycle",
-            "Explicit and implicit u* on the chain (13), h = 10 ms",
-            "from w = (50 mm, 0.157 m/s, 0)",
-            (9.5, 3.4),
-            _limit_cycle,
-        )
-    )
+                name, title = f"figure-{number + i}-{suffix}", f"Figure {number + i}: {what}. {under}"
+                drawn.append(_picture(name, title, found.start, height, draw, traces, h_s))
+    title = "Position error on a log axis, implicit forms, without reverse flow"
+    drawn.append(_picture("error-log", title, found.start, 3.8, _errors, found.traces))
+    title = "Finite-time or exponential: the chain (13) and the closed loop"
+    under = "left: the chain from w = (50 mm, 0, 0); right: time until |w1| stays below 1/1000 of its start"
+    drawn.append(_picture("settling", title, under, 4.0, _settling, found.convergence))
+    title = "Explicit and implicit u* on the chain (13), h = 10 ms"
+    drawn.append(_picture("limit-cycle", title, "from w = (50 mm, 0.157 m/s, 0)", 3.4, _limit_cycle))
     return drawn
 
 
 def _picture(
-    name: str, title: str, under: str, size: tuple[float, float], draw: Callable[..., None], *args: Any
+    name: str, title: str, under: str, height: float, draw: Callable[..., None], *args: Any
 ) -> Picture:
     from matplotlib.figure import Figure as New  # noqa: PLC0415
 
-    figure = New(figsize=size, layout="constrained")
+    figure = New(figsize=(9.5, height), layout="constrained")
     figure.suptitle(f"{title}\n{under}", fontsize=9)
     draw(figure, *args)
     for axes in figure.axes:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import base64
 import html
 import math
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from pneud.study.claims import DOES_NOT, HOLDS, Claim
 from pneud.study.convergence import Convergence
@@ -97,135 +97,128 @@ def words(found: Reproduction) -> str:
     return "\n".join(lines)
 
 
+Column = Callable[[Any], str]
+
+
+def _table(title: str, note: str, rows: Sequence[Any], words: int, columns: Mapping[str, Column]) -> Table:
+    """A table of things, a column for each head."""
+    cells = tuple(tuple(cell(row) for cell in columns.values()) for row in rows)
+    return Table(title, note, tuple(columns), cells, words)
+
+
 def _runs(title: str, note: str, rows: Sequence[PaperRow]) -> Table:
-    return Table(
+    return _table(
         title,
         note,
-        (
-            *("gains", "d̂", "law", "observer", "reverse flow"),
-            *("case", "h [ms]", "0.1 mm [s]", "1 µm [s]", "RMS [µm]", "max [µm]", "observer [s]"),
-            *("e_d RMS [N/s]", "effort [V]", "chatter [V]", "at ±5 V", "max P2 [bar]"),
-        ),
-        tuple(_run(r) for r in rows),
+        rows,
         5,
+        {
+            "gains": lambda r: NAMES[r.setting.law],
+            "d̂": lambda r: "with" if r.setting.compensated else "without",
+            "law": lambda r: r.setting.form,
+            "observer": lambda r: r.setting.observer if _observed(r) else "–",
+            "reverse flow": _flow,
+            "case": lambda r: str(r.setting.case),
+            "h [ms]": lambda r: f"{r.setting.h_s * 1e3:g}",
+            "0.1 mm [s]": lambda r: _number(r.coarse_s, 3),
+            "1 µm [s]": lambda r: _number(r.fine_s, 3),
+            "RMS [µm]": lambda r: f"{r.rms_m * 1e6:.4g}",
+            "max [µm]": lambda r: f"{r.max_m * 1e6:.4g}",
+            "observer [s]": lambda r: _number(r.observer_s, 3) if _observed(r) else "–",
+            "e_d RMS [N/s]": lambda r: f"{r.e_d_rms_n_s:.3g}" if _observed(r) else "–",
+            "effort [V]": lambda r: f"{r.effort_v:.3f}",
+            "chatter [V]": lambda r: f"{r.chatter_v:.4f}",
+            "at ±5 V": lambda r: f"{r.saturated:.0%}",
+            "max P2 [bar]": lambda r: f"{r.p2_max_pa / 1e5:.2f}",
+        },
     )
 
 
-def _run(r: PaperRow) -> tuple[str, ...]:
+def _observed(r: PaperRow) -> bool:
+    return r.setting.law == COMPOSITE or r.setting.compensated
+
+
+def _flow(r: PaperRow) -> str:
     s = r.setting
-    flow = "yes" if s.reverse_flow else "no"
-    if s.reverse_model != s.reverse_flow:
-        flow += f", law: {'yes' if s.reverse_model else 'no'}"
-    observed = s.law == COMPOSITE or s.compensated
-    return (
-        NAMES[s.law],
-        "with" if s.compensated else "without",
-        s.form,
-        s.observer if observed else "–",
-        flow,
-        str(s.case),
-        f"{s.h_s * 1e3:g}",
-        _number(r.coarse_s, 3),
-        _number(r.fine_s, 3),
-        f"{r.rms_m * 1e6:.4g}",
-        f"{r.max_m * 1e6:.4g}",
-        _number(r.observer_s, 3) if observed else "–",
-        f"{r.e_d_rms_n_s:.3g}" if observed else "–",
-        f"{r.effort_v:.3f}",
-        f"{r.chatter_v:.4f}",
-        f"{r.saturated:.0%}",
-        f"{r.p2_max_pa / 1e5:.2f}",
-    )
+    of_law = f", law: {'yes' if s.reverse_model else 'no'}" if s.reverse_model != s.reverse_flow else ""
+    return ("yes" if s.reverse_flow else "no") + of_law
 
 
 def _settling(c: Convergence) -> Table:
-    return Table(
+    return _table(
         "Settling time against initial error",
         "From w = (w1, 0, 0) until |w1| stays below 1/1000 of its start; times grow as w1^p."
         " To zero: until the homogeneous norm is 1/100 of its start; the rest takes 1/100 of that time.",
-        ("of", "α", "w1(0) [mm]", "settled [s]", "to zero [s]", "p fitted", "p predicted"),
-        tuple(
-            (
-                s.what,
-                f"{s.alpha:g}",
-                f"{start * 1e3:g}",
-                _number(time, 3),
-                _number(s.to_zero_s[i], 3) if s.to_zero_s else "–",
-                f"{s.exponent:.4f}",
-                f"{s.predicted:.4f}",
-            )
-            for s in c.settling
-            for i, (start, time) in enumerate(zip(s.starts_m, s.times_s, strict=True))
-        ),
+        [(s, i) for s in c.settling for i in range(len(s.times_s))],
         1,
+        {
+            "of": lambda r: str(r[0].what),
+            "α": lambda r: f"{r[0].alpha:g}",
+            "w1(0) [mm]": lambda r: f"{r[0].starts_m[r[1]] * 1e3:g}",
+            "settled [s]": lambda r: _number(r[0].times_s[r[1]], 3),
+            "to zero [s]": lambda r: _number(r[0].to_zero_s[r[1]], 3) if r[0].to_zero_s else "–",
+            "p fitted": lambda r: f"{r[0].exponent:.4f}",
+            "p predicted": lambda r: f"{r[0].predicted:.4f}",
+        },
     )
 
 
 def _limit_cycles(c: Convergence) -> Table:
-    return Table(
+    return _table(
         "Limit cycle of explicit u* on the chain (13)",
         "Greatest |w3| in the second half of a minute, from w = (50 mm, 0.157 m/s, 0).",
-        ("k3", "α", "h [ms]", "explicit [m/s²]", "predicted [m/s²]", "implicit [m/s²]"),
-        tuple(
-            (
-                f"{x.k3:g}",
-                f"{x.alpha:g}",
-                f"{x.h_s * 1e3:g}",
-                f"{x.amplitude_m_s2:.4g}",
-                f"{x.predicted_m_s2:.4g}",
-                f"{x.implicit_m_s2:.1g}",
-            )
-            for x in c.limit_cycles
-        ),
+        c.limit_cycles,
         0,
+        {
+            "k3": lambda x: f"{x.k3:g}",
+            "α": lambda x: f"{x.alpha:g}",
+            "h [ms]": lambda x: f"{x.h_s * 1e3:g}",
+            "explicit [m/s²]": lambda x: f"{x.amplitude_m_s2:.4g}",
+            "predicted [m/s²]": lambda x: f"{x.predicted_m_s2:.4g}",
+            "implicit [m/s²]": lambda x: f"{x.implicit_m_s2:.1g}",
+        },
     )
 
 
 def _starts(c: Convergence) -> Table:
-    return Table(
+    return _table(
         "Case 1 from anywhere in the cylinder",
         "Implicit composite law, 1 ms, at rest, P2(0) and P1(0) as above.",
-        ("x1(0) [m]", "1 µm [s]"),
-        tuple((f"{x.x1_m:g}", _number(x.fine_s, 3)) for x in c.starts),
+        c.starts,
         0,
+        {"x1(0) [m]": lambda x: f"{x.x1_m:g}", "1 µm [s]": lambda x: _number(x.fine_s, 3)},
     )
 
 
 def _unmatched(c: Convergence) -> Table:
-    return Table(
+    return _table(
         "A force that (7) leaves out",
         "Error at rest under a constant force on the load; standing reference, no d(t), implicit. The"
         " last force is the atmosphere's on the rod side, Patm (A1 − A2).",
-        ("force [N]", "h [ms]", "error [mm]", "predicted [mm]", ""),
-        tuple(
-            (
-                f"{x.force_n:.3g}",
-                f"{x.h_s * 1e3:g}",
-                f"{x.error_m * 1e3:.4g}",
-                f"{x.predicted_m * 1e3:.4g}",
-                "at the end stop" if x.at_stop else "",
-            )
-            for x in c.unmatched
-        ),
+        c.unmatched,
         0,
+        {
+            "force [N]": lambda x: f"{x.force_n:.3g}",
+            "h [ms]": lambda x: f"{x.h_s * 1e3:g}",
+            "error [mm]": lambda x: f"{x.error_m * 1e3:.4g}",
+            "predicted [mm]": lambda x: f"{x.predicted_m * 1e3:.4g}",
+            "": lambda x: "at the end stop" if x.at_stop else "",
+        },
     )
 
 
 def _bounds(found: Reproduction) -> Table:
-    return Table(
+    return _table(
         "What this reproduction must reach",
         "",
-        ("figure", "bound", "found", ""),
-        tuple(
-            (
-                b.what,
-                f"{'≥' if b.at_least else '≤'} {b.limit:g} {b.unit}",
-                f"{b.value:.3g} {b.unit}",
-                "met" if b.met else "NOT MET",
-            )
-            for b in found.bounds
-        ),
+        found.bounds,
         1,
+        {
+            "figure": lambda b: str(b.what),
+            "bound": lambda b: f"{'≥' if b.at_least else '≤'} {b.limit:g} {b.unit}",
+            "found": lambda b: f"{b.value:.3g} {b.unit}",
+            "": lambda b: "met" if b.met else "NOT MET",
+        },
     )
 
 

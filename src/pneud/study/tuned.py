@@ -11,6 +11,7 @@ from pneud.control.laws.pid import Pid
 from pneud.control.laws.slot import ADRC, PID, Slot
 from pneud.control.motion import quickened, triple_pole
 from pneud.control.step import Controller
+from pneud.rig.damage import scaled
 
 PID_FF, ADRC4, ADRC3, ISMC, COMPOSITE = "PID + FF", "ADRC, ESO 4", "ADRC, ESO 3", "ISMC", "composite"
 ISMC_PAPER, COMPOSITE_PAPER = "ISMC, paper's gains", "composite, paper's gains"
@@ -20,60 +21,27 @@ MOST_PUSH_RATIO = 2.5  # of the motion filter's two bandwidths, as for the confi
 
 GAINS: dict[str, dict[str, float]] = {
     PID_FF: {
-        "kp": 7476.0,
-        "ki": 343100.0,
-        "kd": 146.2,
-        "kf": 150.6,
-        "reach": 0.007962,
-        "hold": 0.002916,
-        "bw": 497.2,
-        "push": 994.4,
+        "kp": 7476.0, "ki": 343100.0, "kd": 146.2, "kf": 150.6, "reach": 0.007962, "hold": 0.002916,
+        "bw": 497.2, "push": 994.4,
     },
     ADRC4: {"k1": 651800.0, "k2": 16300.0, "k3": 299.8, "reach": 0.01222, "hold": 0.08291, "eso": 203.4},
     ADRC3: {
-        "k1": 564400.0,
-        "k2": 14270.0,
-        "k3": 121.5,
-        "reach": 0.02515,
-        "hold": 0.01903,
-        "bw": 373.7,
-        "push": 373.7,
-        "rate": 991.8,
+        "k1": 564400.0, "k2": 14270.0, "k3": 121.5, "reach": 0.02515, "hold": 0.01903, "bw": 373.7,
+        "push": 373.7, "rate": 991.8,
     },
     ISMC: {
-        "k1": 92010.0,
-        "k2": 29640.0,
-        "k3": 55.33,
-        "alpha": 0.6127,
-        "eta": 3.8,
-        "hold": 0.008954,
-        "bw": 160.1,
-        "push": 160.1,
+        "k1": 92010.0, "k2": 29640.0, "k3": 55.33, "alpha": 0.6127, "eta": 3.8, "hold": 0.008954,
+        "bw": 160.1, "push": 160.1,
     },
     COMPOSITE: {
-        "k1": 79720.0,
-        "k2": 30290.0,
-        "k3": 429.4,
-        "alpha": 0.5331,
-        "eta": 81.21,
-        "hold": 0.01101,
-        "bw": 995.4,
-        "push": 995.4,
-        "L": 941.7,
+        "k1": 79720.0, "k2": 30290.0, "k3": 429.4, "alpha": 0.5331, "eta": 81.21, "hold": 0.01101,
+        "bw": 995.4, "push": 995.4, "L": 941.7,
     },
     EXTENDED_TUNED: {
-        "k1": 111500.0,
-        "k2": 7883.0,
-        "k3": 162.6,
-        "alpha": 0.8956,
-        "eta": 0.2175,
-        "L": 1909.0,
-        "hold": 0.07267,
-        "bw": 277.1,
-        "push": 692.8,
-        "rate": 566.2,
+        "k1": 111500.0, "k2": 7883.0, "k3": 162.6, "alpha": 0.8956, "eta": 0.2175, "L": 1909.0,
+        "hold": 0.07267, "bw": 277.1, "push": 692.8, "rate": 566.2,
     },
-}
+}  # fmt: skip
 
 
 def setting(name: str, base: Controller, gains: Mapping[str, float] | None = None) -> Controller:
@@ -121,7 +89,4 @@ def setting(name: str, base: Controller, gains: Mapping[str, float] | None = Non
 
 def without_force(base: Controller) -> Controller:
     """The controller without what the paper does not have: F̂, its rate, and friction fed forward."""
-    none = base.friction._replace(
-        coulomb_n=0.0, static_n=0.0, viscous_n_s_m=0.0, sigma0_n_m=0.0, sigma1_n_s_m=0.0
-    )
-    return base._replace(use_force=False, force_rate_gain=0.0, friction=none)
+    return base._replace(use_force=False, force_rate_gain=0.0, friction=scaled(base.friction, 0.0))

@@ -1,8 +1,9 @@
 """The verbs: one module each, and here the options that several of them have.
 
 A module's name is the verb's, its first line is what `pneud --help` says of it, and its function of that name
-has the options as its signature and returns the exit status. A verb that has verbs of its own names them in
-`VERBS`. `run` is the daemon, which is no verb.
+has the options as its signature and returns the exit status. What it raises with an `exit_code`, and what
+the machine refuses, ends it with one line: see `cli`. A verb that has verbs of its own names them in `VERBS`.
+`run` is the daemon, which is no verb.
 """
 
 import sys

@@ -82,12 +82,6 @@ def bench(
 
     Returns:
         Exit status: 0, or 1 where pneud itself could not be measured.
-
-    Raises:
-        ConfigError: the configuration or an option cannot be used.
-        DatabaseError: the DBC cannot be used.
-        LinkError: the bus cannot be used.
-        VerbError: this is not Linux, or pneud itself could not be measured with disturbances.
     """
     if sys.platform != "linux":
         raise VerbError("the loop needs Linux, and so does its benchmark", 3)

@@ -15,11 +15,7 @@ def doctor(
     file: Annotated[str, typer.Argument(metavar="FILE", help="Configuration.")] = "virtual.toml",
     json: JsonOption = False,
 ) -> int:
-    """Examine this machine; see `diagnose`.
-
-    Raises:
-        VerbError: this is not Linux.
-    """
+    """Examine this machine; see `diagnose`."""
     if sys.platform != "linux":
         raise VerbError("the loop needs Linux, and so does its doctor", 3)
     return diagnose(file, json)

@@ -34,12 +34,6 @@ def export(
 
     Returns:
         Exit status: 0, or 1 where the log could not be read to its end, or no frame is in its ticks.
-
-    Raises:
-        ConfigError: the format is not known, or the log's configuration cannot be used by this version.
-        DatabaseError: nor its DBC.
-        LogError: not a log, no tick in it, or a package is missing.
-        OSError: the output cannot be written.
     """
     suffix = output.suffix
     if suffix not in (*to.TABLES, *FORMATS):

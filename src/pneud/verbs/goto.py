@@ -36,10 +36,6 @@ def goto(
 
     Returns:
         Exit status: 0, or 1 where it was refused or the load has not come there.
-
-    Raises:
-        VerbError: a number makes no sense.
-        PlaceError: no daemon to talk to.
     """
     given = (("speed_mm_s", speed), ("acceleration_mm_s2", accel), ("jerk_mm_s3", jerk))
     fields: dict[str, Any] = {name: value for name, value in given if value is not None}

@@ -64,21 +64,13 @@ def import_(
 
     Returns:
         Exit status: 0, or 1 where something of the recording could not be read.
-
-    Raises:
-        ConfigError: an option or the configuration cannot be used.
-        DatabaseError: the DBC cannot be used.
-        LogError: the recording cannot be read, or the log is there already.
-        OSError: the log cannot be written.
     """
     if recording.suffix.lower() not in FORMATS:
         raise ConfigError(f"{recording}: no such format; its name must end in one of {', '.join(FORMATS)}")
     if output.suffix != ".mcap":
         raise ConfigError(f"{output}: a log's name ends in .mcap")
     source = _source(recording, dbc, config_file)
-    config = parse(source.config_text, source.config_name)
-    if config.loop.rate_hz != source.rate_hz:
-        config = at_rate(config, source.rate_hz)
+    config = at_rate(parse(source.config_text, source.config_name), source.rate_hz)
     codecs = codecs_of(config.bus, source.dbc_name, source.dbc)
     path = log_path(str(output), config.name)
     surveyed = survey(recording, codecs, source.rate_hz)

@@ -31,12 +31,6 @@ def install_service(
     """Write the files, and make systemd and udev read them where they are this machine's own.
 
     A configuration is put into /etc/pneud unless there is one of that name.
-
-    Raises:
-        ConfigError: the configuration cannot be used, or not by a service.
-        DatabaseError: its DBC cannot be used.
-        VerbError: an option is missing.
-        InstallError: a file cannot be written, or systemd refuses.
     """
     if networkd and config_file is None:
         raise VerbError("--networkd is about the interface of an axis; name its --config")

@@ -26,10 +26,6 @@ def jog(
 
     Returns:
         Exit status: 0, or 1 where it was refused.
-
-    Raises:
-        PlaceError: no daemon to talk to.
-        VerbError: no such speed or time.
     """
     if not abs(velocity) <= 1e6 or (duration is not None and not 0.0 < duration < 1e6):
         raise VerbError("jog: MM_S is a speed, --for a positive number of seconds")

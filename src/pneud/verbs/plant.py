@@ -31,12 +31,6 @@ def plant(
     """Run the plant until Ctrl-C or SIGTERM; says on standard error what its valve node does.
 
     With a scenario, standard output gets what plant and bus have shown of it, as one JSON object.
-
-    Raises:
-        ConfigError: the configuration or the bus name cannot be used.
-        DatabaseError: the DBC cannot be used.
-        LinkError: the bus cannot be used, or is no virtual one.
-        BuildError: the compiled law is required and cannot be had.
     """
     scenario = load_scenario(scenario_file) if scenario_file is not None else None
     if scenario is not None and scenario.orders:
@@ -53,14 +47,8 @@ def plant(
     codecs = axis.codecs
     answers = (codecs.encoder.can_id, codecs.pressure.can_id, codecs.valve_status.can_id)
     how = backend(config.loop.compiled, conversions.axis_of(config, codecs.command_lsb_v))
-    rig = Rig(
-        conversions.plant_of(config),
-        codecs,
-        seed,
-        conversions.plant_priority(config.realtime),
-        how.advance,
-        how.carriage,
-    )
+    priority = conversions.plant_priority(config.realtime)
+    rig = Rig(conversions.plant_of(config), codecs, seed, priority, how.advance, how.carriage)
     stage = Stage(scenario, config.loop.rate_hz) if scenario is not None else None
     with open_link(channel, virtual=True, by=how.carriage) as link:
         refuse_if_driven(link, answers, listening_s(config), "other nodes answer there")

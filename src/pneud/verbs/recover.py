@@ -18,10 +18,6 @@ def recover(
 
     Returns:
         Exit status: 0, or 1 where not a tick could be saved of a source that is not whole.
-
-    Raises:
-        LogError: not a log, or the new one exists.
-        OSError: it cannot be written.
     """
     report = mend(Path(log), output)
     chunks = f" from {report.chunks} chunks" if report.chunks else ""

@@ -66,13 +66,6 @@ def replay(
     Returns:
         Exit status: 0 where every command is the same (or equivalent on another numeric machine), 1 where
         one differs or the log was never engaged; of a log that is played on a bus 0 if all frames were sent.
-
-    Raises:
-        LogError: not a log that this version reads.
-        ConfigError: an option, or its configuration, cannot be used.
-        DatabaseError: its DBC cannot be used.
-        LinkError: the bus cannot be used.
-        BuildError: it requires the compiled law, which cannot be had.
     """
     if not begin_s >= 0.0 or not math.isfinite(begin_s):
         raise ConfigError(f"--from {begin_s:g}: must be a time in seconds, not below 0")
@@ -165,18 +158,7 @@ def _say(o: ReplayOutcome) -> None:
 
 
 def _spreads(d: Differences) -> dict[str, dict[str, float | None]]:
-    found: dict[str, dict[str, float | None]] = finite(
-        {
-            name: {
-                "ticks": s.ticks,
-                "first_tick": s.first_tick,
-                "max": s.most,
-                "max_tick": s.most_tick,
-                "rms": s.rms,
-            }
-            for name, s in d.spreads().items()
-        }
-    )
+    found: dict[str, dict[str, float | None]] = finite({n: s._asdict() for n, s in d.spreads().items()})
     return found
 
 
@@ -186,7 +168,7 @@ def _tell(d: Differences) -> None:
         return
     print(f"{'variable':28} {'ticks':>8} {'first at':>9} {'max':>11} {'at':>9} {'rms':>11}")
     for name, s in list(spreads.items())[:_ROWS]:
-        print(f"{name:28} {s.ticks:8} {s.first_tick:9} {s.most:11.4g} {s.most_tick:9} {s.rms:11.4g}")
+        print(f"{name:28} {s.ticks:8} {s.first_tick:9} {s.max:11.4g} {s.max_tick:9} {s.rms:11.4g}")
     if len(spreads) > _ROWS:
         print(f"and {len(spreads) - _ROWS} more (--json lists all)")
 

@@ -42,12 +42,6 @@ def report(
 
     Returns:
         Exit status: 0, or 1 where a log could not be read to its end.
-
-    Raises:
-        ConfigError: an option, or the configuration in a log, cannot be used.
-        DatabaseError: nor its DBC.
-        LogError: not a log that this version reads, or nothing in it.
-        OSError: a file cannot be written.
     """
     window = Window(begin or 0.0, float("inf") if end is None else end)
     if not window.begin_s < window.end_s:

@@ -32,10 +32,6 @@ def reproduce(
 
     Returns:
         Exit status: 0 where every figure is within its bound, 1 where one is not.
-
-    Raises:
-        ConfigError: the folder cannot be written to.
-        FiguresError: there is no matplotlib to draw with.
     """
     if output is not None:
         require()

@@ -11,14 +11,7 @@ _SILENT_S = 0.5
 
 
 def status(socket: SocketOption = None, json: JsonOption = False) -> int:
-    """How the axis is.
-
-    Returns:
-        Exit status: 0.
-
-    Raises:
-        PlaceError: no daemon to talk to.
-    """
+    """How the axis is."""
     with Client(socket) as client:
         found = client.ask("status")
     print(json_.dumps(found) if json else "\n".join(in_words(found)))

@@ -44,9 +44,6 @@ def top(
 
     Returns:
         Exit status: 0, or 1 where the daemon cannot be looked at.
-
-    Raises:
-        PlaceError: no daemon to talk to.
     """
     with Client(socket) as client:
         try:

@@ -46,10 +46,6 @@ def track(
 
     Returns:
         Exit status: 0, or 1 where it was refused or is more than the axis may do.
-
-    Raises:
-        ConfigError: there is no such profile.
-        PlaceError: no daemon to talk to.
     """
     if positions and name != "steps":
         raise ConfigError(f"track {name}: takes no positions")

@@ -19,14 +19,7 @@ from pneud.verbs import JsonOption, SocketOption
 
 
 def get(socket: SocketOption = None, json: JsonOption = False) -> int:
-    """The running gains and reference.
-
-    Returns:
-        Exit status: 0.
-
-    Raises:
-        PlaceError: no daemon to talk to.
-    """
+    """The running gains and reference."""
     return ask(socket, json, "tune_get", _gains)
 
 
@@ -39,10 +32,6 @@ def change(
 
     Returns:
         Exit status: 0, or 1 where it was refused.
-
-    Raises:
-        ConfigError: not such settings.
-        PlaceError: no daemon to talk to.
     """
     values: Values = {}
     for setting in settings:
@@ -65,9 +54,6 @@ def reload(socket: SocketOption = None, json: JsonOption = False) -> int:
 
     Returns:
         Exit status: 0, or 1 where it was refused.
-
-    Raises:
-        PlaceError: no daemon to talk to.
     """
     return ask(socket, json, "tune_reload", _changed)
 
@@ -84,15 +70,7 @@ def _changed(reply: dict[str, Any]) -> str:
 
 
 def diff(socket: SocketOption = None, json: JsonOption = False) -> int:
-    """Where the running gains and reference differ from the file.
-
-    Returns:
-        Exit status: 0.
-
-    Raises:
-        ConfigError: the file cannot be used.
-        PlaceError: no daemon to talk to.
-    """
+    """Where the running gains and reference differ from the file."""
     running, path = _running(socket)
     found = values_of(load_config(path))
     changes = {n: {"file": found[n], "running": v} for n, v in running.items() if found[n] != v}
@@ -101,15 +79,7 @@ def diff(socket: SocketOption = None, json: JsonOption = False) -> int:
 
 
 def save(socket: SocketOption = None, json: JsonOption = False) -> int:
-    """Write the running gains and reference into the daemon's configuration; comments stay.
-
-    Returns:
-        Exit status: 0.
-
-    Raises:
-        ConfigError: the file cannot be used.
-        PlaceError: no daemon to talk to, or the file cannot be written.
-    """
+    """Write the running gains and reference into the daemon's configuration; comments stay."""
     running, path = _running(socket)
     found = values_of(load_config(path))
     changes = difference(found, running)

@@ -31,11 +31,7 @@ class Admission(NamedTuple):
     origins: frozenset[str] = VIEWERS  # of pages that may look, beside those of this machine
 
     def refusal(self, head: bytes) -> Refusal | None:
-        """Why a request is refused; None for one that may pass.
-
-        Args:
-            head: the request up to and with its empty line.
-        """
+        """Why a request is refused, by its head with its empty line; None for one that may pass."""
         first, *lines = head.removesuffix(b"\r\n\r\n").split(b"\r\n")
         request, fields = _REQUEST.fullmatch(first), [_FIELD.fullmatch(line) for line in lines]
         if request is None or None in fields:

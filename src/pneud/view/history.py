@@ -96,12 +96,6 @@ def sparkline(columns: list[Column], low: float, high: float, height: int) -> li
     """Rows of block characters, top first, that fill each column from `low` to its value.
 
     Of the two extremes of a column the one farther from the middle is drawn.
-
-    Args:
-        columns: as `Series.columns` gives them.
-        low: value at the bottom.
-        high: value at the top.
-        height: number of rows.
     """
     span = high - low if high > low else 1.0
     middle = 0.5 * (low + high)

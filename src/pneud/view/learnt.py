@@ -24,11 +24,7 @@ class Word(NamedTuple):
 
 
 def in_brief(learnt: Mapping[str, Mapping[str, Any]]) -> Iterator[Word]:
-    """The values of a status: both edges of the dead zone, the load, and by how much others differ.
-
-    Args:
-        learnt: as in the status, values by name.
-    """
+    """The values of a status: both edges of the dead zone, the load, and by how much others differ."""
     if edges := [learnt[name] for name in _ZONE if name in learnt]:
         text = "/".join(f"{1e3 * v['value']:.0f}" for v in edges)
         yield Word("zone", f"{text} mV", any(v["check"] for v in edges))

@@ -30,11 +30,6 @@ Learnt: TypeAlias = Callable[[Any], Mapping[str, Mapping[str, Any]]]
 def fork_screen(ring: Ring, info: ScreenInfo, learnt: Learnt) -> int:
     """The live screen on this terminal, until the ring is closed.
 
-    Args:
-        ring: where the records are.
-        info: what they belong to.
-        learnt: makes of a state, as it was handed over, what it has learnt.
-
     Returns:
         Its process id.
     """
@@ -77,13 +72,6 @@ def fork_viewers(
     admission: Admission,
 ) -> int:
     """The server for viewers, until the ring is closed.
-
-    Args:
-        ring: where the records are.
-        header: what the log says about its run.
-        parameters: the configuration, for show.
-        listener: where viewers come; it is theirs alone from now on.
-        admission: who may look.
 
     Returns:
         Its process id.

@@ -53,13 +53,7 @@ def _leave_the_network() -> bool:
 
 
 def start_relay(listener: socket.socket, admission: Admission, port: int) -> None:
-    """Let viewers in, from a thread that ends with the process.
-
-    Args:
-        listener: where they come.
-        admission: who may.
-        port: the server's, on 127.0.0.1.
-    """
+    """Let viewers in, from a thread that ends with the process."""
     relay = _Relay(listener, admission, port)
     threading.Thread(target=lambda: asyncio.run(relay.run()), daemon=True).start()
 

@@ -71,25 +71,14 @@ class ScreenState(NamedTuple):
     info: ScreenInfo
 
 
-def render(
-    snapshot: ScreenState, history: History, size: tuple[int, int], ascii_only: bool | None = None
-) -> Page:
-    """The page for a terminal of a size.
-
-    Args:
-        snapshot: the newest record and what it belongs to.
-        history: what was before.
-        size: columns and rows; 80 × 24 shows everything, more makes the curves larger.
-        ascii_only: keep to ASCII; None asks the console that shows the page.
-    """
-    return Page(snapshot, history, size, ascii_only)
-
-
 class Page:
-    """A rich renderable of exactly the size asked for."""
+    """The page for a terminal of a size, a rich renderable of exactly that.
+
+    80 × 24 shows everything, more makes the curves larger. `ascii_only` None asks the console that shows it.
+    """
 
     def __init__(
-        self, snapshot: ScreenState, history: History, size: tuple[int, int], ascii_only: bool | None
+        self, snapshot: ScreenState, history: History, size: tuple[int, int], ascii_only: bool | None = None
     ) -> None:
         self._snapshot = snapshot
         self._history = history

@@ -17,7 +17,7 @@ from rich.control import Control
 from pneud.signals import Record
 from pneud.view.history import History
 from pneud.view.info import ScreenInfo
-from pneud.view.screen import ScreenState, render, status_line
+from pneud.view.screen import Page, ScreenState, status_line
 
 FRAME_S = 0.05
 PLAIN_LINE_S = 2.0
@@ -75,7 +75,7 @@ def run(
                     )
                 else:
                     # half the work of rich's Live, which lays a picture out twice; a page has its exact shape
-                    page = render(snapshot, history, console.size, ascii_only)
+                    page = Page(snapshot, history, console.size, ascii_only)
                     console.print(Control.home(), page, end="", crop=False)
                 due_s = now_s + frame_s
             time.sleep(max(0.0, now_s + FRAME_S - time.monotonic()))
@@ -93,13 +93,6 @@ def run_child(
 
     Where the terminal takes no more output, SIGALRM ends the process two seconds after it was told to leave;
     the parent then writes `LEAVE_SCREEN`.
-
-    Args:
-        poll: as for `run`.
-        info: as for `run`.
-        stop: as for `run`.
-        log_counts: as for `run`.
-        attend: as for `run`.
     """
     leaving = False
 

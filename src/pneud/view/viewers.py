@@ -64,16 +64,6 @@ class Listener:
         """They never change."""
 
 
-def flat(value: Any, prefix: str = "") -> dict[str, Any]:
-    """Nested tables as names with dots between them."""
-    if not isinstance(value, Mapping):
-        return {prefix: value}
-    found: dict[str, Any] = {}
-    for key, inner in value.items():
-        found |= flat(inner, f"{prefix}.{key}" if prefix else str(key))
-    return found
-
-
 class _Publisher:
     def __init__(self, header: LogHeader, context: Any, foxglove: Any) -> None:
         self._packer = Packer(header.detail)
@@ -114,16 +104,7 @@ def serve(
     admission: Admission,
     stop: Callable[[], bool],
 ) -> None:
-    """Serve as the whole life of a forked process, until told to stop.
-
-    Args:
-        poll: yields the records that are new.
-        header: what the log says about its run.
-        parameters: the configuration, for show.
-        listener: where viewers come.
-        admission: who may look.
-        stop: whether the run is over.
-    """
+    """Serve as the whole life of a forked process, until told to stop."""
     leaving = crew.asked_to_leave(signal.SIGTERM, signal.SIGHUP)
     os.nice(_NICE)
     if not be_alone():
@@ -132,7 +113,7 @@ def serve(
     from foxglove.websocket import Capability, Parameter  # noqa: PLC0415
 
     foxglove.set_log_level("CRITICAL")  # a client that goes is no event
-    watchers = Listener(flat(parameters), lambda name, value: Parameter(name, value=value))
+    watchers = Listener(parameters, lambda name, value: Parameter(name, value=value))
     context = foxglove.Context()
     publisher = _Publisher(header, context, foxglove)
     try:

@@ -75,10 +75,7 @@ def open_log(option: str | None, name: str, now: float | None = None) -> tuple[P
 
 
 def log_folder(option: str | None) -> Path:
-    """The folder that logs go to, which need not exist.
-
-    Args:
-        option: as asked for; None or empty for the default.
+    """The folder that logs go to, which need not exist; the default where none is asked for.
 
     Raises:
         LogError: there is no default.

@@ -40,10 +40,6 @@ def checked(data: dict[str, str]) -> dict[str, str]:
 def check_intact(found: Metadata, offset: int) -> None:
     """Make sure that metadata is as it was written; that of other programs has no checksum and passes.
 
-    Args:
-        found: the metadata.
-        offset: where it lies in its file.
-
     Raises:
         DamageError: its checksum is another one, or missing.
     """
@@ -111,14 +107,7 @@ class LogPart:
         self.output.settle()
 
     def message(self, topic: str, number: int, log_time_ns: int, data: bytes) -> None:
-        """Add a message to the open chunk.
-
-        Args:
-            topic: one of `topics`.
-            number: of the record that it belongs to.
-            log_time_ns: Unix time.
-            data: the message.
-        """
+        """Add a message to the open chunk."""
         self.chunk_bytes += len(data) + _MESSAGE_BYTES
         sequence = number & 0xFFFF_FFFF
         self._writer.add_message(self._channels[topic], log_time_ns, data, log_time_ns, sequence)

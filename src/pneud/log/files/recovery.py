@@ -24,15 +24,7 @@ from pneud.log.files.part import CONFIG_TEXT, CRC, DBC, check_intact, checked
 from pneud.log.files.writer import CHUNK_BYTES
 from pneud.log.format import framing
 from pneud.log.format.frames import FrameBlock
-from pneud.log.format.framing import (
-    DamageError,
-    LoggedMessage,
-    Piece,
-    attachment,
-    items,
-    metadata,
-    open_mcap,
-)
+from pneud.log.format.framing import DamageError, LoggedMessage, Piece, attachment, items, metadata, open_mcap
 from pneud.log.format.schema import COPY, FRAMES, METADATA, READABLE, TICK, Topic, topics
 
 _COMPRESSION = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")  # in a chunk's head
@@ -57,10 +49,6 @@ class RecoverReport(NamedTuple):
 
 def recover(src: Path, dst: Path) -> RecoverReport:
     """Write what can be read of a log into a new one.
-
-    Args:
-        src: the log, whole or not.
-        dst: the new file.
 
     Raises:
         LogError: the source is no MCAP file, or the new file exists.

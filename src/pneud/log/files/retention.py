@@ -144,12 +144,7 @@ def protected(parts: Iterable[PartInfo]) -> set[Path]:
 
 
 def victims(parts: Iterable[PartInfo], quota_bytes: int) -> Iterator[PartInfo]:
-    """The parts to delete, one after another: the oldest first, those around a fault only after all others.
-
-    Args:
-        parts: all but the one being written.
-        quota_bytes: what is to be left at most.
-    """
+    """The finished parts to delete, in turn: the oldest first, those around a fault only after all others."""
     parts = list(parts)
     spared = protected(parts)
     total = sum(part.size for part in parts)
@@ -173,10 +168,6 @@ def candidates(current: Path, rotation: Rotation) -> list[PartInfo]:
 
 def tidy(current: Path, rotation: Rotation) -> list[str]:
     """Delete what is too much.
-
-    Args:
-        current: the part being written, which is given the room of a whole one.
-        rotation: the quota.
 
     Returns:
         What was deleted, in words.
@@ -212,7 +203,6 @@ class Tidying:
     """Tidies beside the writing, since it reads many files."""
 
     def __init__(self, rotation: Rotation) -> None:
-        """Nothing runs yet."""
         self._rotation = rotation
         self._thread: threading.Thread | None = None
         self._words: list[str] = []

@@ -33,13 +33,6 @@ _SYNC_NS = 3_000_000_000
 _RETRY_NS = 1_000_000_000
 
 
-def realtime_offset_ns() -> int:
-    """Unix time minus monotonic time at this moment [ns]."""
-    before = time.monotonic_ns()
-    now = time.time_ns()
-    return now - (before + time.monotonic_ns()) // 2
-
-
 class LogWriter:
     """Writes one log. Its methods raise nothing when the disk fails: see `error` and `unwritten`."""
 
@@ -114,12 +107,7 @@ class LogWriter:
         self._part.metadata(SETUP, notes)
 
     def write(self, record: Record, missed: int = 0) -> None:
-        """Add one record.
-
-        Args:
-            record: the next one.
-            missed: records dropped just before it.
-        """
+        """Add one record, before which so many were dropped."""
         self._number += 1 + missed
         tick = record.tick
         t_ns = self._last_t_ns = tick.t_ns

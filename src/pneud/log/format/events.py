@@ -34,12 +34,6 @@ class EventSource:
     """Watches the records of one run."""
 
     def __init__(self, fault_names: tuple[str, ...], offset_ns: int) -> None:
-        """Begin.
-
-        Args:
-            fault_names: by bit number.
-            offset_ns: Unix time minus monotonic time.
-        """
         self._names = fault_names
         self._offset_ns = offset_ns
         self._limiter = _Limiter()

@@ -174,9 +174,6 @@ class FrameBlock:
     def ticks(self, t_ns: Iterable[int]) -> Iterator[tuple[tuple[Frame, ...], int, tuple[Frame, ...]]]:
         """For each tick: frames received, how many of them were drained before SYNC left, frames sent.
 
-        Args:
-            t_ns: instants of SYNC, which the stamps count from.
-
         Raises:
             ValueError: not as many as there are ticks, or a column is too short.
         """

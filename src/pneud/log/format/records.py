@@ -250,10 +250,6 @@ class TickMessage(NamedTuple):
 def unpack(ticks: list[TickMessage], frames: FrameBlock) -> Iterator[LoggedTick]:
     """Ticks and their frames, put together.
 
-    Args:
-        ticks: messages of `/axis/tick`.
-        frames: of the same ticks.
-
     Raises:
         google.protobuf.message.DecodeError: not such messages.
         ValueError: not as many ticks as the frames are of.

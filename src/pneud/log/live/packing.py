@@ -13,17 +13,7 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, NamedTuple, TypeAlias
 
-from pneud.signals import (
-    Command,
-    Estimate,
-    Frame,
-    Measurement,
-    Record,
-    Reference,
-    Request,
-    Tick,
-    Timing,
-)
+from pneud.signals import Command, Estimate, Frame, Measurement, Record, Reference, Request, Tick, Timing
 
 SOURCE = Path(__file__).with_name("pack.c")
 

@@ -56,54 +56,27 @@ def start_recorder(
         OSError: no more processes.
     """
     parent = os.getpid()
-    child = crew.fork(
-        lambda: recorder_main(ring, descriptor, header, parent, files, words, rotation, nice),
-        keep=[descriptor] if words is None else [descriptor, words.fileno()],
-        orphaned=None,
-    )
+
+    def main() -> int:
+        try:
+            os.nice(nice)
+            # protobuf and MCAP are loaded here, behind the loop's own start, while the ring keeps what comes
+            crew.at_low_priority(lambda: import_module("pneud.log.files.writer"))
+            from pneud.log.files.writer import LogWriter  # noqa: PLC0415
+
+            listener = NotesListener(words) if words is not None else None
+            return _Recorder(ring, LogWriter(descriptor, header, rotation), parent, files, listener).run()
+        except Exception:
+            traceback.print_exc(file=sys.stderr)
+            ring.set_status(ring.status()._replace(error=RECORDER_FAILED, failing=1))
+            return 1
+
+    keep = [descriptor] if words is None else [descriptor, words.fileno()]
+    child = crew.fork(main, keep=keep, orphaned=None)
     os.close(descriptor)
     if words is not None:
         words.close()
     return child
-
-
-def recorder_main(
-    ring: Ring,
-    descriptor: int,
-    header: LogHeader,
-    parent: int,
-    files: tuple[Path, ...] = (),
-    words: socket.socket | None = None,
-    rotation: Rotation | None = None,
-    nice: int = NICE,
-) -> int:
-    """Record until the ring is closed or the parent is gone, then finish the file.
-
-    Args:
-        ring: what to read.
-        descriptor: of the new file; closed here.
-        header: what the log says about its run.
-        parent: process id of the loop.
-        files: to be watched.
-        words: where other processes' words for the log come from.
-        rotation: how the log is split and what is kept; None for one file.
-        nice: niceness of this process.
-
-    Returns:
-        Exit status: 0, or 1 if records are missing or the file is incomplete.
-    """
-    try:
-        os.nice(nice)
-        # protobuf and MCAP are loaded here, behind the loop's own start, while the ring keeps what comes
-        crew.at_low_priority(lambda: import_module("pneud.log.files.writer"))
-        from pneud.log.files.writer import LogWriter  # noqa: PLC0415
-
-        listener = NotesListener(words) if words is not None else None
-        return _Recorder(ring, LogWriter(descriptor, header, rotation), parent, files, listener).run()
-    except Exception:
-        traceback.print_exc(file=sys.stderr)
-        ring.set_status(ring.status()._replace(error=RECORDER_FAILED, failing=1))
-        return 1
 
 
 class _Recorder:

@@ -124,11 +124,6 @@ class Ring:
     def attach(cls, descriptor: int, slots: int, slot_bytes: int) -> Ring:
         """The ring of another process, for reading only.
 
-        Args:
-            descriptor: as the other's `open_for_reading` gave it; closed here.
-            slots: as the other's.
-            slot_bytes: as the other's.
-
         Raises:
             OSError: not such memory.
             ValueError: it has another size.
