@@ -549,6 +549,8 @@ class Config(Section):
 
     def _plant_can_be(self) -> None:
         p = self.plant
+        if p.valve.map and p.valve.map[-1][0] != (p.valve.u_max_v or self.valve.u_max_v):
+            raise ValueError("plant.valve.map must lead from end to end of u_max_v")
         true_stroke_m = p.cylinder.stroke_m or self.cylinder.stroke_m
         if not 0.0 <= p.initial_x1_m - self.cylinder.dead_length_1_m <= true_stroke_m:
             raise ValueError(f"plant.initial_x1_m = {p.initial_x1_m:g} lies outside the stroke")
