@@ -11,13 +11,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from plant_reference import REALISTIC
+from pneud.loading import load
 from pneud.physics.gas import iso6358, signed_flow
 from pneud.physics.plant import Detail, PlantParameters
+from pneud.replay.lockstep import Simulation, backend_of
+from pneud.rig.damage import UNDAMAGED, advance_damaged
 from pneud.rig.detail import Chamber, behind_play, breathe, rubbing, supplied
 from pneud.rig.dynamics import PlantState, advance, initial_state, with_depth
 from pneud.rig.sensors import sensed
+from pneud.signals import State
 
 P = REALISTIC._replace(polytropic_exponent=1.4)
+ALL = {
+    "wall_time_s": 0.3,
+    "polytropic_exponent": 1.4,
+    "valve": {"flow": "iso6358", "critical_ratio": 0.3, "hysteresis_v": 0.02, "leakage": 0.002},
+    "supply": {"receiver_m3": 2e-3},
+    "hoses": {"volume_1_m3": 5e-6, "volume_2_m3": 5e-6},
+    "friction": {"model": "gms", "pressure_share_bar": 0.03, "forward_share": 0.03},
+    "sensors": {"pressure_lag_s": 1e-3, "encoder_noise_m": 5e-7, "p1_offset_pa": 300.0},
+}
 V = 1e-4  # of a chamber [m³]
 volts = st.floats(-5.0, 5.0)
 
@@ -205,3 +218,23 @@ def test_nothing_breaks_a_plant_with_details(d: Detail, ways: list[float], rever
         assert all(math.isfinite(x) for x in (*s[:8], *s.depth[:7], *s.depth.elements))
         assert c.x_e1 <= s.x1 <= c.x_e1 + c.stroke_m
         assert min(s.p1, s.p2, s.depth.mass1_kg, s.depth.mass2_kg) > 0.0
+
+
+def test_a_leak_of_a_broken_hose_takes_mass_along() -> None:
+    p = held(plant(wall_s=0.2))
+    burst = UNDAMAGED._replace(leak1=1.0, seized=True)
+    s = advance_damaged(initial_state(p), 0.0, 0.0, 0.0, 2.0, p, burst)
+    at_rest_kg = p.gas.atmosphere_pa * p.cylinder.A1 * s.x1 / (p.gas.R * p.gas.temperature_k)
+    assert s.p1 == pytest.approx(p.gas.atmosphere_pa, rel=1e-3)
+    assert s.depth.mass1_kg == pytest.approx(at_rest_kg, rel=0.02)
+
+
+def test_an_axis_tracks_with_all_of_it() -> None:
+    """Sensors, valve, air and seals of the plant by ISO 6358, those of the law by the orifice."""
+    axis = load("virtual.toml", change={"plant": ALL})
+    records = list(Simulation(axis, 3.5, 1, backend_of(axis)).records())
+    tracked = [r for r in records if r.tick.state == State.TRACKING][-500:]
+    assert len(tracked) == 500
+    assert max(abs(r.tick.reference.position_m - r.truth_m) for r in tracked) < 5e-4
+    supplies = [r.tick.measurement.supply_pa for r in tracked]
+    assert max(supplies) - min(supplies) > 500.0

@@ -199,9 +199,3 @@ class PlantConfig(Section):
     supply: PlantSupplyConfig = PlantSupplyConfig()
     hoses: PlantHosesConfig = PlantHosesConfig()
     sensors: PlantSensorsConfig = PlantSensorsConfig()
-
-    @model_validator(mode="after")
-    def _heat_or_exponent(self) -> PlantConfig:
-        if self.wall_time_s and self.polytropic_exponent is not None:
-            raise ValueError("give either wall_time_s or polytropic_exponent, which stands for heat exchange")
-        return self
