@@ -155,6 +155,7 @@ DETAILS: dict[str, tuple[dict[str, dict[str, Any]], Any]] = {
     "encoder_offset_m": ({"sensors": {"encoder_offset_m": 1e-3}}, 1e-3),
     "p1_offset_pa": ({"sensors": {"p1_offset_pa": 500.0}}, 500.0),
     "p2_offset_pa": ({"sensors": {"p2_offset_pa": -500.0}}, -500.0),
+    "hose_s": ({"hoses": {"delay_s": 2e-3}}, 2e-3),
     "supply_offset_pa": ({"sensors": {"supply_offset_pa": 1000.0}}, 1000.0),
 }
 

@@ -16,7 +16,7 @@ from pneud.physics.gas import iso6358, signed_flow
 from pneud.physics.plant import Detail, PlantParameters
 from pneud.replay.lockstep import Simulation, backend_of
 from pneud.rig.damage import UNDAMAGED, advance_damaged
-from pneud.rig.detail import Chamber, behind_play, breathe, rubbing, supplied
+from pneud.rig.detail import Chamber, Hoses, behind_play, breathe, later, rubbing, supplied
 from pneud.rig.dynamics import PlantState, advance, initial_state, with_depth
 from pneud.rig.sensors import sensed
 from pneud.signals import State
@@ -27,7 +27,7 @@ ALL = {
     "polytropic_exponent": 1.4,
     "valve": {"flow": "iso6358", "critical_ratio": 0.3, "hysteresis_v": 0.02, "leakage": 0.002},
     "supply": {"receiver_m3": 2e-3},
-    "hoses": {"volume_1_m3": 5e-6, "volume_2_m3": 5e-6},
+    "hoses": {"volume_1_m3": 5e-6, "volume_2_m3": 5e-6, "delay_s": 1e-3},
     "friction": {"model": "gms", "pressure_share_bar": 0.03, "forward_share": 0.03},
     "sensors": {"pressure_lag_s": 1e-3, "encoder_noise_m": 5e-7, "p1_offset_pa": 300.0},
 }
@@ -150,6 +150,16 @@ def test_there_is_a_way_up_and_a_way_back() -> None:
     assert [up, back] == pytest.approx([0.45, 0.45], abs=1e-6)
 
 
+def test_hoses_delay_what_flows() -> None:
+    d, q, area = Detail(on=True, hose_s=3e-3), Hoses(), 0.0
+    for _ in range(1000):
+        q = later(q, 1.0, 1e-5, d)
+        area += 1e-5 * (1.0 - q.far_v)
+    assert q.far_v == pytest.approx(1.0, abs=1e-2)
+    assert area == pytest.approx(3e-3, rel=0.02)
+    assert later(q, 0.5, 1e-4, Detail(on=True)) == (0.5, 0.5, 0.5)
+
+
 def test_a_receiver_gives_what_is_drawn_and_the_regulator_fills_it_again() -> None:
     d = Detail(on=True, receiver_pa_kg=4e7, regulator_kg_s_pa=2e-7)
     pa, g, h, drawn_kg_s = P.gas.supply_pa, P.gas, 1e-4, 5e-3
@@ -206,6 +216,7 @@ def test_sensors_lag_behind_and_are_offset() -> None:
         rise_1_pa=st.floats(-1e-6, 1e-6),
         forward_share=st.floats(-0.5, 0.5),
         pressure_lag_s=st.floats(0.0, 0.1),
+        hose_s=st.floats(0.0, 0.01),
     ),
     st.lists(volts, min_size=5, max_size=5),
     st.booleans(),

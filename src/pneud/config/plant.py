@@ -96,10 +96,11 @@ class PlantSupplyConfig(Section):
 
 
 class PlantHosesConfig(Section):
-    """Hoses that the controller does not know of, besides the dead lengths."""
+    """Hoses that the controller does not know of, besides the dead lengths and the lag."""
 
     volume_1_m3: NonNegative = 0.0
     volume_2_m3: NonNegative = 0.0
+    delay_s: Annotated[float, Field(ge=0, le=0.05)] = 0.0  # about 3 ms for each metre
 
 
 class PlantValveConfig(Section):
