@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -181,6 +182,15 @@ def test_what_few_rigs_have_is_a_warning(tmp_path: Path, old: str, new: str, say
     assert done.returncode == 0, done.stderr
     assert says in done.stdout
     assert "fine" not in done.stdout
+
+
+def test_what_a_rating_comes_to_is_told(tmp_path: Path) -> None:
+    rating = 'nominal_flow_l_min = 350.0\nflow = "iso6358"\ncritical_ratio = 0.25'
+    file = written(tmp_path, ("orifice_area_m2 = 2.8274e-5", rating))
+    done = pneud("check", file)
+    assert "valve 350 l/min ANR at 6 -> 5 bar, C 1.419 l/(s bar), b 0.25" in done.stdout
+    assert "the plant's" not in done.stdout
+    assert json.loads(pneud("check", file, "--json").stdout)["valve"]["nominal_flow_l_min"] == 350.0
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,24 @@ def test_compiled_functions_return_and_raise_what_the_originals_do(index: int) -
 
 
 DETAIL = Detail(
-    True, 0.02, 0.03, 0.05, 0.2, 4e7, 2e-7, True, 3e-7, 0.05, 1e-3, 1e-4, 1e-6, 1e-4, 500.0, -500.0, 100.0
+    True,
+    0.02,
+    0.03,
+    0.05,
+    0.2,
+    4e7,
+    2e-7,
+    True,
+    3e-7,
+    0.05,
+    1e-3,
+    1e-4,
+    1e-6,
+    1e-4,
+    500.0,
+    -500.0,
+    100.0,
+    2e-3,
 )
 
 

@@ -15,6 +15,7 @@ from pneud.config.models import Config
 from pneud.config.reading import load_config
 from pneud.control.adaptation import Learnt, valve_learnt
 from pneud.physics.valve import Valve, dead_zone_inverse, opening
+from pneud.study.plausibility import findings
 
 KNOWN = load_config("virtual.toml")
 VALVE = Valve(5.0, 628.0, 0.7, 0.0)
@@ -97,6 +98,15 @@ def test_law_and_plant_have_maps_of_their_own() -> None:
     assert controller_of(with_maps((), MAP, 0.1)).valve == controller_of(KNOWN).valve
     with pytest.raises(ValueError, match=r"dead_zone_v must be that of map, 0\.1"):
         with_maps(MAP, (), 0.2)
+
+
+def test_a_map_that_the_law_does_not_invert_is_a_warning() -> None:
+    data = with_maps(MAP, MAP, 0.1).model_dump(by_alias=True)
+    data["control"]["compensate_dead_zone"] = False
+    assert ("valve.map", False) in [
+        (f.key, f.is_error) for f in findings(Config.model_validate(data), 0.001, 40.0)
+    ]
+    assert not [f for f in findings(with_maps(MAP, MAP, 0.1), 0.001, 40.0) if f.key == "valve.map"]
 
 
 def test_edges_that_are_learnt_move_a_map() -> None:

@@ -155,6 +155,7 @@ DETAILS: dict[str, tuple[dict[str, dict[str, Any]], Any]] = {
     "encoder_offset_m": ({"sensors": {"encoder_offset_m": 1e-3}}, 1e-3),
     "p1_offset_pa": ({"sensors": {"p1_offset_pa": 500.0}}, 500.0),
     "p2_offset_pa": ({"sensors": {"p2_offset_pa": -500.0}}, -500.0),
+    "hose_s": ({"hoses": {"delay_s": 2e-3}}, 2e-3),
     "supply_offset_pa": ({"sensors": {"supply_offset_pa": 1000.0}}, 1000.0),
 }
 
@@ -187,6 +188,18 @@ def test_every_detail_has_a_key() -> None:
     assert plant_of(c).detail.regulator_kg_s_pa * 1e5 == pytest.approx(0.01 * 1.185)  # 10 l/s ANR
 
 
+@pytest.mark.parametrize(
+    ("tables", "key"),
+    [
+        ({"valve": {"hysteresis_v": 0.4}}, "plant.valve.hysteresis_v"),
+        ({"valve": {"leakage_exhaust": 0.1}}, "plant.valve.leakage"),
+        ({"supply": {"receiver_m3": 1e-3, "regulator_l_min_bar": 200.0}}, "plant.supply.regulator_l_min_bar"),
+    ],
+)
+def test_a_detail_that_few_rigs_have_is_a_warning(tables: dict[str, Any], key: str) -> None:
+    assert [(f.key, f.is_error) for f in findings(with_plant(tables), LSB_V, 40.0)] == [(key, False)]
+
+
 def test_hoses_are_volumes_that_the_controller_does_not_know_of() -> None:
     c = with_plant({"hoses": {"volume_1_m3": 1e-5, "volume_2_m3": 2e-5}})
     p, q = plant_of(c), plant_of(KNOWN)
@@ -207,6 +220,7 @@ def test_pressures_may_be_told_in_bits() -> None:
         ({"sensors": {"pressure_resolution_pa": 20.0, "pressure_bits": 12}}, "pressure_bits"),
         ({"": {"wall_time_s": 0.3, "polytropic_exponent": 1.3}}, "wall_time_s"),
         ({"valve": {"map": ((-5.0, -1.0), (5.0, 1.0)), "centre_v": 0.1}}, "edges and centre of its own"),
+        ({"valve": {"map": ((-4.0, -1.0), (4.0, 1.0)), "dead_zone_v": 0.0}}, "end to end of u_max_v"),
     ],
 )
 def test_what_says_the_same_twice_is_refused(tables: dict[str, Any], says: str) -> None:

@@ -38,6 +38,7 @@ def detail_of(c: Config, u_max_v: float, gas_constant: float, temperature_k: flo
         p1_offset_pa=s.p1_offset_pa,
         p2_offset_pa=s.p2_offset_pa,
         supply_offset_pa=s.supply_offset_pa,
+        hose_s=p.hoses.delay_s,
     )
     plain = Detail(regulator_kg_s_pa=found.regulator_kg_s_pa)
     return Detail() if found == plain else found._replace(on=True)

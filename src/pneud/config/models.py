@@ -550,6 +550,13 @@ class Config(Section):
 
     def _plant_can_be(self) -> None:
         p = self.plant
+        if p.valve.map and p.valve.map[-1][0] != (p.valve.u_max_v or self.valve.u_max_v):
+            raise ValueError("plant.valve.map must lead from end to end of u_max_v")
+        k = p.gas.heat_capacity_ratio or self.gas.heat_capacity_ratio
+        if p.wall_time_s and p.polytropic_exponent not in (None, k):
+            raise ValueError(
+                f"plant.polytropic_exponent = {p.polytropic_exponent:g} stands for heat: not with wall_time_s"
+            )
         true_stroke_m = p.cylinder.stroke_m or self.cylinder.stroke_m
         if not 0.0 <= p.initial_x1_m - self.cylinder.dead_length_1_m <= true_stroke_m:
             raise ValueError(f"plant.initial_x1_m = {p.initial_x1_m:g} lies outside the stroke")

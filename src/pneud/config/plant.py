@@ -97,10 +97,11 @@ class PlantSupplyConfig(Section):
 
 
 class PlantHosesConfig(Section):
-    """Hoses that the controller does not know of, besides the dead lengths."""
+    """Hoses that the controller does not know of, besides the dead lengths and the lag."""
 
     volume_1_m3: NonNegative = 0.0
     volume_2_m3: NonNegative = 0.0
+    delay_s: Annotated[float, Field(ge=0, le=0.05)] = 0.0  # about 3 ms for each metre
 
 
 class PlantValveConfig(Section):
@@ -200,9 +201,3 @@ class PlantConfig(Section):
     supply: PlantSupplyConfig = PlantSupplyConfig()
     hoses: PlantHosesConfig = PlantHosesConfig()
     sensors: PlantSensorsConfig = PlantSensorsConfig()
-
-    @model_validator(mode="after")
-    def _heat_or_exponent(self) -> PlantConfig:
-        if self.wall_time_s and self.polytropic_exponent is not None:
-            raise ValueError("give either wall_time_s or polytropic_exponent, which stands for heat exchange")
-        return self

@@ -30,6 +30,7 @@ class Detail(NamedTuple):
     p1_offset_pa: float = 0.0
     p2_offset_pa: float = 0.0
     supply_offset_pa: float = 0.0
+    hose_s: float = 0.0  # from the valve's opening to the flow into the chamber
 
 
 FRICTION_AT_PA = 3e5  # mean pressure of the chambers at which friction is as its parameters say

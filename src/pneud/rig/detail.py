@@ -15,6 +15,14 @@ from pneud.physics.slip import Elements
 from pneud.rig.chamber import exchange
 
 
+class Hoses(NamedTuple):
+    """Opening [V] on its way to the chambers, a third of it after another."""
+
+    near_v: float = 0.0
+    middle_v: float = 0.0
+    far_v: float = 0.0
+
+
 class Depth(NamedTuple):
     """State of what a plain rig does not have."""
 
@@ -26,6 +34,7 @@ class Depth(NamedTuple):
     shown2_pa: float = 0.0
     shown_supply_pa: float = 0.0
     elements: Elements = Elements()
+    hoses: Hoses = Hoses()
 
 
 PLAIN = Depth()
@@ -42,6 +51,16 @@ class Chamber(NamedTuple):
 def behind_play(before_v: float, spool_v: float, play_v: float) -> float:
     """Where what is moved by the spool is: it follows once the play is used up."""
     return max(spool_v - play_v, min(spool_v + play_v, before_v))
+
+
+def later(q: Hoses, u_v: float, h: float, d: Detail) -> Hoses:
+    """The hoses a step later: three lags in a row, which delay, and smear as hoses do."""
+    if d.hose_s <= 0.0:
+        return Hoses(u_v, u_v, u_v)
+    kept = math.exp(-3.0 * h / d.hose_s)
+    near_v = u_v + (q.near_v - u_v) * kept
+    middle_v = near_v + (q.middle_v - near_v) * kept
+    return Hoses(near_v, middle_v, middle_v + (q.far_v - middle_v) * kept)
 
 
 def through(

@@ -16,7 +16,7 @@ from pneud.physics.plant import PlantParameters
 from pneud.physics.slip import slip
 from pneud.physics.valve import opening, spool_transition
 from pneud.rig.chamber import exchange
-from pneud.rig.detail import PLAIN, Chamber, Depth, behind_play, breathe, rubbing, shown, supplied
+from pneud.rig.detail import PLAIN, Chamber, Depth, behind_play, breathe, later, rubbing, shown, supplied
 
 
 class PlantState(NamedTuple):
@@ -181,7 +181,7 @@ def _march_in_detail(
 ) -> PlantState:
     # the same splitting, with all that a plant may have besides
     x1, v, p1, p2, z, y, ydot, a, depth = state
-    behind, mass1, mass2, supply, shown1, shown2, shown_supply, elements = depth
+    behind, mass1, mass2, supply, shown1, shown2, shown_supply, elements, hoses = depth
     c, d, n = p.cylinder, p.detail, p.polytropic_exponent
     rear, front, length = c.x_e1, c.x_e1 + c.stroke_m, c.L
     load = c.rod_force_n + p.load_n + force_ext_n
@@ -195,7 +195,8 @@ def _march_in_detail(
         middle = half.ee * e + half.er * ydot
         ydot = half.re * e + half.rr * ydot
         behind = behind_play(behind, command_v + middle, d.play_v)
-        u = opening(behind, p.valve)
+        hoses = later(hoses, opening(behind, p.valve), h, d)
+        u = hoses.far_v
         e = half.ee * middle + half.er * ydot
         ydot = half.re * middle + half.rr * ydot
 
@@ -228,7 +229,7 @@ def _march_in_detail(
         p2 *= math.pow((length - x) / (length - x1), n)
         shown1, shown2 = shown(shown1, p1, h, d), shown(shown2, p2, h, d)
         shown_supply = shown(shown_supply, supply, h, d)
-    depth = Depth(behind, mass1, mass2, supply, shown1, shown2, shown_supply, elements)
+    depth = Depth(behind, mass1, mass2, supply, shown1, shown2, shown_supply, elements, hoses)
     return PlantState(x1, v, p1, p2, z, command_v + e, ydot, a, depth)
 
 

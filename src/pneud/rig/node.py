@@ -236,8 +236,10 @@ class PlantNode:
     def _sample(self, t_ns: int, sync_ns: int) -> None:
         p, state, codecs, valve = self.p, self._state, self._codecs, self.valve
         true = sensed(state, p)
-        noise_m = p.detail.encoder_noise_m * self._noise.draw() if p.detail.encoder_noise_m else 0.0
-        position = quantised(true.position_m - p.encoder_zero_m + noise_m, p.encoder_resolution_m)
+        position = true.position_m - p.encoder_zero_m
+        if p.detail.encoder_noise_m:
+            position += p.detail.encoder_noise_m * self._noise.draw()
+        position = quantised(position, p.encoder_resolution_m)
         status = int(EncoderStatus.REFERENCED) if p.encoder_referenced else 0
         read = self._pressure.read
         readings: tuple[tuple[Codec, tuple[float, ...]], ...] = (

@@ -16,6 +16,7 @@ from pneud.config.conversions import axis_of, friction_of, plant_of, truth_of
 from pneud.config.models import Config
 from pneud.config.plant import PlantConfig
 from pneud.control.reference import Sine, along, rest, sine, stays, transfer
+from pneud.physics import ratings
 from pneud.physics.cylinder import F0, F1_exhaust, F1_fill
 from pneud.physics.friction import stribeck
 from pneud.physics.plant import PlantParameters
@@ -27,6 +28,7 @@ MUCH = 0.7  # of what there is: disturbances need the rest
 LIGHT_M_S2, LIGHTEST_M_S2 = 1000.0, 10_000.0  # acceleration by the piston's whole force
 WIDE, WIDEST = 0.15, 0.35  # dead zone over the greatest command
 SLOW_RAD_S = 2.0  # bandwidth; disturbances would be left to themselves
+LOOSE, LEAKY = 0.05, 0.05  # hysteresis over the greatest command; opening of a closed valve
 RUBBING = 0.4  # friction over the piston's force
 THIN_M = 1e-4  # a dead length below this is no chamber with a hose
 FAR = 4.0  # times what the controller believes: rather a slip of the pen
@@ -220,6 +222,27 @@ def _far(c: Config) -> Iterator[Doubt]:
         yield Doubt(f"plant.valve.{(flow.given(c.plant.valve) or ['critical_ratio'])[0]}", words, False)
 
 
+def _detail(c: Config, p: PlantParameters) -> Iterator[Doubt]:
+    """Of what the plant has besides the plain model; and of the controller's map."""
+    v, d = c.plant.valve, p.detail
+    if v.hysteresis_v > LOOSE * p.valve.u_max_v:
+        words = f"{v.hysteresis_v:g} V of play in {p.valve.u_max_v:g} V"
+        yield Doubt("plant.valve.hysteresis_v", words, False)
+    leak = max(d.leak_in_v, d.leak_out_v) / p.valve.u_max_v
+    if leak > LEAKY:
+        yield Doubt("plant.valve.leakage", f"a closed valve that is open by {100.0 * leak:.2g} %", False)
+    if d.receiver_pa_kg > 0.0:
+        flow_kg_s = ratings.DENSITY_ANR_KG_M3 * flow.conductance_of(truth_of(c)) * p.gas.supply_pa
+        least_pa = p.gas.supply_pa - MUCH * flow_kg_s / d.regulator_kg_s_pa
+        if least_pa < c.limits.supply_min_pa:
+            words = (
+                f"the supply falls below limits.supply_min_pa where {MUCH:g} of the valve is open for long"
+            )
+            yield Doubt("plant.supply.regulator_l_min_bar", words, False)
+    if c.valve.map and not c.control.compensate_dead_zone:
+        yield Doubt("valve.map", "not inverted without control.compensate_dead_zone", False)
+
+
 def _law(c: Config, p: PlantParameters, bandwidth_rad_s: float) -> Iterator[Doubt]:
     if bandwidth_rad_s < SLOW_RAD_S:
         words = f"{bandwidth_rad_s:.2g} rad/s: the load would take seconds to come back from a push"
@@ -247,6 +270,12 @@ def findings(c: Config, command_lsb_v: float, bandwidth_rad_s: float) -> list[Do
     found += [*_law(c, believed, bandwidth_rad_s), *_motion(c, axis, believed)]
     said = {finding.words for finding in found}
     true, there = truth_of(c), plant_of(c)
-    of_plant = [*_rig(true, there, "plant."), *_chambers(true, "plant."), *_viscous(c, there), *_far(c)]
+    of_plant = [
+        *_rig(true, there, "plant."),
+        *_chambers(true, "plant."),
+        *_viscous(c, there),
+        *_far(c),
+        *_detail(c, there),
+    ]
     found += [finding for finding in of_plant if finding.words not in said]
     return sorted(found, key=lambda finding: not finding.is_error)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json as json_
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -45,17 +45,17 @@ def check(
     if wrong := [_placed(loaded, finding) for finding in found if finding.is_error]:
         raise ConfigError(f"{loaded.path}: {'; '.join(wrong)}")
     doubts = [_placed(loaded, finding) for finding in found] + linear.doubts_of(c)
+    believed, true = _flowing(c), _flowing(conversions.truth_of(c))
     if json:
-        print(
-            json_.dumps(
-                {"schema": 1, "ok": True, "name": c.name, "file": str(loaded.path), "warnings": doubts}
-            )
-        )
+        found_so = {"schema": 1, "ok": True, "name": c.name, "file": str(loaded.path), "warnings": doubts}
+        print(json_.dumps(found_so | {"valve": believed}))
         return 0
     print(f"{loaded.path}: {'fine' if not doubts else f'usable, {len(doubts)} to look at'}")
     stroke, mass = c.cylinder.stroke_m, c.cylinder.moving_mass_kg
     print(f"axis {c.name}: {stroke:g} m stroke, {mass:g} kg, {c.loop.rate_hz:g} Hz")
-    print(f"valve {_flowing(c)}")
+    print(f"valve {_in_words(believed)}")
+    if true != believed:
+        print(f"the plant's: {_in_words(true)}")
     form = "" if entry is not None else f"{c.control.discretisation}, "
     print(f"law {c.control.law}, {form}on {c.bus.channel} with {loaded.dbc.name}")
     if c.control.adaptation.start.log:
@@ -65,14 +65,22 @@ def check(
     return 0
 
 
-def _flowing(c: Config) -> str:
-    """What the valve lets through by its ratings, as the law believes in it."""
+def _flowing(c: Config) -> dict[str, Any]:
+    """What a valve lets through by its rating."""
     g, C = conversions.gas_of(c), flow.conductance_of(c)
-    l_min = ratings.nominal_flow_of(C, g) / flow.L_MIN
-    return (
-        f"{l_min:.4g} l/min ANR at 6 -> 5 bar: C {C / flow.L_S_BAR:.4g} l/(s bar), b {g.critical_ratio:.2g}"
-        f" ({'ISO 6358' if g.exponent else 'orifice'} of {1e6 * flow.area_of(c):.4g} mm²)"
-    )
+    found = {
+        "nominal_flow_l_min": ratings.nominal_flow_of(C, g) / flow.L_MIN,
+        "sonic_conductance_l_s_bar": C / flow.L_S_BAR,
+        "critical_ratio": g.critical_ratio,
+        "orifice_area_m2": flow.area_of(c),
+    }
+    return {"flow": c.valve.flow} | {key: float(f"{value:.5g}") for key, value in found.items()}
+
+
+def _in_words(v: dict[str, Any]) -> str:
+    l_min, C, b = v["nominal_flow_l_min"], v["sonic_conductance_l_s_bar"], v["critical_ratio"]
+    as_orifice = f"as an orifice of {1e6 * v['orifice_area_m2']:.4g} mm² ({v['flow']})"
+    return f"{l_min:.4g} l/min ANR at 6 -> 5 bar, C {C:.4g} l/(s bar), b {b:.2g}, {as_orifice}"
 
 
 def _placed(loaded: Loaded, finding: Doubt) -> str:
