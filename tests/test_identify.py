@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
-import importlib.util
 import json
 import math
 import random
-from collections.abc import Iterator
+import re
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +16,7 @@ from hypothesis import strategies as st
 
 from commands import pneud_here
 from pneud.config.conversions import gas_of, plant_of
+from pneud.config.models import Config
 from pneud.config.sections import ConfigError
 from pneud.loading import load
 from pneud.log.files.naming import new_log
@@ -31,7 +30,7 @@ from pneud.replay.lockstep import Simulation, backend_of
 from pneud.replay.moves import Course, moves_of
 from pneud.rig.dynamics import advance, initial_state
 from pneud.safety.faults import FAULT_NAMES
-from pneud.study.identification import chambers, comparing, explaining, forces, motions, words
+from pneud.study.identification import chambers, comparing, forces, motions, words
 from pneud.study.identification import parameters as key
 from pneud.study.identification.fitting import Fit, Unknown, fit
 from pneud.study.identification.parameters import Estimate
@@ -60,6 +59,7 @@ def guess(**other: float) -> chambers.Guess:
         "exponent": PLANT.polytropic_exponent,
         "seep": 0.0,
         "play_v": 0.0,
+        "exhaust": 1.0,
         "critical": 0.3,
     }
     return chambers.Guess(**{name: np.asarray(x) for name, x in {**true, **other}.items()})
@@ -235,7 +235,7 @@ def test_an_earlier_estimate_comes_back(tmp_path: Path) -> None:
         "",
         "[]",
         '{"schema": 2}',
-        '{"schema": 1, "parameters": {"%s": {"value": "x"}}}' % key.COULOMB,
+        json.dumps({"schema": 1, "parameters": {key.COULOMB: {"value": "x"}}}),
     ):
         path.write_text(text)
         with pytest.raises(ConfigError, match="not what pneud identify"):
@@ -254,3 +254,120 @@ def test_the_encoders_step_is_seen() -> None:
     t = Table(1e-3, 0.0, (Piece(x, x, x, x, x),))
     assert forces.encoder_step_m(t) == pytest.approx(1e-5)
     assert forces.encoder_step_m(Table(1e-3, 0.0, (Piece(x * 0, x, x, x, x),))) == 0.0
+
+
+# the verb
+
+
+def test_logs_that_are_too_short_are_refused_in_a_line() -> None:
+    done = pneud_here("identify", GOLDEN / "composite.mcap")
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert re.fullmatch(r"pneud: composite.mcap: 1.0 s with complete sets .*\n", done.stderr)
+
+
+def test_logs_of_several_rates_are_refused() -> None:
+    done = pneud_here("identify", GOLDEN / "composite.mcap", GOLDEN / "paper-case1.mcap")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "has 100 Hz, composite.mcap 1000 Hz" in done.stderr
+
+
+def test_what_is_no_earlier_estimate_is_refused_before_anything_takes_time(tmp_path: Path) -> None:
+    done = pneud_here("identify", GOLDEN / "composite.mcap", "--against", tmp_path / "none.json")
+    assert done.returncode == 2
+    assert "cannot be read" in done.stderr
+
+
+def test_without_scipy_the_cure_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    done = pneud_here("identify", GOLDEN / "composite.mcap")
+    assert (done.returncode, done.stdout) == (3, "")
+    assert "pip install 'pneud[identify]'" in done.stderr
+
+
+def logged(path: Path, config: str, plant: dict[str, Any], seconds: float, places: str) -> Config:
+    """A run in simulated time, on a rig that differs from its configuration."""
+    loaded = load(config, None, {"plant": plant})
+    course = Course(moves_of(places))
+    run = Simulation(loaded, seconds, 1, backend_of(loaded), operator=course.ask)
+    header = LogHeader(
+        name=loaded.config.name, bus="simulated", rate_hz=loaded.config.loop.rate_hz, detail="compact",
+        config_name=loaded.path.name, config_text=loaded.text, dbc_name=loaded.dbc.name,
+        dbc=loaded.dbc.read_bytes(), fault_names=FAULT_NAMES, realtime_offset_ns=0, extra={},
+    )  # fmt: skip
+    with new_log(path) as descriptor:
+        writer = LogWriter(descriptor, header)
+        for record in run.records():
+            course.see(record)
+            writer.write(record)
+        writer.close()
+    return loaded.config
+
+
+PLACES = "100@500,900@400,300@200,350@30,340@10,345@10,150@500,800@100"
+TRUTH = {
+    "cylinder": {"moving_mass_kg": 19.0, "load_n": 12.0, "dead_length_1_m": 0.02},
+    "valve": {
+        "orifice_area_m2": 2.3e-5, "bandwidth_hz": 80.0,
+        "dead_zone_positive_v": 0.2, "dead_zone_negative_v": 0.05, "centre_v": 0.04,
+    },
+    "friction": {"coulomb_n": 55.0, "static_n": 75.0, "viscous_n_s_m": 80.0},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of a rig of another truth."""
+    path = tmp_path_factory.mktemp("identify") / "run.mcap"
+    logged(path, "virtual.toml", TRUTH, 60.0, PLACES)
+    return path
+
+
+@pytest.fixture(scope="module")
+def found(log: Path) -> dict[str, Any]:
+    """What is found in it."""
+    done = pneud_here("identify", log, "--json")
+    assert done.returncode == 1, done.stderr
+    whole: dict[str, Any] = json.loads(done.stdout)
+    log.with_suffix(".json").write_text(done.stdout)
+    return whole
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "true", "within"),
+    [
+        (key.AREA, 2.3e-5, 0.05 * 2.3e-5), (key.PLUS, 0.24, 0.015), (key.MINUS, 0.01, 0.015),
+        (key.CENTRE, 0.115, 0.015), (key.BANDWIDTH, 80.0, 16.0), (key.DEAD1, 0.02, 0.01),
+        (key.DEAD2, 0.0158, 0.01), (key.MASS, 19.0, 0.95), (key.LOAD, 12.0, 3.0),
+        (key.COULOMB, 55.0, 5.5), (key.STATIC, 75.0, 15.0), (key.VISCOUS, 80.0, 8.0), (key.SEEP, 0.0, 1e-3),
+    ],
+)  # fmt: skip
+def test_a_truth_is_found(found: dict[str, Any], name: str, true: float, within: float) -> None:
+    e = found["parameters"][name]
+    assert e["value"] == pytest.approx(true, abs=within)
+    assert e["low"] <= true <= e["high"]
+
+
+@pytest.mark.slow
+def test_a_model_that_explains_all_says_so(found: dict[str, Any]) -> None:
+    assert found["unexplained"] == []
+    assert found["verdict"] == "differs"
+    off = {name for name, e in found["parameters"].items() if e["verdict"] == "off"}
+    assert {key.PLUS, key.MASS, key.AREA, key.COULOMB} <= off
+    assert (found["schema"], found["faults"]) == (1, [])
+
+
+@pytest.mark.slow
+def test_wear_is_told_beside_an_earlier_estimate(log: Path, found: dict[str, Any], tmp_path: Path) -> None:
+    before = json.loads(json.dumps(found))
+    before["parameters"][key.COULOMB] |= {"value": 30.0, "low": 29.0, "high": 31.0}
+    path = tmp_path / "before.json"
+    path.write_text(json.dumps(before))
+    done = pneud_here("identify", log, "--against", path, "-o", tmp_path / "page.html")
+    assert done.returncode == 1
+    assert "verdict: worn" in done.stdout
+    assert re.search(rf"{key.COULOMB} .*30 worn", done.stdout)
+    page = (tmp_path / "page.html").read_text()
+    assert page.count("<svg") == 2
+    assert "<script" not in page

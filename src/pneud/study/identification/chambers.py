@@ -70,6 +70,7 @@ class Guess(NamedTuple):
     exponent: Floats
     seep: Floats  # of each closed edge, relative to a fully open one
     play_v: Floats  # half of the spool's hysteresis
+    exhaust: Floats  # flow of the edges to the atmosphere, relative to those from the supply
     critical: Floats  # of ISO 6358; not looked at where the flow is an orifice's
 
 
@@ -157,9 +158,7 @@ def simulate(w: Windows, guesses: Guess, rig: Rig, iso: bool) -> Floats:
                     p2 = p2 * ((length - a) / (length - m)) ** column.exponent
                     v1 = scale / (rig.area1_m2 * (m + column.dead1_m))
                     v2 = scale / (rig.area2_m2 * (length - m))
-                    p1, p2 = _flows(
-                        p1, p2, opening, v1, v2, w.supply_pa[:, k], column.seep, share, h, rig.gas
-                    )
+                    p1, p2 = _flows(p1, p2, opening, v1, v2, w.supply_pa[:, k], column, share, h, rig.gas)
                     p1 = p1 * ((m + column.dead1_m) / (b + column.dead1_m)) ** column.exponent
                     p2 = p2 * ((length - m) / (length - b)) ** column.exponent
         if counts:
@@ -198,15 +197,16 @@ def _moves(late: int, span: Floats, column: Guess, rig: Rig) -> tuple[int, Float
 
 
 def _flows(
-    p1: Floats, p2: Floats, opening: Floats, v1: Floats, v2: Floats, supply: Floats, seep: Floats,
+    p1: Floats, p2: Floats, opening: Floats, v1: Floats, v2: Floats, supply: Floats, c: Guess,
     share: Share, h: Floats, g: Gas,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Both pressures after a step at fixed volumes."""
     out = opening > 0.0
-    wide = np.abs(opening)
-    p1 = _exchange(p1, np.where(out, supply, g.atmosphere_pa), v1 * (wide + seep), share, h)
-    p2 = _exchange(p2, np.where(out, g.atmosphere_pa, supply), v2 * (wide + seep), share, h)
-    if np.any(seep > 0.0):  # the edge that is shut
-        p1 = _exchange(p1, np.where(out, g.atmosphere_pa, supply), v1 * seep, share, h)
-        p2 = _exchange(p2, np.where(out, supply, g.atmosphere_pa), v2 * seep, share, h)
+    wide = np.abs(opening) + c.seep
+    one, two = np.where(out, 1.0, c.exhaust), np.where(out, c.exhaust, 1.0)
+    p1 = _exchange(p1, np.where(out, supply, g.atmosphere_pa), v1 * one * wide, share, h)
+    p2 = _exchange(p2, np.where(out, g.atmosphere_pa, supply), v2 * two * wide, share, h)
+    if np.any(c.seep > 0.0):  # the edge that is shut
+        p1 = _exchange(p1, np.where(out, g.atmosphere_pa, supply), v1 * two * c.seep, share, h)
+        p2 = _exchange(p2, np.where(out, supply, g.atmosphere_pa), v2 * one * c.seep, share, h)
     return p1, p2

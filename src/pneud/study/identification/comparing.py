@@ -17,7 +17,7 @@ SCHEMA = 1
 
 # How far a parameter may lie off before anybody need do something: a share of the value, and an amount.
 TOLERANCES: Mapping[str, tuple[float, float]] = {
-    key.AREA: (0.1, 0.0), key.CONDUCTANCE: (0.1, 0.0), key.CRITICAL: (0.0, 0.1),
+    key.AREA: (0.1, 0.0), key.CONDUCTANCE: (0.1, 0.0), key.CRITICAL: (0.0, 0.1), key.EXHAUST: (0.1, 0.0),
     key.PLUS: (0.0, 0.03), key.MINUS: (0.0, 0.03), key.HALF: (0.0, 0.03), key.CENTRE: (0.0, 0.03),
     key.BANDWIDTH: (0.3, 0.0), key.DELAY: (0.0, 500.0), key.SEEP: (0.0, 0.002), key.PLAY: (0.0, 0.03),
     key.DEAD1: (0.2, 0.002), key.DEAD2: (0.2, 0.002), key.EXPONENT: (0.0, 0.1),

@@ -18,9 +18,16 @@ from pneud.study.identification.table import Table
 from pneud.study.identification.windows import chamber_windows
 
 Floats = NDArray[np.float64]
+TRAVEL, TRAVEL_EXPONENT = (
+    2e-3,
+    0.005,
+)  # errors, of the stroke and plain, where half of the stroke has been seen
 FAST = 5.0  # Stribeck speeds from which on friction is Coulomb's and viscous alone
+SLIDES, PRESLIDING = 2.0, 0.2  # Stribeck speeds from which on a load slides; what a tick before that counts
+LEAST_PEAKS, PEAKS, PEAK_LOST = 5, (0.7, 0.9, 1.0), 1.1  # breakaways; quantiles; what smoothing takes of them
+PEAKS_FROM = 0.06  # of Coulomb friction: the model does not explain how a load breaks away
 FORCE_NOISE = 0.02  # of Coulomb friction, at least
-LEAST_WINDOWS = 4
+LEAST_WINDOWS = 5  # with motion, where it is about that
 WIDER, SHIFTS = 1.4, 2.0  # smoothing of the second fit; what it differs by counts so many times
 FEW = 24  # windows, with which the fit begins
 ISO_BETTER = 0.95  # of the orifice's misfit, from which on the flow is said to be that of ISO 6358
@@ -82,6 +89,7 @@ def identify(t: Table, c: Config) -> Identified:
         notes.append("valve and chambers: too few whole windows")
     if moved is not None:
         found |= _load_estimates(moved, c, config)
+        _with_breakaway(found, moved, t, c)
         linked += _named(moved.fit, _SLIDE_KEYS)
     else:
         notes.append("mass, load and friction: no motion away from the ends")
@@ -102,10 +110,10 @@ def of_valve(t: Table, c: Config, noise_pa: float) -> Valved | None:
         return None
     few = chambers.some(w, FEW)
     configured_iso = getattr(c.valve, "flow", "orifice") == "iso6358"
-    plain = _fit_valve(few, t, c, noise_pa, configured_iso, {}, 1)
+    plain = _fit_valve(few, t, c, noise_pa, configured_iso, {}, 2)
     first = plain
     if plain.misfit_pa > EXPLAINED * noise_pa and not configured_iso:
-        iso = _fit_valve(few, t, c, noise_pa, True, _values(plain), 1)
+        iso = _fit_valve(few, t, c, noise_pa, True, _values(plain), 2)
         first = iso if iso.misfit_pa < ISO_BETTER * plain.misfit_pa else plain
     return _fit_valve(w, t, c, noise_pa, first.iso, _values(first), 2)
 
@@ -143,19 +151,43 @@ def of_load(t: Table, c: Config, noise_pa: float) -> Moved | None:
 
 def _fit_load(t: Table, c: Config, noise_pa: float, wider: float) -> Moved | None:
     k, f = c.cylinder, c.control.friction
-    area1, area2 = k.piston_area_1_m2, k.piston_area_2_m2
-    rod_n = c.gas.atmosphere_pa * (area1 - area2)
-    w = forces.windows(t, area1, area2, rod_n, k.stroke_m, wider)
-    first = forces.at_once(w, FAST * f.stribeck_speed_m_s) if len(w.a_m_s2) >= LEAST_WINDOWS else None
-    if first is None:
+    w = forces.windows(t, balance(c), wider)
+    if int((np.abs(w.sliding_m_s) > forces.LEAVES_M_S).any(axis=1).sum()) < LEAST_WINDOWS:
         return None
-    noise_n = max(noise_pa * area1, FORCE_NOISE * abs(first[2]))
+    known = (k.moving_mass_kg, k.resistance_n, f.coulomb_n, f.viscous_n_s_m)
+    first = forces.at_once(w, FAST * f.stribeck_speed_m_s) or known
+    noise_n = max(noise_pa * k.piston_area_1_m2, FORCE_NOISE * abs(first[2]))
+
+    # what a load does before it slides is the hardest to explain, and has to spoil neither mass nor friction
+    slides = np.abs(w.sliding_m_s) > SLIDES * f.stribeck_speed_m_s
+    counts = np.where(slides, 1.0, PRESLIDING) / noise_n
 
     def predict(guesses: Floats) -> Floats:
-        return (forces.predicted(w, forces.Slide(*guesses.T)) - w.force_n) / noise_n
+        return (forces.predicted(w, forces.Slide(*guesses.T)) - w.force_n) * counts
 
     done = fit(predict, key.slide_unknowns(c, first))
-    return Moved(done, w, -noise_n * done.residuals, noise_n * _usual(done.residuals))
+    left_n = -done.residuals / counts
+    return Moved(done, w, left_n, _usual(left_n))
+
+
+def balance(c: Config) -> forces.Balance:
+    """What the configuration says of areas and atmosphere."""
+    k = c.cylinder
+    area1, area2 = k.piston_area_1_m2, k.piston_area_2_m2
+    return forces.Balance(area1, area2, c.gas.atmosphere_pa * (area1 - area2), k.stroke_m)
+
+
+def _with_breakaway(found: dict[str, Estimate], moved: Moved, t: Table, c: Config) -> None:
+    """Put the peaks before motion in place of a static friction that the model does not tell."""
+    e = found[key.STATIC]
+    if e.told and moved.misfit_n < PEAKS_FROM * found[key.COULOMB].value:
+        return
+    rig = balance(c)._replace(mass_kg=float(moved.fit.x[0]), load_n=float(moved.fit.x[1]))
+    peaks = np.concatenate([forces.breakaways(p, rig, t.h) for p in t.pieces])
+    if len(peaks) < LEAST_PEAKS:
+        return
+    low, value, high = np.quantile(peaks, PEAKS).tolist()
+    found[key.STATIC] = Estimate(value, low, max(high, value) * PEAK_LOST, e.configured, True)
 
 
 def _usual(residuals: Floats) -> float:
@@ -166,7 +198,7 @@ def _usual(residuals: Floats) -> float:
 _CHAMBER_KEYS = {
     "flow": key.AREA, "plus": key.PLUS, "minus": key.MINUS, "bandwidth": key.BANDWIDTH, "delay": key.DELAY,
     "dead1": key.DEAD1, "dead2": key.DEAD2, "exponent": key.EXPONENT, "seep": key.SEEP,
-    "play": key.PLAY,     "critical": key.CRITICAL,
+    "play": key.PLAY, "exhaust": key.EXHAUST,     "critical": key.CRITICAL,
 }  # fmt: skip
 _SLIDE_KEYS = {
     "mass": key.MASS, "load": key.LOAD, "coulomb": key.COULOMB, "static": key.STATIC,
@@ -176,7 +208,8 @@ _SLIDE_KEYS = {
 
 
 def _named(f: Fit, names: dict[str, str]) -> list[tuple[str, str, float]]:
-    return [(names[one], names[other], r) for one, other, r in f.linked()]
+    told = {name for name, told in zip(f.keys, f.told, strict=True) if told}
+    return [(names[one], names[other], r) for one, other, r in f.linked() if {one, other} <= told]
 
 
 def _valve_estimates(valved: Valved, c: Config, config: dict[str, float]) -> dict[str, Estimate]:
@@ -198,11 +231,21 @@ def _valve_estimates(valved: Valved, c: Config, config: dict[str, float]) -> dic
         key.DELAY: f.found(delay=1e6),
         key.SEEP: f.found(seep=1.0),
         key.PLAY: f.found(play=2.0),
+        key.EXHAUST: f.found(exhaust=1.0),
         key.DEAD1: f.found(dead1=1.0),
         key.DEAD2: f.found(dead2=1.0),
         key.EXPONENT: f.found(exponent=1.0),
     }
-    return {name: key.estimate(name, one, config) for name, one in found.items()}
+    span = float(np.ptp(valved.windows.x_m)) / c.cylinder.stroke_m
+    return {name: key.estimate(name, one, config, _by_travel(name, span, c)) for name, one in found.items()}
+
+
+def _by_travel(name: str, span: float, c: Config) -> float:
+    """How much less sure a dead length [m], or the exponent, is where not all of the stroke was seen."""
+    unseen = max(0.0, 1.0 / max(span, 1e-3) - 1.0)
+    if name in (key.DEAD1, key.DEAD2):
+        return TRAVEL * c.cylinder.stroke_m * unseen
+    return TRAVEL_EXPONENT * unseen if name == key.EXPONENT else 0.0
 
 
 def _load_estimates(moved: Moved, c: Config, config: dict[str, float]) -> dict[str, Estimate]:

@@ -92,7 +92,7 @@ def _rough(bins: list[Bin], coulomb_n: float) -> list[str]:
 def _by_pressure(moved: Moved, coulomb_n: float) -> list[str]:
     """Whether friction grows with the pressure in the chambers."""
     w = moved.windows
-    v = w.v_m_s[:, w.margin : w.v_m_s.shape[1] - w.margin]
+    v = w.sliding_m_s
     slides = np.abs(v) > SLIDES_M_S
     rows = [i for i in range(len(v)) if slides[i].sum() > LEAST_SLIDING]
     if len(rows) < 2 * FEWEST:
@@ -113,7 +113,7 @@ def _by_pressure(moved: Moved, coulomb_n: float) -> list[str]:
 def friction_map(moved: Moved) -> list[Bin]:
     """Friction over speed, both ways, by what the force has beyond mass and load."""
     w = moved.windows
-    v = w.v_m_s[:, w.margin : w.v_m_s.shape[1] - w.margin]
+    v = w.sliding_m_s
     mass, load = float(moved.fit.x[0]), float(moved.fit.x[1])
     measured = w.force_n - mass * w.a_m_s2 - load
     return _binned(v, measured, measured - moved.left_n, _spans(2e-3, float(np.abs(v).max(initial=0.0)), 8))
@@ -140,7 +140,8 @@ def flow_map(valved: Valved, c: Config) -> list[Bin]:
         )
         other = np.where(sign * y > 0.0, supply, gas.atmosphere_pa)
         high = np.maximum(here, other)
-        most = np.copysign(high * share(np.minimum(here, other) / high)[0] * g.flow, other - here)
+        flow = g.flow * np.where(sign * y > 0.0, 1.0, g.exhaust)
+        most = np.copysign(high * share(np.minimum(here, other) / high)[0] * flow, other - here)
         sums += flows * most  # the opening by least squares over both chambers
         weights += most * most
     good = still & (weights > 0.1 * weights.max(initial=0.0))

@@ -15,11 +15,11 @@ Predict = Callable[[Floats], Floats]
 """Residuals (guess, window, sample) for guesses (guess, parameter), in standard deviations of the noise."""
 
 STEP = 1e-3  # of a difference quotient, in scales
-TOGETHER = 5.0  # residuals are worth one of so many squared against a prior, since they hang together
+TOGETHER = 25.0  # so many residuals are worth one against a prior, since they hang together: at first
 LEVEL = 0.95
 TOLD = 0.5  # a parameter whose deviation is more than this share of the prior's is not told
 LINKED = 0.9  # a correlation worth naming
-MOST_STEPS, ENOUGH = 20, 1e-4  # of a search; it ends where a step gains less
+MOST_STEPS, ENOUGH = 12, 2e-4  # of a search; it ends where a step gains less
 ROUNDS = 2  # of weighing windows by how well they are explained
 
 
@@ -92,12 +92,14 @@ def fit(predict: Predict, unknowns: Sequence[Unknown], rounds: int = ROUNDS) -> 
     low, high = np.array([u.low for u in unknowns]), np.array([u.high for u in unknowns])
     x = np.clip([u.start for u in unknowns], low, high) / scale
     weights: Floats | float = 1.0
+    together = TOGETHER
     for _ in range(rounds):
-        x, residuals, slopes = _solved(predict, x, scale, prior, low, high, weights)
+        x, residuals, slopes = _solved(predict, x, scale, prior, low, high, weights, together)
+        together = _together(weights * residuals)
         by_window = np.sqrt((residuals**2).mean(axis=1))
         usual = max(float(np.median(by_window)), 1e-9)
         weights = (1.0 / np.maximum(by_window, usual))[:, None]
-    return _with_intervals(x, residuals, slopes, weights, unknowns, scale)
+    return _with_intervals(x, residuals, slopes, weights, unknowns, scale, together)
 
 
 def _linear(predict: Predict, x: Floats, scale: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
@@ -108,9 +110,15 @@ def _linear(predict: Predict, x: Floats, scale: Floats, low: Floats, high: Float
     return found[0], (found[1:] - found[0]) / steps[:, None, None]
 
 
+def _together(residuals: Floats) -> float:
+    """How many residuals of a window are worth one, by how far their sum goes beyond that of noise."""
+    sums, squares = residuals.sum(axis=1), (residuals**2).sum()
+    return float(np.clip((sums**2).sum() / max(squares, 1e-12), TOGETHER, residuals.shape[1]))
+
+
 def _solved(
     predict: Predict, x: Floats, scale: Floats, prior: Floats, low: Floats, high: Floats,
-    weights: Floats | float,
+    weights: Floats | float, together: float,
 ) -> tuple[Floats, Floats, Floats]:  # fmt: skip
     """Gauss and Newton's way within the bounds, by halves where a whole step leads up.
 
@@ -119,14 +127,14 @@ def _solved(
     """
 
     def cost(at: Floats, r: Floats) -> float:
-        return float(((weights * r) ** 2).sum() + TOGETHER**2 * ((at - prior / scale) ** 2).sum())
+        return float(((weights * r) ** 2).sum() + together * ((at - prior / scale) ** 2).sum())
 
     here, slopes = _linear(predict, x, scale, low, high)
     now = cost(x, here)
     for _ in range(MOST_STEPS):
         weighted = (weights * slopes).reshape(len(x), -1)
-        square = weighted @ weighted.T + TOGETHER**2 * np.eye(len(x))
-        gradient = weighted @ (weights * here).ravel() + TOGETHER**2 * (x - prior / scale)
+        square = weighted @ weighted.T + together * np.eye(len(x))
+        gradient = weighted @ (weights * here).ravel() + together * (x - prior / scale)
         root = np.linalg.cholesky(square)
         bounds = (low / scale - x - 1e-12, high / scale - x + 1e-12)
         step = lsq_linear(root.T, -np.linalg.solve(root, gradient), bounds, method="bvls").x
@@ -146,14 +154,14 @@ def _solved(
 
 def _with_intervals(
     x: Floats, residuals: Floats, slopes: Floats, weights: Floats | float, unknowns: Sequence[Unknown],
-    scale: Floats,
+    scale: Floats, together: float,
 ) -> Fit:  # fmt: skip
     """Covariance of the parameters from the windows' own gradients, whatever the residuals are like."""
     count, windows = len(x), residuals.shape[0]
     square = np.broadcast_to(weights, residuals.shape) ** 2
     gradients = np.einsum("pwt,wt,wt->wp", slopes, square, residuals)
-    certain = TOGETHER**4 * np.eye(count)  # so that what no window tells is as unsure as it was
-    information = np.einsum("pwt,wt,qwt->pq", slopes, square, slopes) + np.eye(count) * TOGETHER**2
+    certain = together**2 * np.eye(count)  # so that what no window tells is as unsure as it was
+    information = np.einsum("pwt,wt,qwt->pq", slopes, square, slopes) + np.eye(count) * together
     inverse = np.linalg.inv(information)
     left = max(1, windows - count)
     spread = gradients.T @ gradients * (windows / left) + certain

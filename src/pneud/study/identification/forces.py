@@ -21,7 +21,21 @@ WINDOW_S, WARM_S = 1.0, 0.15
 MOST = 80  # windows
 LIGHT_S = 0.002  # standard deviation of the smoothing before friction is computed
 LEAST_S, MOST_S = 0.004, 0.01  # of that of force and acceleration: encoders of large steps need more
+PEAK_S = 0.003  # of that where a peak is looked for
+STANDS_M_S, LEAVES_M_S = 1e-3, 1e-2  # a load stands below, and slides beyond
+BEFORE_S, STOOD_S, LEAVES_S = 0.3, 0.05, 0.03  # it stood for so long, so short before it slid for so long
 ENDS = 0.015  # of the stroke, where cushions may be
+
+
+class Balance(NamedTuple):
+    """What makes forces of pressures, and what else acts on the load."""
+
+    area1_m2: float
+    area2_m2: float
+    rod_n: float  # of the atmosphere on the rod
+    stroke_m: float
+    mass_kg: float = 0.0
+    load_n: float = 0.0
 
 
 class Forces(NamedTuple):
@@ -36,6 +50,11 @@ class Forces(NamedTuple):
     margin: int  # ticks before and behind
     more: float  # smoothing of friction still to come, in ticks
     h: float
+
+    @property
+    def sliding_m_s(self) -> Floats:
+        """Speed in the ticks that count."""
+        return self.v_m_s[:, self.margin : self.v_m_s.shape[1] - self.margin]
 
 
 class Slide(NamedTuple):
@@ -58,17 +77,12 @@ def encoder_step_m(t: Table) -> float:
     return float(np.quantile(steps, 0.02)) if len(steps) else 0.0
 
 
-def windows(
-    t: Table, area1_m2: float, area2_m2: float, rod_n: float, stroke_m: float, wider: float = 1.0
-) -> Forces:
+def windows(t: Table, rig: Balance, wider: float = 1.0) -> Forces:
     """Those away from the ends in which most happens; none where there is nothing but rest.
 
     Args:
         t: the table.
-        area1_m2: of the piston.
-        area2_m2: likewise, on the rod's side.
-        rod_n: force of the atmosphere on the rod.
-        stroke_m: of the cylinder.
+        rig: what is known of the cylinder.
         wider: how much more all is smoothed than need be.
     """
     width = wider * min(MOST_S, LEAST_S + 400.0 * encoder_step_m(t)) / t.h
@@ -78,12 +92,12 @@ def windows(
     rows: list[tuple[Floats, ...]] = []
     told: list[float] = []
     for piece in t.pieces:
-        v, a, force = _quantities(piece, light, width, t.h, area1_m2, area2_m2, rod_n)
+        v, a, force = _quantities(piece, light, width, t.h, rig)
         for begin in range(0, len(v) - length - 2 * margin, length):
             wide = slice(begin, begin + length + 2 * margin)
             count = slice(begin + margin, begin + margin + length)
             x = piece.position_m[wide]
-            if ENDS * stroke_m < x.min() and x.max() < (1.0 - ENDS) * stroke_m:
+            if ENDS * rig.stroke_m < x.min() and x.max() < (1.0 - ENDS) * rig.stroke_m:
                 mean = 0.5 * (piece.p1_pa[count] + piece.p2_pa[count])
                 rows.append((v[wide], a[count], force[count], mean, a[begin], force[begin]))
                 told.append(float(np.ptp(v[count]) + 0.2 * np.mean(np.abs(v[count]))))
@@ -93,14 +107,14 @@ def windows(
 
 
 def _quantities(
-    p: Piece, light: float, width: float, h: float, area1_m2: float, area2_m2: float, rod_n: float
+    p: Piece, light: float, width: float, h: float, rig: Balance
 ) -> tuple[Floats, Floats, Floats]:
     """Speed, acceleration and force in the middle of each tick."""
     v = np.diff(smoothed(p.position_m, light)) / h
     x = smoothed(p.position_m, width)
     a = np.zeros_like(x)
     a[1:-1] = (x[2:] - 2.0 * x[1:-1] + x[:-2]) / (h * h)
-    force = smoothed(p.p1_pa * area1_m2 - p.p2_pa * area2_m2 - rod_n, width)
+    force = smoothed(p.p1_pa * rig.area1_m2 - p.p2_pa * rig.area2_m2 - rig.rod_n, width)
     return v, 0.5 * (a[1:] + a[:-1]), 0.5 * (force[1:] + force[:-1])
 
 
@@ -133,9 +147,26 @@ def predicted(w: Forces, g: Slide) -> Floats:
     return found
 
 
+def breakaways(p: Piece, rig: Balance, h: float) -> Floats:
+    """The greatest friction each time before a load that stood begins to slide [N]; needs no model of it."""
+    light = max(0.5, LIGHT_S / h)
+    v, a, force = _quantities(p, light, max(0.5, PEAK_S / h), h, rig)
+    friction_n = force - rig.mass_kg * a - rig.load_n
+    calm = smoothed(v, max(0.5, PEAK_S / h))
+    still, fast = np.abs(calm) < STANDS_M_S, np.abs(calm) > LEAVES_M_S
+    before, stood, leaves = (max(1, round(s / h)) for s in (BEFORE_S, STOOD_S, LEAVES_S))
+    found = []
+    for begin in (np.flatnonzero(fast[1:] & ~fast[:-1]) + 1).tolist():
+        rest = np.flatnonzero(still[max(0, begin - before) : begin])
+        if len(rest) >= stood and fast[begin : begin + leaves].all():
+            last = max(0, begin - before) + int(rest[-1])
+            found.append(float((friction_n[max(0, last - leaves) : begin + 1] * np.sign(v[begin])).max()))
+    return np.array(found)
+
+
 def at_once(w: Forces, fast_m_s: float) -> tuple[float, float, float, float] | None:
     """Mass, load, Coulomb and viscous friction by least squares where the load slides; None without any."""
-    v = w.v_m_s[:, w.margin : w.v_m_s.shape[1] - w.margin] if w.v_m_s.size else w.v_m_s
+    v = w.sliding_m_s
     slides = np.abs(v) > fast_m_s
     if slides.sum() < 200:
         return None

@@ -14,7 +14,7 @@ from pneud.physics.ratings import DENSITY_ANR_KG_M3, TEMPERATURE_ANR_K, conducta
 from pneud.study.identification.fitting import Found, Unknown
 
 AREA, CONDUCTANCE = "valve.orifice_area_m2", "valve.sonic_conductance_l_s_bar"
-CRITICAL = "valve.critical_ratio"
+CRITICAL, EXHAUST = "valve.critical_ratio", "valve.exhaust_ratio"
 L_S_BAR = 1e-8  # l/(s bar) in m³/(s Pa)
 PLUS, MINUS = "valve.dead_zone_positive_v", "valve.dead_zone_negative_v"
 CENTRE, HALF = "valve.centre_v", "valve.dead_zone_v"
@@ -31,9 +31,9 @@ DAMPING = "control.friction.bristle_damping_n_s_m"
 # What an interval has on either side at least, because steps of the simulation and smoothing count: a share
 # of the value, and an amount.
 FLOORS: Mapping[str, tuple[float, float]] = {
-    AREA: (0.005, 0.0), CONDUCTANCE: (0.005, 0.0), CRITICAL: (0.0, 0.01),
+    AREA: (0.005, 0.0), CONDUCTANCE: (0.005, 0.0), CRITICAL: (0.0, 0.01), EXHAUST: (0.005, 0.0),
     PLUS: (0.005, 0.001), MINUS: (0.005, 0.001), CENTRE: (0.0, 0.001), HALF: (0.005, 0.001),
-    BANDWIDTH: (0.04, 0.0), DELAY: (0.0, 30.0), SEEP: (0.1, 5e-5), PLAY: (0.1, 0.001),
+    BANDWIDTH: (0.04, 0.0), DELAY: (0.0, 60.0), SEEP: (0.1, 5e-5), PLAY: (0.1, 0.001),
     DEAD1: (0.01, 1e-4), DEAD2: (0.01, 1e-4), EXPONENT: (0.0, 0.003),
     MASS: (0.005, 0.0), LOAD: (0.0, 0.1), COULOMB: (0.01, 0.02), STATIC: (0.05, 0.02),
     STRIBECK: (0.1, 0.0), VISCOUS: (0.01, 0.0), STIFFNESS: (0.05, 0.0),
@@ -43,7 +43,7 @@ FLOORS: Mapping[str, tuple[float, float]] = {
 # What a log lacks that does not tell a parameter.
 LACKING: Mapping[str, str] = {
     AREA: "the valve hardly opens", CONDUCTANCE: "the valve hardly opens",
-    CRITICAL: "no flow at several pressure ratios",
+    CRITICAL: "no flow at several pressure ratios", EXHAUST: "the valve hardly opens",
     PLUS: "the command does not pass that edge", MINUS: "the command does not pass that edge",
     CENTRE: "the command does not pass both edges", HALF: "the command does not pass both edges",
     BANDWIDTH: "the command does not change fast", DELAY: "the command does not change fast",
@@ -55,6 +55,9 @@ LACKING: Mapping[str, str] = {
     STRIBECK: "no motion at speeds about it", VISCOUS: "no motion at several speeds",
     STIFFNESS: "no reversals", DAMPING: "no reversals",
 }  # fmt: skip
+
+
+OF_NO_USE = 0.5  # of a value: it is not told where it is less sure than that
 
 
 class Estimate(NamedTuple):
@@ -98,6 +101,7 @@ def chamber_unknowns(c: Config, delay_s: float, first: Mapping[str, float], iso:
     reach = 0.5 * v.u_max_v
     least, most_m = 0.002 * k.stroke_m, 0.3 * k.stroke_m
     exponent = min(g.k, 1.3)
+    exhaust = configured_exhaust(c)
     found = [
         Unknown("flow", flow, flow, flow, 0.02 * flow, 20.0 * flow),
         Unknown("plus", plus, plus, 0.3, -reach, reach),
@@ -111,10 +115,16 @@ def chamber_unknowns(c: Config, delay_s: float, first: Mapping[str, float], iso:
         Unknown("exponent", exponent, exponent, 0.1, 1.0, 1.6),
         Unknown("seep", 0.0, 0.0, 1e-3, 0.0, 0.05),
         Unknown("play", 0.0, 0.0, 0.02, 0.0, 0.5),
+        Unknown("exhaust", exhaust, exhaust, 0.1, 0.2, 5.0),
     ]
     if iso:
         found.append(Unknown("critical", 0.35, 0.35, 0.15, 0.0, 0.6))
     return [u._replace(start=first.get(u.key, u.start)) for u in found]
+
+
+def configured_exhaust(c: Config) -> float:
+    """Flow of the edges to the atmosphere, relative to those from the supply."""
+    return float(getattr(c.valve, "exhaust_ratio", 1.0))
 
 
 def configured_edges_v(c: Config) -> tuple[float, float]:
@@ -158,6 +168,7 @@ def configured(c: Config) -> dict[str, float]:
     return {
         AREA: area_m2, CONDUCTANCE: conductance_of_orifice(area_m2, gas_of(c)) / L_S_BAR,
         PLUS: plus, MINUS: -minus, CENTRE: 0.5 * (plus + minus), HALF: 0.5 * (plus - minus),
+        EXHAUST: configured_exhaust(c),
         BANDWIDTH: v.bandwidth_hz, DELAY: 1e6 * command_delay_s(c.bus), SEEP: 0.0, PLAY: 0.0,
         DEAD1: k.dead_length_1_m, DEAD2: k.dead_length_2_m,
         EXPONENT: c.plant.polytropic_exponent or c.gas.heat_capacity_ratio,
@@ -168,19 +179,19 @@ def configured(c: Config) -> dict[str, float]:
     }  # fmt: skip
 
 
-def estimate(key: str, found: Found, config: Mapping[str, float], trust: float = 1.0) -> Estimate:
+def estimate(key: str, found: Found, config: Mapping[str, float], more: float = 0.0) -> Estimate:
     """A parameter as it is told, no surer than simulation and smoothing allow.
 
     Args:
         key: of the configuration.
         found: from the fit.
         config: what is configured.
-        trust: what the interval is widened by where the model explains less than it should.
+        more: what it is less sure by, for other reasons.
     """
     share, amount = FLOORS[key]
-    least = share * abs(found.value) + amount
-    half = math.hypot(trust * 0.5 * (found.high - found.low), least)
+    half = math.hypot(0.5 * (found.high - found.low), share * abs(found.value) + amount + more)
     low = found.value - half
     if found.value >= 0.0 and key not in (PLUS, MINUS, CENTRE, LOAD):
         low = max(low, 0.0)
-    return Estimate(found.value, low, found.value + half, config.get(key), found.told)
+    told = found.told and more < OF_NO_USE * abs(found.value)
+    return Estimate(found.value, low, found.value + half, config.get(key), told)
