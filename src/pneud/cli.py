@@ -31,7 +31,7 @@ BYTE = 0xDC00  # and more: a byte of a name that is no UTF-8, as Python keeps it
 FOLDER = Path(__file__).parent / "verbs"
 # of help and completion, what one looks for together; a verb that does not stand here comes last
 ORDER = (
-    *("plant", "sim", "reproduce", "replay", "report", "export", "import", "recover", "learnt"),
+    *("plant", "sim", "reproduce", "replay", "report", "export", "import", "recover", "learnt", "identify"),
     *("new", "check", "design", "doctor", "install-service", "bench"),
     *("status", "arm", "disarm", "stop", "clear", "home", "hold"),
     *("goto", "jog", "mark", "track", "top", "tune"),

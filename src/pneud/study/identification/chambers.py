@@ -1,0 +1,212 @@
+"""Both chambers under the measured motion and command: simulated over many windows and guesses at once.
+
+The equations are those of `pneud.rig.dynamics`, for arrays: half a step of drift with polytropic compression,
+the flow at fixed volume, the other half. The flow is the paper's orifice, or that of ISO 6358.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneud.physics.gas import LINEAR_FROM, Gas, flow_factor
+from pneud.physics.valve import Valve, spool_transition
+
+Floats = NDArray[np.float64]
+Share = Callable[[Floats], tuple[Floats, Floats]]
+"""Share of the choked flow at a pressure ratio, and its slope."""
+
+SUBSTEP_S = 5e-4  # longest step
+WARM_S = 0.03  # before a window, in which only the spool moves
+_GRID = 4096
+
+
+class Windows(NamedTuple):
+    """Equally long pieces of a log as (window, tick); one sample more than ticks that count."""
+
+    x_m: Floats  # measured position, smoothed
+    p1_pa: Floats
+    p2_pa: Floats
+    p1_start_pa: Floats  # smoothed, where the window begins
+    p2_start_pa: Floats
+    supply_pa: Floats  # smoothed
+    applied_v: Floats
+    warm: int  # ticks before the start
+
+
+def some(w: Windows, most: int) -> Windows:
+    """Some of the windows, evenly from all."""
+    count = len(w.x_m)
+    rows = np.unique(np.linspace(0, count - 1, min(most, count)).astype(int))
+    return Windows._make([*(part[rows] for part in w[:-1]), w.warm])
+
+
+class Rig(NamedTuple):
+    """What is taken for granted."""
+
+    area1_m2: float
+    area2_m2: float
+    stroke_m: float
+    u_max_v: float
+    damping: float  # of the spool
+    gas: Gas
+    h: float  # sample time [s]
+
+
+class Guess(NamedTuple):
+    """One guess each; numbers, or columns of them for many guesses."""
+
+    flow: Floats  # of a fully open edge: R T C ρ [m³/s]
+    plus_v: Floats  # edges, as commands
+    minus_v: Floats
+    bandwidth_hz: Floats
+    delay_s: Floats  # from the sampling instant until the command of that tick acts, below a sample
+    dead1_m: Floats
+    dead2_m: Floats
+    exponent: Floats
+    seep: Floats  # of each closed edge, relative to a fully open one
+    play_v: Floats  # half of the spool's hysteresis
+    exhaust: Floats  # flow of the edges to the atmosphere, relative to those from the supply
+    critical: Floats  # of ISO 6358; not looked at where the flow is an orifice's
+
+
+def orifice(g: Gas) -> Share:
+    """Of the paper's orifice, from a table."""
+    ratios = np.linspace(0.0, 1.0, _GRID)
+    shares = np.array([flow_factor(float(r), g) for r in ratios]) / g.gamma_choked
+    last = g.gamma_linear / g.gamma_choked / (1.0 - LINEAR_FROM)
+    slopes = np.gradient(shares, ratios)
+    slopes[ratios <= g.critical_ratio] = 0.0
+
+    def share(r: Floats) -> tuple[Floats, Floats]:
+        near = r > LINEAR_FROM
+        value = np.where(near, last * (1.0 - r), np.interp(r, ratios, shares))
+        return value, np.where(near, -last, np.interp(r, ratios, slopes))
+
+    return share
+
+
+def iso6358(b: Floats) -> Share:
+    """Of ISO 6358 with a critical ratio, one for each guess."""
+    width = 1.0 - b
+    top = (LINEAR_FROM - b) / width
+    last = np.sqrt(1.0 - top * top) / (1.0 - LINEAR_FROM)
+
+    def share(r: Floats) -> tuple[Floats, Floats]:
+        x = np.clip((r - b) / width, 0.0, top)
+        value = np.sqrt(1.0 - x * x)
+        near = r > LINEAR_FROM
+        return np.where(near, last * (1.0 - r), value), np.where(near, -last, -x / (width * value))
+
+    return share
+
+
+def _exchange(p: Floats, other: Floats, rate: Floats, share: Share, h: Floats) -> Floats:
+    """Pressure after a step at fixed volume; `pneud.rig.chamber.exchange` for arrays."""
+    filling = p < other
+    high = np.where(filling, other, p)
+    r = np.where(filling, p, other) / high
+    value, slope = share(r)
+    flow = np.where(filling, other * value, -p * value)
+    z = np.minimum(rate * h * np.where(filling, slope, r * slope - value), -1e-9)
+    after = p + h * rate * flow * np.expm1(z) / z
+    return np.where(filling, np.minimum(after, other), np.maximum(after, other))
+
+
+def openings(y: Floats, g: Guess, u_max_v: float) -> Floats:
+    """Relative opening, signed, of a spool at `y` [V]."""
+    centre, half = 0.5 * (g.plus_v + g.minus_v), 0.5 * (g.plus_v - g.minus_v)
+    deviation = y - centre
+    excess = np.maximum(np.abs(deviation) - half, 0.0)
+    return np.copysign(np.minimum(excess / (u_max_v - half), 1.0), deviation)
+
+
+def simulate(w: Windows, guesses: Guess, rig: Rig, iso: bool) -> Floats:
+    """Pressures at each tick that counts: (guess, chamber, window, tick) [Pa]."""
+    column = Guess._make(np.atleast_1d(np.asarray(value, dtype=float))[:, None] for value in guesses)
+    count, (windows, samples) = len(column.flow), w.x_m.shape
+    share = iso6358(column.critical) if iso else orifice(rig.gas)
+    moves = [_moves(0, column.delay_s, column, rig), _moves(1, rig.h - column.delay_s, column, rig)]
+    y = np.broadcast_to(w.applied_v[:, 0], (count, windows)).copy()
+    rate, felt = np.zeros_like(y), y  # felt: by the edges, behind the play
+    p1 = np.broadcast_to(w.p1_start_pa, (count, windows)).copy()
+    p2 = np.broadcast_to(w.p2_start_pa, (count, windows)).copy()
+    out = np.empty((count, 2, windows, samples - w.warm - 1))
+    length = rig.stroke_m + column.dead2_m
+    scale = column.exponent * column.flow
+    for k in range(samples - 1):
+        x, step = w.x_m[:, k], w.x_m[:, k + 1] - w.x_m[:, k]
+        at, counts = np.zeros_like(column.delay_s), k >= w.warm
+        for late, h, n, (ee, er, re, rr) in moves:
+            u = w.applied_v[:, k + late]
+            for _ in range(n):
+                e = y - u
+                middle, quick = ee * e + er * rate, re * e + rr * rate
+                felt = np.minimum(np.maximum(felt, u + middle - column.play_v), u + middle + column.play_v)
+                y, rate = u + ee * middle + er * quick, re * middle + rr * quick
+                if counts:
+                    a = x + step * (at / rig.h)
+                    b = x + step * ((at + h) / rig.h)
+                    at = at + h
+                    m = 0.5 * (a + b)
+                    opening = openings(felt, column, rig.u_max_v)
+                    p1 = p1 * ((a + column.dead1_m) / (m + column.dead1_m)) ** column.exponent
+                    p2 = p2 * ((length - a) / (length - m)) ** column.exponent
+                    v1 = scale / (rig.area1_m2 * (m + column.dead1_m))
+                    v2 = scale / (rig.area2_m2 * (length - m))
+                    p1, p2 = _flows(p1, p2, opening, v1, v2, w.supply_pa[:, k], column, share, h, rig.gas)
+                    p1 = p1 * ((m + column.dead1_m) / (b + column.dead1_m)) ** column.exponent
+                    p2 = p2 * ((length - m) / (length - b)) ** column.exponent
+        if counts:
+            out[:, 0, :, k - w.warm], out[:, 1, :, k - w.warm] = p1, p2
+    return out
+
+
+def spool(w: Windows, guess: Guess, rig: Rig) -> Floats:
+    """Where the edges are at the end of each tick that counts, for one guess: (window, tick) [V]."""
+    column = Guess._make(np.atleast_1d(np.asarray(value, dtype=float))[:, None] for value in guess)
+    moves = [_moves(0, column.delay_s, column, rig), _moves(1, rig.h - column.delay_s, column, rig)]
+    y = w.applied_v[None, :, 0]
+    rate, felt = np.zeros_like(y), y
+    out = np.empty((w.x_m.shape[0], w.x_m.shape[1] - 1))
+    for k in range(out.shape[1]):
+        for late, _, n, (ee, er, re, rr) in moves:
+            u = w.applied_v[:, k + late]
+            for _ in range(2 * n):
+                y, rate = u + ee * (y - u) + er * rate, re * (y - u) + rr * rate
+                felt = np.minimum(np.maximum(felt, y - column.play_v), y + column.play_v)
+        out[:, k] = felt[0]
+    return out[:, w.warm :]
+
+
+def _moves(late: int, span: Floats, column: Guess, rig: Rig) -> tuple[int, Floats, int, tuple[Floats, ...]]:
+    """Part of a tick with one command: its steps, and what the spool does in half of one."""
+    n = max(1, math.ceil(float(np.max(span)) / SUBSTEP_S - 1e-6))
+    h = span / n
+    found = [
+        spool_transition(
+            0.5 * float(t), Valve(rig.u_max_v, 2.0 * math.pi * max(0.0, float(f)), rig.damping, 0.0)
+        )
+        for t, f in zip(h[:, 0], column.bandwidth_hz[:, 0], strict=True)
+    ]
+    return late, h, n, tuple(np.array(values)[:, None] for values in zip(*found, strict=True))
+
+
+def _flows(
+    p1: Floats, p2: Floats, opening: Floats, v1: Floats, v2: Floats, supply: Floats, c: Guess,
+    share: Share, h: Floats, g: Gas,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """Both pressures after a step at fixed volumes."""
+    out = opening > 0.0
+    wide = np.abs(opening) + c.seep
+    one, two = np.where(out, 1.0, c.exhaust), np.where(out, c.exhaust, 1.0)
+    p1 = _exchange(p1, np.where(out, supply, g.atmosphere_pa), v1 * one * wide, share, h)
+    p2 = _exchange(p2, np.where(out, g.atmosphere_pa, supply), v2 * two * wide, share, h)
+    if np.any(c.seep > 0.0):  # the edge that is shut
+        p1 = _exchange(p1, np.where(out, g.atmosphere_pa, supply), v1 * two * c.seep, share, h)
+        p2 = _exchange(p2, np.where(out, supply, g.atmosphere_pa), v2 * one * c.seep, share, h)
+    return p1, p2

@@ -1,0 +1,265 @@
+"""Parameters of a rig from a table of what was measured: the two fits, and what they say together."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneud.config.conversions import gas_of
+from pneud.config.models import Config
+from pneud.study.identification import chambers, forces
+from pneud.study.identification import parameters as key
+from pneud.study.identification.fitting import Fit, fit
+from pneud.study.identification.parameters import Estimate
+from pneud.study.identification.table import Table
+from pneud.study.identification.windows import chamber_windows
+
+Floats = NDArray[np.float64]
+TRAVEL, TRAVEL_EXPONENT = (
+    2e-3,
+    0.005,
+)  # errors, of the stroke and plain, where half of the stroke has been seen
+FAST = 5.0  # Stribeck speeds from which on friction is Coulomb's and viscous alone
+SLIDES, PRESLIDING = 2.0, 0.2  # Stribeck speeds from which on a load slides; what a tick before that counts
+LEAST_PEAKS, PEAKS, PEAK_LOST = 5, (0.7, 0.9, 1.0), 1.1  # breakaways; quantiles; what smoothing takes of them
+PEAKS_FROM = 0.06  # of Coulomb friction: the model does not explain how a load breaks away
+FORCE_NOISE = 0.02  # of Coulomb friction, at least
+LEAST_WINDOWS = 5  # with motion, where it is about that
+WIDER, SHIFTS = 1.4, 2.0  # smoothing of the second fit; what it differs by counts so many times
+FEW = 24  # windows, with which the fit begins
+ISO_BETTER = 0.95  # of the orifice's misfit, from which on the flow is said to be that of ISO 6358
+EXPLAINED = 1.5  # times the noise is what a model that explains all leaves
+
+
+class Valved(NamedTuple):
+    """The fit of valve and chambers."""
+
+    fit: Fit
+    windows: chambers.Windows
+    rig: chambers.Rig
+    iso: bool
+    misfit_pa: float
+
+    @property
+    def guess(self) -> chambers.Guess:
+        """The parameters found."""
+        values = [*self.fit.x] if self.iso else [*self.fit.x, 0.0]
+        return chambers.Guess(*(np.asarray(value) for value in values))
+
+    @property
+    def seconds(self) -> float:
+        """Length of a window."""
+        return self.rig.h * int(self.windows.p1_pa.shape[1])
+
+
+class Moved(NamedTuple):
+    """The fit of the moving load."""
+
+    fit: Fit
+    windows: forces.Forces
+    left_n: Floats  # of the force: (window, tick)
+    misfit_n: float
+
+
+class Identified(NamedTuple):
+    """What the logs tell."""
+
+    parameters: dict[str, Estimate]
+    linked: list[tuple[str, str, float]]  # hardly told apart, by key, with their correlation
+    notes: list[str]  # what cannot be told, and why
+    noise_pa: float  # of the pressure sensors, as the readings show it
+    valved: Valved | None
+    moved: Moved | None
+
+
+def identify(t: Table, c: Config) -> Identified:
+    """All parameters that the table tells, with what it cannot tell."""
+    config, notes = key.configured(c), list[str]()
+    found: dict[str, Estimate] = {}
+    linked: list[tuple[str, str, float]] = []
+    noise_pa = pressure_noise_pa(t)
+    valved, moved = of_valve(t, c, noise_pa), of_load(t, c, noise_pa)
+    if valved is not None:
+        found |= _valve_estimates(valved, c, config)
+        linked += _named(valved.fit, _CHAMBER_KEYS)
+    else:
+        notes.append("valve and chambers: too few whole windows")
+    if moved is not None:
+        found |= _load_estimates(moved, c, config)
+        _with_breakaway(found, moved, t, c)
+        linked += _named(moved.fit, _SLIDE_KEYS)
+    else:
+        notes.append("mass, load and friction: no motion away from the ends")
+    notes += [f"{name}: {key.LACKING[name]}" for name, e in found.items() if not e.told]
+    return Identified(found, linked, notes, noise_pa, valved, moved)
+
+
+def pressure_noise_pa(t: Table) -> float:
+    """Standard deviation of the sensors' noise, from what no smooth signal has."""
+    third = np.concatenate([np.diff(p, 3) for piece in t.pieces for p in (piece.p1_pa, piece.p2_pa)])
+    return max(1.0, math.sqrt(0.5 * math.pi / 20.0) * float(np.mean(np.abs(third))))
+
+
+def of_valve(t: Table, c: Config, noise_pa: float) -> Valved | None:
+    """The fit of valve and chambers, with the flow that explains more."""
+    w = chamber_windows(t)
+    if len(w.x_m) < LEAST_WINDOWS:
+        return None
+    few = chambers.some(w, FEW)
+    configured_iso = getattr(c.valve, "flow", "orifice") == "iso6358"
+    plain = _fit_valve(few, t, c, noise_pa, configured_iso, {}, 2)
+    first = plain
+    if plain.misfit_pa > EXPLAINED * noise_pa and not configured_iso:
+        iso = _fit_valve(few, t, c, noise_pa, True, _values(plain), 2)
+        first = iso if iso.misfit_pa < ISO_BETTER * plain.misfit_pa else plain
+    return _fit_valve(w, t, c, noise_pa, first.iso, _values(first), 2)
+
+
+def _values(valved: Valved) -> dict[str, float]:
+    return dict(zip(valved.fit.keys, valved.fit.x.tolist(), strict=True))
+
+
+def _fit_valve(
+    w: chambers.Windows, t: Table, c: Config, noise_pa: float, iso: bool, first: dict[str, float], rounds: int
+) -> Valved:
+    k, v = c.cylinder, c.valve
+    rig = chambers.Rig(
+        k.piston_area_1_m2, k.piston_area_2_m2, k.stroke_m, v.u_max_v, v.damping, gas_of(c), t.h
+    )
+    measured = np.array([w.p1_pa, w.p2_pa])
+
+    def predict(guesses: Floats) -> Floats:
+        columns = list(guesses.T) if iso else [*guesses.T, np.zeros(len(guesses))]
+        off = (chambers.simulate(w, chambers.Guess(*columns), rig, iso) - measured) / noise_pa
+        return np.concatenate([off[:, 0], off[:, 1]], axis=2)
+
+    done = fit(predict, key.chamber_unknowns(c, t.delay_s, first, iso), rounds)
+    return Valved(done, w, rig, iso, noise_pa * _usual(done.residuals))
+
+
+def of_load(t: Table, c: Config, noise_pa: float) -> Moved | None:
+    """The fit of the moving load; what depends on how much is smoothed is less sure."""
+    moved = _fit_load(t, c, noise_pa, 1.0)
+    other = _fit_load(t, c, noise_pa, WIDER) if moved is not None else None
+    if moved is None or other is None:
+        return None
+    return moved._replace(fit=moved.fit._replace(shift=SHIFTS * (other.fit.x - moved.fit.x)))
+
+
+def _fit_load(t: Table, c: Config, noise_pa: float, wider: float) -> Moved | None:
+    k, f = c.cylinder, c.control.friction
+    w = forces.windows(t, balance(c), wider)
+    if int((np.abs(w.sliding_m_s) > forces.LEAVES_M_S).any(axis=1).sum()) < LEAST_WINDOWS:
+        return None
+    known = (k.moving_mass_kg, k.resistance_n, f.coulomb_n, f.viscous_n_s_m)
+    first = forces.at_once(w, FAST * f.stribeck_speed_m_s) or known
+    noise_n = max(noise_pa * k.piston_area_1_m2, FORCE_NOISE * abs(first[2]))
+
+    # what a load does before it slides is the hardest to explain, and has to spoil neither mass nor friction
+    slides = np.abs(w.sliding_m_s) > SLIDES * f.stribeck_speed_m_s
+    counts = np.where(slides, 1.0, PRESLIDING) / noise_n
+
+    def predict(guesses: Floats) -> Floats:
+        return (forces.predicted(w, forces.Slide(*guesses.T)) - w.force_n) * counts
+
+    done = fit(predict, key.slide_unknowns(c, first))
+    left_n = -done.residuals / counts
+    return Moved(done, w, left_n, _usual(left_n))
+
+
+def balance(c: Config) -> forces.Balance:
+    """What the configuration says of areas and atmosphere."""
+    k = c.cylinder
+    area1, area2 = k.piston_area_1_m2, k.piston_area_2_m2
+    return forces.Balance(area1, area2, c.gas.atmosphere_pa * (area1 - area2), k.stroke_m)
+
+
+def _with_breakaway(found: dict[str, Estimate], moved: Moved, t: Table, c: Config) -> None:
+    """Put the peaks before motion in place of a static friction that the model does not tell."""
+    e = found[key.STATIC]
+    if e.told and moved.misfit_n < PEAKS_FROM * found[key.COULOMB].value:
+        return
+    rig = balance(c)._replace(mass_kg=float(moved.fit.x[0]), load_n=float(moved.fit.x[1]))
+    peaks = np.concatenate([forces.breakaways(p, rig, t.h) for p in t.pieces])
+    if len(peaks) < LEAST_PEAKS:
+        return
+    low, value, high = np.quantile(peaks, PEAKS).tolist()
+    found[key.STATIC] = Estimate(value, low, max(high, value) * PEAK_LOST, e.configured, True)
+
+
+def _usual(residuals: Floats) -> float:
+    """RMS of what is left, in the usual window."""
+    return float(np.median(np.sqrt((residuals**2).mean(axis=1))))
+
+
+_CHAMBER_KEYS = {
+    "flow": key.AREA, "plus": key.PLUS, "minus": key.MINUS, "bandwidth": key.BANDWIDTH, "delay": key.DELAY,
+    "dead1": key.DEAD1, "dead2": key.DEAD2, "exponent": key.EXPONENT, "seep": key.SEEP,
+    "play": key.PLAY, "exhaust": key.EXHAUST,     "critical": key.CRITICAL,
+}  # fmt: skip
+_SLIDE_KEYS = {
+    "mass": key.MASS, "load": key.LOAD, "coulomb": key.COULOMB, "static": key.STATIC,
+    "stribeck": key.STRIBECK, "viscous": key.VISCOUS, "stiffness": key.STIFFNESS,
+    "damping": key.DAMPING,
+}  # fmt: skip
+
+
+def _named(f: Fit, names: dict[str, str]) -> list[tuple[str, str, float]]:
+    told = {name for name, told in zip(f.keys, f.told, strict=True) if told}
+    return [(names[one], names[other], r) for one, other, r in f.linked() if {one, other} <= told]
+
+
+def _valve_estimates(valved: Valved, c: Config, config: dict[str, float]) -> dict[str, Estimate]:
+    f, g = valved.fit, gas_of(c)
+    if valved.iso:
+        flows = {
+            key.CONDUCTANCE: f.found(flow=1.0 / key.flow_of_conductance(1.0, g)),
+            key.CRITICAL: f.found(critical=1.0),
+        }
+    else:
+        flows = {key.AREA: f.found(flow=1.0 / key.flow_of_area(1.0, g))}
+    found = {
+        **flows,
+        key.PLUS: f.found(plus=1.0),
+        key.MINUS: f.found(minus=-1.0),
+        key.HALF: f.found(plus=0.5, minus=-0.5),
+        key.CENTRE: f.found(plus=0.5, minus=0.5),
+        key.BANDWIDTH: f.found(bandwidth=1.0),
+        key.DELAY: f.found(delay=1e6),
+        key.SEEP: f.found(seep=1.0),
+        key.PLAY: f.found(play=2.0),
+        key.EXHAUST: f.found(exhaust=1.0),
+        key.DEAD1: f.found(dead1=1.0),
+        key.DEAD2: f.found(dead2=1.0),
+        key.EXPONENT: f.found(exponent=1.0),
+    }
+    span = float(np.ptp(valved.windows.x_m)) / c.cylinder.stroke_m
+    return {name: key.estimate(name, one, config, _by_travel(name, span, c)) for name, one in found.items()}
+
+
+def _by_travel(name: str, span: float, c: Config) -> float:
+    """How much less sure a dead length [m], or the exponent, is where not all of the stroke was seen."""
+    unseen = max(0.0, 1.0 / max(span, 1e-3) - 1.0)
+    if name in (key.DEAD1, key.DEAD2):
+        return TRAVEL * c.cylinder.stroke_m * unseen
+    return TRAVEL_EXPONENT * unseen if name == key.EXPONENT else 0.0
+
+
+def _load_estimates(moved: Moved, c: Config, config: dict[str, float]) -> dict[str, Estimate]:
+    f = moved.fit
+    coulomb, static = (float(f.x[f.keys.index(name)]) for name in ("coulomb", "static"))
+    found = {
+        key.MASS: f.found(mass=1.0),
+        key.LOAD: f.found(load=1.0, mass=-key.weight_share(c)),
+        key.COULOMB: f.found(coulomb=1.0),
+        # a product, by its differential
+        key.STATIC: f.found(coulomb=1.0 + static, static=coulomb).moved(-coulomb * static),
+        key.STRIBECK: f.found(stribeck=1.0),
+        key.VISCOUS: f.found(viscous=1.0),
+        key.STIFFNESS: f.found(stiffness=1.0),
+        key.DAMPING: f.found(damping=1.0),
+    }
+    return {name: key.estimate(name, one, config) for name, one in found.items()}

@@ -1,0 +1,88 @@
+"""An identification as one page of HTML that needs nothing else: parameters, friction map, flow map."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+from pneud.study.identification.comparing import OFF, Row
+from pneud.study.identification.explaining import Bin
+from pneud.study.identification.words import HEAD, cells
+
+WIDTH, HEIGHT, LEFT, BOTTOM, TOP, RIGHT = 640, 320, 70, 45, 15, 15
+TICKS = 4  # of a scale, about
+STYLE = (
+    "body{font:15px/1.5 sans-serif;max-width:1000px;margin:2em auto;padding:0 1em}text{font:12px sans-serif}"
+    "table{border-collapse:collapse;font-size:13px}td,th{padding:2px 12px 2px 0;text-align:right;"
+    "border-bottom:1px solid #ddd}td:first-child,th:first-child{text-align:left}.off td{background:#fbe6da}"
+    "svg{max-width:100%}figcaption{font-size:13px;color:#555}"
+)
+
+
+class Picture(NamedTuple):
+    """A map with what is across and what is up."""
+
+    title: str
+    across: str
+    up: str
+    bins: Sequence[Bin]
+
+
+def page(title: str, lines: Iterable[str], rows: Sequence[Row], pictures: Iterable[Picture]) -> str:
+    """The page.
+
+    Args:
+        title: what was identified.
+        lines: verdict and notes.
+        rows: the parameters.
+        pictures: maps.
+    """
+    said = "".join(f"<p>{html.escape(line)}</p>" for line in lines)
+    return (
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
+        f"<style>{STYLE}</style></head><body>\n<h1>{html.escape(title)}</h1>{said}\n{_table(rows)}\n"
+        + "\n".join(_figure(*picture) for picture in pictures)
+        + "\n</body></html>\n"
+    )
+
+
+def _table(rows: Sequence[Row]) -> str:
+    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in (*HEAD, "before"))
+    body = "".join(
+        f"<tr{' class=off' if row.verdict == OFF or row.worn else ''}>"
+        + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells(row))
+        + "</tr>"
+        for row in rows
+    )
+    return f"<table><tr>{head}</tr>{body}</table>"
+
+
+def _figure(title: str, across: str, up: str, bins: Sequence[Bin]) -> str:
+    if len(bins) < 2:
+        return f"<h2>{html.escape(title)}</h2><p>The logs have too little for this picture.</p>"
+    xs = [b.at for b in bins]
+    ys = [y for b in bins for y in (b.measured, b.model)]
+    x0, x1, y0, y1 = min(xs), max(xs), min(*ys, 0.0), max(*ys, 0.0)
+
+    def x(value: float) -> float:
+        return LEFT + (value - x0) / (x1 - x0 or 1.0) * (WIDTH - LEFT - RIGHT)
+
+    def y(value: float) -> float:
+        return HEIGHT - BOTTOM - (value - y0) / (y1 - y0 or 1.0) * (HEIGHT - TOP - BOTTOM)
+
+    parts = [f'<path d="M{LEFT} {y(0.0):.1f}H{WIDTH - RIGHT}" stroke="#999"/>']
+    for i in range(TICKS + 1):
+        at, level = x0 + (x1 - x0) * i / TICKS, y0 + (y1 - y0) * i / TICKS
+        parts.append(f'<text x="{x(at):.1f}" y="{HEIGHT - 22}" text-anchor="middle">{at:.3g}</text>')
+        parts.append(f'<text x="{LEFT - 6}" y="{y(level) + 4:.1f}" text-anchor="end">{level:.3g}</text>')
+    line = " ".join(f"{x(b.at):.1f},{y(b.model):.1f}" for b in bins)
+    parts.append(f'<polyline points="{line}" fill="none" stroke="#0072b2" stroke-width="1.6"/>')
+    parts += [f'<circle cx="{x(b.at):.1f}" cy="{y(b.measured):.1f}" r="3.5" fill="#d55e00"/>' for b in bins]
+    name = html.escape(title)
+    return (
+        f'<figure><h2>{name}</h2><svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{name}">'
+        + "".join(parts)
+        + f"</svg><figcaption>{html.escape(up)} over {html.escape(across)}: points as measured, the line as"
+        " the model has it</figcaption></figure>"
+    )

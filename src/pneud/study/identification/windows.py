@@ -1,0 +1,81 @@
+"""Pieces of a log of equal length, those that tell most, smoothed where they are an input."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from pneud.study.identification.chambers import WARM_S, Windows
+from pneud.study.identification.table import Piece, Table
+
+Floats = NDArray[np.float64]
+WINDOW_S = 0.4
+MOST = 80  # windows
+POSITION_S, START_S, SUPPLY_S = 0.002, 0.0015, 0.02  # widths of smoothing (standard deviations)
+
+
+class Smooth(NamedTuple):
+    """A piece with its inputs smoothed."""
+
+    piece: Piece
+    x_m: Floats
+    p1_pa: Floats
+    p2_pa: Floats
+    supply_pa: Floats
+
+
+def smoothed(values: Floats, width: float) -> Floats:
+    """Without delay, by a bell of `width` samples."""
+    found: Floats = gaussian_filter1d(values, width, mode="nearest", truncate=4.0, axis=-1)
+    return found
+
+
+def chamber_windows(t: Table, position_s: float = POSITION_S, most: int = MOST) -> Windows:
+    """Windows for the chambers; each begins with some ticks in which the spool finds its place."""
+    warm, ticks = max(2, round(WARM_S / t.h)), max(20, round(WINDOW_S / t.h))
+    found = []
+    for piece in t.pieces:
+        s = Smooth(
+            piece,
+            smoothed(piece.position_m, position_s / t.h),
+            smoothed(piece.p1_pa, START_S / t.h),
+            smoothed(piece.p2_pa, START_S / t.h),
+            smoothed(piece.supply_pa, SUPPLY_S / t.h),
+        )
+        found += [(s, begin) for begin in range(0, len(s.x_m) - warm - ticks - 1, ticks)]
+    kept = chosen([_told(s, begin + warm, ticks) for s, begin in found], most)
+
+    def cut(name: str, smooth: bool) -> Floats:
+        each = ((s if smooth else s.piece, begin) for s, begin in (found[i] for i in kept))
+        return np.array([getattr(of, name)[begin : begin + warm + ticks + 1] for of, begin in each])
+
+    starts = [(s, begin + warm) for s, begin in (found[i] for i in kept)]
+    return Windows(
+        x_m=cut("x_m", True),
+        p1_pa=cut("p1_pa", False)[:, warm + 1 :],
+        p2_pa=cut("p2_pa", False)[:, warm + 1 :],
+        p1_start_pa=np.array([s.p1_pa[at] for s, at in starts]),
+        p2_start_pa=np.array([s.p2_pa[at] for s, at in starts]),
+        supply_pa=cut("supply_pa", True),
+        applied_v=cut("applied_v", False),
+        warm=warm,
+    )
+
+
+def _told(s: Smooth, at: int, ticks: int) -> float:
+    """How much happens in a window: span of the pressures and, as one compresses them, of the position."""
+    span = slice(at, at + ticks, 8)
+    return float(np.ptp(s.p1_pa[span]) + np.ptp(s.p2_pa[span]) + 1e6 * np.ptp(s.x_m[span]))
+
+
+def chosen(told: list[float], most: int) -> list[int]:
+    """Which windows: all; or half of them those that tell most, the others evenly from the rest."""
+    if len(told) <= most:
+        return list(range(len(told)))
+    order = np.argsort(told)[::-1]
+    best, rest = order[: most // 2], np.sort(order[most // 2 :])
+    others = rest[np.linspace(0, len(rest) - 1, most - most // 2).astype(int)]
+    return sorted({*best.tolist(), *others.tolist()})

@@ -1,0 +1,118 @@
+"""Parameters of a rig with their intervals from logs of any run, and what has changed."""
+
+from __future__ import annotations
+
+import importlib.util
+import json as json_
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pneud.config.models import Config
+from pneud.config.reading import load_config
+from pneud.log.files.reader import read_log
+from pneud.rt.outputs import require_folder, write_whole
+from pneud.verbs import JsonOption, VerbError, whole
+
+if TYPE_CHECKING:
+    from pneud.study.identification.comparing import Row
+    from pneud.study.identification.estimating import Identified
+
+
+def identify(
+    logs: Annotated[list[str], typer.Argument(metavar="LOG…", help="Logs of one rig.")],
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", metavar="FILE", help="Compare with this one, not with that in the log."),
+    ] = None,
+    against: Annotated[
+        Path | None,
+        typer.Option("--against", metavar="FILE", help="What 'pneud identify --json' printed before."),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="A page with pictures (.html).")
+    ] = None,
+    json: JsonOption = False,
+) -> int:
+    """Estimate what a rig is like, and compare that with its configuration and with an earlier estimate.
+
+    Returns:
+        Exit status: 0 where all that the logs tell is as configured and as before, within the tolerances, and
+        the model explains the rig; 1 where not, or where a log could not be read to its end.
+
+    Raises:
+        ConfigError: a configuration, or the earlier estimate, cannot be used.
+        LogError: not logs that this version reads, or too little in them.
+        VerbError: scipy is missing.
+        OSError: the page cannot be written.
+    """
+    if importlib.util.find_spec("scipy") is None:
+        raise VerbError("identify needs scipy; install it with: pip install 'pneud[identify]'", 3)
+    from pneud.study.identification import comparing, estimating, explaining, table, words  # noqa: PLC0415
+
+    if output is not None:
+        require_folder(output)
+    before = comparing.earlier(against) if against is not None else {}
+    given = load_config(config) if config is not None else None
+    readers = [read_log(log) for log in logs]
+    measured, own = table.read(readers)
+    c = given or own
+    found = estimating.identify(measured, c)
+    rows = comparing.rows(found.parameters, before)
+    unexplained = explaining.unexplained(found.valved, found.moved, found.noise_pa, c)
+    verdict = words.verdict(rows, unexplained)
+    if json:
+        print(json_.dumps(_as_json(found, rows, unexplained, verdict)))
+    else:
+        print("\n".join([*words.table(rows), *_said(found, unexplained, verdict)]))
+    if output is not None:
+        title = f"{c.name}: {', '.join(reader.path.name for reader in readers)}"
+        write_whole(output, _page(title, found, rows, _said(found, unexplained, verdict), c))
+    return 0 if whole(*readers) and verdict in ("agrees", "unknown") else 1
+
+
+def _said(found: Identified, unexplained: Sequence[str], verdict: str) -> list[str]:
+    lines = [f"verdict: {verdict}"]
+    lines += [f"the model cannot explain {text}" for text in unexplained]
+    lines += [f"hardly told apart: {one} and {other} ({r:+.2f})" for one, other, r in found.linked]
+    return lines + [f"not told: {note}" for note in found.notes]
+
+
+def _as_json(
+    found: Identified, rows: Sequence[Row], unexplained: Sequence[str], verdict: str
+) -> dict[str, Any]:
+    from pneud.study.identification.comparing import SCHEMA, as_json  # noqa: PLC0415
+
+    return {
+        "schema": SCHEMA,
+        "verdict": verdict,
+        "parameters": {
+            row.key: {**as_json(row.estimate), "verdict": row.verdict, "worn": row.worn} for row in rows
+        },
+        "before": {row.key: as_json(row.before) for row in rows if row.before is not None},
+        "after": {},
+        "faults": [],
+        "unexplained": list(unexplained),
+        "linked": [{"keys": [one, other], "correlation": r} for one, other, r in found.linked],
+        "notes": found.notes,
+        "left": {
+            "pressure_pa": None if found.valved is None else found.valved.misfit_pa,
+            "noise_pa": found.noise_pa,
+            "force_n": None if found.moved is None else found.moved.misfit_n,
+        },
+    }
+
+
+def _page(title: str, found: Identified, rows: Sequence[Row], lines: Sequence[str], c: Config) -> str:
+    from pneud.study.identification.explaining import flow_map, friction_map  # noqa: PLC0415
+    from pneud.study.identification.page import Picture, page  # noqa: PLC0415
+
+    pictures = []
+    if found.moved is not None:
+        pictures.append(Picture("Friction", "speed [m/s]", "friction [N]", friction_map(found.moved)))
+    if found.valved is not None:
+        bins = flow_map(found.valved, c)
+        pictures.append(Picture("Flow", "spool [V]", "opening, relative", bins))
+    return page(title, lines, rows, pictures)

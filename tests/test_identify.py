@@ -1,0 +1,373 @@
+"""What logs tell of a rig: the parts on made-up data, whole rigs of known truth, and the verb."""
+
+from __future__ import annotations
+
+import json
+import math
+import random
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from commands import pneud_here
+from pneud.config.conversions import gas_of, plant_of
+from pneud.config.models import Config
+from pneud.config.sections import ConfigError
+from pneud.loading import load
+from pneud.log.files.naming import new_log
+from pneud.log.files.writer import LogWriter
+from pneud.log.format.header import LogHeader
+from pneud.physics.friction import Friction, stribeck
+from pneud.physics.gas import flow_factor, gas
+from pneud.physics.ratings import subsonic_share
+from pneud.physics.valve import Valve, opening
+from pneud.replay.lockstep import Simulation, backend_of
+from pneud.replay.moves import Course, moves_of
+from pneud.rig.dynamics import advance, initial_state
+from pneud.safety.faults import FAULT_NAMES
+from pneud.study.identification import chambers, comparing, forces, motions, words
+from pneud.study.identification import parameters as key
+from pneud.study.identification.fitting import Fit, Unknown, fit
+from pneud.study.identification.parameters import Estimate
+from pneud.study.identification.table import Piece, Table
+
+GOLDEN = Path(__file__).parent / "golden"
+C = load("virtual.toml").config
+PLANT = plant_of(C)
+AIR = gas(1.4, 286.987, 293.0, 101_000.0, 600_000.0)
+FRICTION = forces.Slide(
+    *(np.array([x]) for x in (15.0, 3.0, 40.0, 0.4, 0.02, 60.0, 1e5, 300.0)),
+)
+
+
+def guess(**other: float) -> chambers.Guess:
+    """The plant of virtual.toml as a guess."""
+    k, v = PLANT.cylinder, PLANT.valve
+    true = {
+        "flow": key.flow_of_area(key.configured_area_m2(C), AIR),
+        "plus_v": v.centre_v + v.dead_zone_v,
+        "minus_v": v.centre_v - v.dead_zone_v,
+        "bandwidth_hz": v.omega_rad_s / (2.0 * math.pi),
+        "delay_s": 6e-4,
+        "dead1_m": k.x_e1,
+        "dead2_m": k.L - k.stroke_m - k.x_e1,
+        "exponent": PLANT.polytropic_exponent,
+        "seep": 0.0,
+        "play_v": 0.0,
+        "exhaust": 1.0,
+        "critical": 0.3,
+    }
+    return chambers.Guess(**{name: np.asarray(x) for name, x in {**true, **other}.items()})
+
+
+def rig() -> chambers.Rig:
+    k = PLANT.cylinder
+    return chambers.Rig(k.A1, k.A2, k.stroke_m, PLANT.valve.u_max_v, PLANT.valve.zeta, AIR, 1e-3)
+
+
+# the parts
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.1, 0.6))
+def test_a_share_of_the_choked_flow_is_that_of_the_physics(r: float, b: float) -> None:
+    plain, iso = chambers.orifice(AIR), chambers.iso6358(np.asarray(b))
+    assert plain(np.array([r]))[0][0] == pytest.approx(flow_factor(r, AIR) / AIR.gamma_choked, abs=2e-3)
+    if r < 0.998:
+        assert iso(np.array([r]))[0][0] == pytest.approx(subsonic_share(r, b), abs=1e-9)
+    for share in (plain, iso):
+        value, slope = share(np.array([r]))
+        assert 0.0 <= value[0] <= 1.0 + 1e-12
+        assert slope[0] <= 1e-12
+
+
+@given(st.floats(-6.0, 6.0), st.floats(0.0, 0.5), st.floats(0.0, 0.5))
+def test_an_opening_is_that_of_the_valve(y: float, plus: float, minus: float) -> None:
+    found = chambers.openings(np.array([y]), guess(plus_v=plus, minus_v=-minus), 5.0)
+    valve = Valve(5.0, 0.0, 0.7, 0.5 * (plus + minus), 0.5 * (plus - minus))
+    assert found[0] == pytest.approx(opening(y, valve) / 5.0, abs=1e-12)
+
+
+def test_chambers_are_those_of_the_plant() -> None:
+    chance = random.Random(1)
+    state = initial_state(PLANT)._replace(v=0.05)
+    ticks, warm, last = 150, 30, 0.0
+    rows: list[tuple[float, ...]] = []
+    for k in range(ticks + 1):
+        rows.append((state.x1 - PLANT.cylinder.x_e1, state.p1, state.p2, last))
+        before, last = last, last if k % 10 else chance.uniform(-1.5, 1.5)
+        state = advance(state, before, 0.0, 0.0, 6e-4, PLANT)
+        state = advance(state, last, 0.0, 6e-4, 1e-3, PLANT)
+    x, p1, p2, u = (np.array(column)[None, :] for column in zip(*rows, strict=True))
+    supply = np.full_like(x, AIR.supply_pa)
+    after = slice(warm + 1, None)
+    w = chambers.Windows(x, p1[:, after], p2[:, after], p1[:, warm], p2[:, warm], supply, u, warm)
+    found = chambers.simulate(w, guess(), rig(), False)[0]
+    moved = np.ptp(p1)
+    assert moved > 2e4
+    assert np.abs(found[0] - w.p1_pa).max() < 0.003 * moved
+    assert np.abs(found[1] - w.p2_pa).max() < 0.003 * moved
+    leaking = chambers.simulate(w, guess(seep=0.01), rig(), False)[0]
+    assert np.abs(leaking - found).max() > 100.0
+    assert (
+        np.abs(chambers.spool(w, guess(play_v=0.05), rig()) - chambers.spool(w, guess(), rig())).max() > 0.01
+    )
+    assert chambers.some(w, 5).x_m.shape == w.x_m.shape
+
+
+def windows_of(v: Any, h: float = 1e-3) -> forces.Forces:
+    """A motion as windows, at a speed, without any forces yet."""
+    v = np.atleast_2d(v)
+    margin = 20
+    count = slice(margin, v.shape[1] - margin)
+    none = np.zeros(len(v))
+    a = np.gradient(v, h, axis=1)[:, count]
+    return forces.Forces(v, a, np.zeros_like(a), np.full_like(a, 3e5), none, none, margin, 3.0, h)
+
+
+@given(st.floats(0.005, 1.0), st.sampled_from([-1.0, 1.0]))
+@settings(max_examples=25)
+def test_steady_friction_is_stribecks(speed: float, sign: float) -> None:
+    w = windows_of(np.full(3000, sign * speed))
+    dry = stribeck(speed, Friction(40.0, 56.0, 0.02, 60.0, 1e5, 300.0))
+    assert forces.friction(w, FRICTION)[0, 0, -1] == pytest.approx(sign * (dry + 60.0 * speed), rel=1e-3)
+
+
+def test_forces_at_once_are_those_of_a_sliding_load() -> None:
+    v = 0.3 * np.sin(2.0 * np.pi * np.arange(4000) * 1e-3)
+    w = windows_of(v)
+    w = w._replace(force_n=forces.predicted(w, FRICTION)[0])
+    found = forces.at_once(w, 0.1)
+    assert found == pytest.approx((15.0, 3.0, 40.0, 60.0), rel=0.03)
+    assert forces.at_once(w, 1.0) is None
+
+
+def line(seed: int) -> tuple[Fit, float]:
+    """A fit of a slope in noise that hangs together, and the slope."""
+    chance = np.random.default_rng(seed)
+    t = np.linspace(-1.0, 1.0, 200)
+    noise = np.zeros((20, 200))
+    for k in range(1, 200):
+        noise[:, k] = 0.95 * noise[:, k - 1] + chance.normal(size=20)
+    ys = 2.0 * t + noise
+    found = fit(
+        lambda guesses: guesses[:, :1, None] * t - ys + 0.0 * guesses[:, 1:, None],
+        [Unknown("slope", 0.0, 1.0, 10.0, -100.0, 100.0), Unknown("idle", 1.0, 1.0, 2.0, 0.0, 9.0)],
+    )
+    return found, 2.0
+
+
+def test_intervals_count_on_residuals_that_hang_together() -> None:
+    inside = 0
+    for seed in range(60):
+        found, true = line(seed)
+        slope = found.found(slope=1.0)
+        inside += slope.low <= true <= slope.high
+    assert inside >= 51
+
+
+def test_what_no_log_tells_stays_what_was_known() -> None:
+    found, _ = line(1)
+    idle = found.found(idle=1.0)
+    assert not idle.told
+    assert idle.value == pytest.approx(1.0, abs=1e-3)
+    assert found.told == (True, False)
+    assert found.linked() == []
+
+
+def test_a_bound_holds() -> None:
+    t = np.linspace(0.0, 1.0, 50)
+    found = fit(
+        lambda g: np.broadcast_to(g[:, :1, None] * t + t, (len(g), 5, 50)),
+        [Unknown("x", 1.0, 1.0, 1.0, 0.0, 2.0)],
+    )
+    assert found.x[0] == 0.0
+
+
+# beside what is known
+
+
+def estimate(value: float, half: float, configured: float | None = None, told: bool = True) -> Estimate:
+    return Estimate(value, value - half, value + half, configured, told)
+
+
+@pytest.mark.parametrize(
+    ("e", "verdict"),
+    [
+        (estimate(40.0, 1.0, 40.5), "agrees"),
+        (estimate(40.0, 1.0, 36.0), "near"),
+        (estimate(60.0, 1.0, 36.0), "off"),
+        (estimate(60.0, 1.0, 36.0, told=False), "not told"),
+        (estimate(60.0, 1.0), "not told"),
+    ],
+)
+def test_a_verdict_is_by_interval_and_tolerance(e: Estimate, verdict: str) -> None:
+    (row,) = comparing.rows({key.COULOMB: e}, {})
+    assert row.verdict == verdict
+    word = {"off": "differs", "not told": "unknown"}.get(verdict, "agrees")
+    assert words.verdict([row], []) == word
+    assert words.verdict([row], ["pressures"]) == "unexplained"
+
+
+def test_wear_is_what_has_changed_for_sure() -> None:
+    now = {key.COULOMB: estimate(60.0, 2.0, 60.0)}
+    for before, worn in (
+        (estimate(40.0, 2.0), True),
+        (estimate(50.0, 9.0), False),
+        (estimate(55.0, 1.0), False),
+    ):
+        (row,) = comparing.rows(now, {key.COULOMB: before})
+        assert row.worn is worn
+        assert (words.verdict([row], []) == "worn") is worn
+    assert "worn" in words.table(comparing.rows(now, {key.COULOMB: estimate(40.0, 2.0)}))[1]
+
+
+def test_an_earlier_estimate_comes_back(tmp_path: Path) -> None:
+    e = estimate(40.0, 1.0, 36.0)
+    path = tmp_path / "before.json"
+    path.write_text(json.dumps({"schema": 1, "parameters": {key.COULOMB: comparing.as_json(e), "x": {}}}))
+    assert comparing.earlier(path) == {key.COULOMB: e}
+    for text in (
+        "",
+        "[]",
+        '{"schema": 2}',
+        json.dumps({"schema": 1, "parameters": {key.COULOMB: {"value": "x"}}}),
+    ):
+        path.write_text(text)
+        with pytest.raises(ConfigError, match="not what pneud identify"):
+            comparing.earlier(path)
+
+
+def test_every_parameter_has_what_is_said_of_it() -> None:
+    assert set(key.FLOORS) == set(key.LACKING) == set(comparing.TOLERANCES)
+    assert set(key.configured(C)) <= set(key.FLOORS)
+    assert {tells for motion in motions.MOTIONS for tells in motion.tells} <= set(key.FLOORS)
+    assert gas_of(C).supply_pa == C.gas.supply_pa
+
+
+def test_the_encoders_step_is_seen() -> None:
+    x = np.round(np.cumsum(np.full(500, 2e-6)) / 1e-5) * 1e-5
+    t = Table(1e-3, 0.0, (Piece(x, x, x, x, x),))
+    assert forces.encoder_step_m(t) == pytest.approx(1e-5)
+    assert forces.encoder_step_m(Table(1e-3, 0.0, (Piece(x * 0, x, x, x, x),))) == 0.0
+
+
+# the verb
+
+
+def test_logs_that_are_too_short_are_refused_in_a_line() -> None:
+    done = pneud_here("identify", GOLDEN / "composite.mcap")
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert re.fullmatch(r"pneud: composite.mcap: 1.0 s with complete sets .*\n", done.stderr)
+
+
+def test_logs_of_several_rates_are_refused() -> None:
+    done = pneud_here("identify", GOLDEN / "composite.mcap", GOLDEN / "paper-case1.mcap")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "has 100 Hz, composite.mcap 1000 Hz" in done.stderr
+
+
+def test_what_is_no_earlier_estimate_is_refused_before_anything_takes_time(tmp_path: Path) -> None:
+    done = pneud_here("identify", GOLDEN / "composite.mcap", "--against", tmp_path / "none.json")
+    assert done.returncode == 2
+    assert "cannot be read" in done.stderr
+
+
+def test_without_scipy_the_cure_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    done = pneud_here("identify", GOLDEN / "composite.mcap")
+    assert (done.returncode, done.stdout) == (3, "")
+    assert "pip install 'pneud[identify]'" in done.stderr
+
+
+def logged(path: Path, config: str, plant: dict[str, Any], seconds: float, places: str) -> Config:
+    """A run in simulated time, on a rig that differs from its configuration."""
+    loaded = load(config, None, {"plant": plant})
+    course = Course(moves_of(places))
+    run = Simulation(loaded, seconds, 1, backend_of(loaded), operator=course.ask)
+    header = LogHeader(
+        name=loaded.config.name, bus="simulated", rate_hz=loaded.config.loop.rate_hz, detail="compact",
+        config_name=loaded.path.name, config_text=loaded.text, dbc_name=loaded.dbc.name,
+        dbc=loaded.dbc.read_bytes(), fault_names=FAULT_NAMES, realtime_offset_ns=0, extra={},
+    )  # fmt: skip
+    with new_log(path) as descriptor:
+        writer = LogWriter(descriptor, header)
+        for record in run.records():
+            course.see(record)
+            writer.write(record)
+        writer.close()
+    return loaded.config
+
+
+PLACES = "100@500,900@400,300@200,350@30,340@10,345@10,150@500,800@100"
+TRUTH = {
+    "cylinder": {"moving_mass_kg": 19.0, "load_n": 12.0, "dead_length_1_m": 0.02},
+    "valve": {
+        "orifice_area_m2": 2.3e-5, "bandwidth_hz": 80.0,
+        "dead_zone_positive_v": 0.2, "dead_zone_negative_v": 0.05, "centre_v": 0.04,
+    },
+    "friction": {"coulomb_n": 55.0, "static_n": 75.0, "viscous_n_s_m": 80.0},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of a rig of another truth."""
+    path = tmp_path_factory.mktemp("identify") / "run.mcap"
+    logged(path, "virtual.toml", TRUTH, 60.0, PLACES)
+    return path
+
+
+@pytest.fixture(scope="module")
+def found(log: Path) -> dict[str, Any]:
+    """What is found in it."""
+    done = pneud_here("identify", log, "--json")
+    assert done.returncode == 1, done.stderr
+    whole: dict[str, Any] = json.loads(done.stdout)
+    log.with_suffix(".json").write_text(done.stdout)
+    return whole
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "true", "within"),
+    [
+        (key.AREA, 2.3e-5, 0.05 * 2.3e-5), (key.PLUS, 0.24, 0.015), (key.MINUS, 0.01, 0.015),
+        (key.CENTRE, 0.115, 0.015), (key.BANDWIDTH, 80.0, 16.0), (key.DEAD1, 0.02, 0.01),
+        (key.DEAD2, 0.0158, 0.01), (key.MASS, 19.0, 0.95), (key.LOAD, 12.0, 3.0),
+        (key.COULOMB, 55.0, 5.5), (key.STATIC, 75.0, 15.0), (key.VISCOUS, 80.0, 8.0), (key.SEEP, 0.0, 1e-3),
+    ],
+)  # fmt: skip
+def test_a_truth_is_found(found: dict[str, Any], name: str, true: float, within: float) -> None:
+    e = found["parameters"][name]
+    assert e["value"] == pytest.approx(true, abs=within)
+    assert e["low"] <= true <= e["high"]
+
+
+@pytest.mark.slow
+def test_a_model_that_explains_all_says_so(found: dict[str, Any]) -> None:
+    assert found["unexplained"] == []
+    assert found["verdict"] == "differs"
+    off = {name for name, e in found["parameters"].items() if e["verdict"] == "off"}
+    assert {key.PLUS, key.MASS, key.AREA, key.COULOMB} <= off
+    assert (found["schema"], found["faults"]) == (1, [])
+
+
+@pytest.mark.slow
+def test_wear_is_told_beside_an_earlier_estimate(log: Path, found: dict[str, Any], tmp_path: Path) -> None:
+    before = json.loads(json.dumps(found))
+    before["parameters"][key.COULOMB] |= {"value": 30.0, "low": 29.0, "high": 31.0}
+    path = tmp_path / "before.json"
+    path.write_text(json.dumps(before))
+    done = pneud_here("identify", log, "--against", path, "-o", tmp_path / "page.html")
+    assert done.returncode == 1
+    assert "verdict: worn" in done.stdout
+    assert re.search(rf"{key.COULOMB} .*30 worn", done.stdout)
+    page = (tmp_path / "page.html").read_text()
+    assert page.count("<svg") == 2
+    assert "<script" not in page
