@@ -23,8 +23,7 @@ from pneud.log.files.naming import new_log
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import LogHeader
 from pneud.physics.friction import Friction, stribeck
-from pneud.physics.gas import flow_factor, gas
-from pneud.physics.ratings import subsonic_share
+from pneud.physics.gas import flow_factor, gas, subsonic_share
 from pneud.physics.valve import Valve, opening
 from pneud.replay.lockstep import Simulation, backend_of
 from pneud.replay.moves import Course, moves_of
