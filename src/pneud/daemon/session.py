@@ -96,7 +96,9 @@ class Session:
             self._start_screen(ends)
         self.reports += setup.apply(wanted.priority, cpu, wanted.lock_memory)
         self.ring.set_notes(setup.as_text(self.reports))
-        loop = self._loop(recorder, truth, handoff.LoopEnd(taking))
+        requests = handoff.LoopEnd(taking)
+        ends.callback(requests.close)  # by which the console sees at once that the run is over
+        loop = self._loop(recorder, truth, requests)
         stop_on_signals(loop.stop, console)
         return loop
 
