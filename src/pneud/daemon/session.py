@@ -23,7 +23,7 @@ from pneud.log.live.recorder import start_recorder
 from pneud.log.live.ring import Ring
 from pneud.loop.lane import Lane
 from pneud.loop.loop import Loop
-from pneud.loop.options import options_of
+from pneud.loop.options import Options
 from pneud.loop.recorder_watch import RecorderWatch
 from pneud.loop.stopping import stop_on_signals
 from pneud.loop.turn import Turn
@@ -106,8 +106,10 @@ class Session:
         ready, config, o = self.ready, self.ready.config, self.ready.options
         codecs = ready.loaded.codecs
         fifo = next(r for r in self.reports if r.name == "fifo")
-        options = options_of(
-            config,
+        options = Options(
+            rate_hz=config.loop.rate_hz,
+            set_deadline=config.loop.set_deadline,
+            spin_us=config.loop.spin_us,
             auto_arm=o.virtual or o.arm,
             duration_s=o.duration_s,
             end_on_fault=o.virtual,
