@@ -19,7 +19,7 @@ from pathlib import Path
 _PR_SET_PDEATHSIG = 1
 _LOOK_S = 0.005  # how often a child that is to end is looked at
 _REAP_S = 1.0  # longest that a killed process should take to go
-_LOW = 10  # niceness
+_LOW = 5  # niceness, as that of whoever looks on
 _LEAVE_S = 10.0  # patience with a program that has been asked to end
 
 Main = Callable[[], int | None]

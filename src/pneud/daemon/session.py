@@ -23,7 +23,7 @@ from pneud.log.live.recorder import start_recorder
 from pneud.log.live.ring import Ring
 from pneud.loop.lane import Lane
 from pneud.loop.loop import Loop
-from pneud.loop.options import options_of
+from pneud.loop.options import Options
 from pneud.loop.recorder_watch import RecorderWatch
 from pneud.loop.stopping import stop_on_signals
 from pneud.loop.turn import Turn
@@ -96,7 +96,9 @@ class Session:
             self._start_screen(ends)
         self.reports += setup.apply(wanted.priority, cpu, wanted.lock_memory)
         self.ring.set_notes(setup.as_text(self.reports))
-        loop = self._loop(recorder, truth, handoff.LoopEnd(taking))
+        requests = handoff.LoopEnd(taking)
+        ends.callback(requests.close)  # by which the console sees at once that the run is over
+        loop = self._loop(recorder, truth, requests)
         stop_on_signals(loop.stop, console)
         return loop
 
@@ -104,8 +106,10 @@ class Session:
         ready, config, o = self.ready, self.ready.config, self.ready.options
         codecs = ready.loaded.codecs
         fifo = next(r for r in self.reports if r.name == "fifo")
-        options = options_of(
-            config,
+        options = Options(
+            rate_hz=config.loop.rate_hz,
+            set_deadline=config.loop.set_deadline,
+            spin_us=config.loop.spin_us,
             auto_arm=o.virtual or o.arm,
             duration_s=o.duration_s,
             end_on_fault=o.virtual,

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pneud.config.models import Config
-
 
 class Options(NamedTuple):
     """How a run goes."""
@@ -21,12 +19,3 @@ class Options(NamedTuple):
     def ticks(self, seconds: float, least: int = 1) -> int:
         """So much time, in ticks."""
         return max(least, round(seconds * self.rate_hz))
-
-
-def options_of(
-    c: Config, *, auto_arm: bool, duration_s: float | None, end_on_fault: bool, no_realtime: bool
-) -> Options:
-    """Options from a configuration and the command line."""
-    return Options(
-        c.loop.rate_hz, c.loop.set_deadline, c.loop.spin_us, auto_arm, duration_s, end_on_fault, no_realtime
-    )

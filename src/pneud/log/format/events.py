@@ -55,7 +55,7 @@ class EventSource:
             if tick.answer > Answer.TAKEN:
                 level, words = Level.WARNING, f"{words}: {_label(Answer, tick.answer)}"
             if kind in _OFTEN:
-                yield from self._limited(t_ns, level, "request", words)
+                yield from self.message(t_ns, level, "request", words)
             else:
                 yield self._event(t_ns, level, "request", words)
         if tick.state != self._state:
@@ -63,7 +63,7 @@ class EventSource:
         if tick.latched != self._latched or tick.present != self._present:
             yield from self._fault_changes(t_ns, tick.present, tick.latched)
         if tick.measurement.skipped:
-            yield from self._limited(t_ns, Level.WARNING, "loop", f"skipped {tick.measurement.skipped} ticks")
+            yield from self.message(t_ns, Level.WARNING, "loop", f"skipped {tick.measurement.skipped} ticks")
         if tick.hunting != self._hunting:
             self._hunting = tick.hunting
             words = (
@@ -71,23 +71,19 @@ class EventSource:
                 if not tick.hunting
                 else f"{_label(Hunting, tick.hunting)}: check {HUNTING_CURES.get(tick.hunting)}"
             )
-            yield from self._limited(t_ns, Level.WARNING if tick.hunting else Level.INFO, "hunting", words)
+            yield from self.message(t_ns, Level.WARNING if tick.hunting else Level.INFO, "hunting", words)
         m = tick.measurement
         for name, defects in (("encoder", m.encoder_defects), ("pressure", m.pressure_defects)):
             if defects & _ODD:
-                yield from self._limited(t_ns, Level.WARNING, name, "reading held back: beyond physics")
+                yield from self.message(t_ns, Level.WARNING, name, "reading held back: beyond physics")
             if defects & _CONFIRMED:
-                yield from self._limited(t_ns, Level.INFO, name, "confirmed by the next reading")
+                yield from self.message(t_ns, Level.INFO, name, "confirmed by the next reading")
         if tick.command.saturated != self._saturated:
             self._saturated = tick.command.saturated
             words = "saturated" if self._saturated else f"saturation over after {self._saturated_ticks} ticks"
-            yield from self._limited(t_ns, Level.INFO, "output", words)
+            yield from self.message(t_ns, Level.INFO, "output", words)
             self._saturated_ticks = 0
         self._saturated_ticks += self._saturated
-
-    def message(self, t_ns: int, level: Level, name: str, words: str) -> Iterator[LoggedEvent]:
-        """An event from elsewhere, if its kind is not held back."""
-        yield from self._limited(t_ns, level, name, words)
 
     def _state_change(self, t_ns: int, state: int) -> LoggedEvent:
         old, self._state = self._state, state
@@ -101,15 +97,16 @@ class EventSource:
         for bit in _bits(self._latched & ~latched):
             yield self._event(t_ns, Level.INFO, "fault", f"{self._fault(bit)} cleared")
         for bit in _bits(present & ~self._present & ~latched):
-            yield from self._limited(t_ns, Level.WARNING, "fault", f"{self._fault(bit)} present")
+            yield from self.message(t_ns, Level.WARNING, "fault", f"{self._fault(bit)} present")
         for bit in _bits(self._present & ~present):
-            yield from self._limited(t_ns, Level.INFO, "fault", f"{self._fault(bit)} gone")
+            yield from self.message(t_ns, Level.INFO, "fault", f"{self._fault(bit)} gone")
         self._present, self._latched = present, latched
 
     def _fault(self, bit: int) -> str:
         return self._names[bit] if bit < len(self._names) else f"fault {bit}"
 
-    def _limited(self, t_ns: int, level: Level, name: str, words: str) -> Iterator[LoggedEvent]:
+    def message(self, t_ns: int, level: Level, name: str, words: str) -> Iterator[LoggedEvent]:
+        """An event, if its kind is not held back."""
         kind = words if name == "fault" else f"{name} {words.split(maxsplit=1)[0]}"
         held = self._limiter.admit(kind, t_ns)
         if held is not None:
