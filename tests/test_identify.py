@@ -20,6 +20,7 @@ from pneud.config.models import Config
 from pneud.config.sections import ConfigError
 from pneud.loading import load
 from pneud.log.files.naming import new_log
+from pneud.log.files.reader import read_log
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import LogHeader
 from pneud.physics.friction import Friction, stribeck
@@ -29,7 +30,7 @@ from pneud.replay.lockstep import Simulation, backend_of
 from pneud.replay.moves import Course, moves_of
 from pneud.rig.dynamics import advance, initial_state
 from pneud.safety.faults import FAULT_NAMES
-from pneud.study.identification import chambers, comparing, forces, motions, words
+from pneud.study.identification import chambers, comparing, estimating, forces, motions, table, words
 from pneud.study.identification import parameters as key
 from pneud.study.identification.fitting import Fit, Unknown, fit
 from pneud.study.identification.parameters import Estimate
@@ -323,12 +324,18 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def found(log: Path) -> dict[str, Any]:
-    """What is found in it."""
+def identified(log: Path) -> estimating.Identified:
+    """What is found in it, once for all tests."""
+    return estimating.identify(*table.read([read_log(log)]))
+
+
+@pytest.fixture
+def found(log: Path, identified: estimating.Identified, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """The same as the verb prints it."""
+    monkeypatch.setattr(estimating, "identify", lambda *_: identified)
     done = pneud_here("identify", log, "--json")
     assert done.returncode == 1, done.stderr
     whole: dict[str, Any] = json.loads(done.stdout)
-    log.with_suffix(".json").write_text(done.stdout)
     return whole
 
 

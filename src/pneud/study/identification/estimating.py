@@ -30,7 +30,8 @@ FORCE_NOISE = 0.02  # of Coulomb friction, at least
 LEAST_WINDOWS = 5  # with motion, where it is about that
 WIDER, SHIFTS = 1.4, 2.0  # smoothing of the second fit; what it differs by counts so many times
 FEW = 24  # windows, with which the fit begins
-ISO_BETTER = 0.95  # of the orifice's misfit, from which on the flow is said to be that of ISO 6358
+PINNED = 1e-3  # as good as known
+ISO_BETTER = 0.9  # of the orifice's misfit, from which on the flow is said to be that of ISO 6358
 EXPLAINED = 1.5  # times the noise is what a model that explains all leaves
 
 
@@ -110,12 +111,12 @@ def of_valve(t: Table, c: Config, noise_pa: float) -> Valved | None:
         return None
     few = chambers.some(w, FEW)
     configured_iso = getattr(c.valve, "flow", "orifice") == "iso6358"
-    plain = _fit_valve(few, t, c, noise_pa, configured_iso, {}, 2)
+    plain = _fit_valve(few, t, c, noise_pa, configured_iso, {}, False)
     first = plain
     if plain.misfit_pa > EXPLAINED * noise_pa and not configured_iso:
-        iso = _fit_valve(few, t, c, noise_pa, True, _values(plain), 2)
+        iso = _fit_valve(few, t, c, noise_pa, True, _values(plain), False)
         first = iso if iso.misfit_pa < ISO_BETTER * plain.misfit_pa else plain
-    return _fit_valve(w, t, c, noise_pa, first.iso, _values(first), 2)
+    return _fit_valve(w, t, c, noise_pa, first.iso, _values(first), True)
 
 
 def _values(valved: Valved) -> dict[str, float]:
@@ -123,7 +124,7 @@ def _values(valved: Valved) -> dict[str, float]:
 
 
 def _fit_valve(
-    w: chambers.Windows, t: Table, c: Config, noise_pa: float, iso: bool, first: dict[str, float], rounds: int
+    w: chambers.Windows, t: Table, c: Config, noise_pa: float, iso: bool, first: dict[str, float], whole: bool
 ) -> Valved:
     k, v = c.cylinder, c.valve
     rig = chambers.Rig(
@@ -136,7 +137,13 @@ def _fit_valve(
         off = (chambers.simulate(w, chambers.Guess(*columns), rig, iso) - measured) / noise_pa
         return np.concatenate([off[:, 0], off[:, 1]], axis=2)
 
-    done = fit(predict, key.chamber_unknowns(c, t.delay_s, first, iso), rounds)
+    unknowns = key.chamber_unknowns(c, t.delay_s, first, iso)
+    if not whole:  # with edges of several sizes an orifice could pass for what it is not
+        unknowns = [
+            u._replace(low=u.prior - PINNED, high=u.prior + PINNED) if u.key == "exhaust" else u
+            for u in unknowns
+        ]
+    done = fit(predict, unknowns)
     return Valved(done, w, rig, iso, noise_pa * _usual(done.residuals))
 
 

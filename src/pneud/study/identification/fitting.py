@@ -19,7 +19,7 @@ TOGETHER = 25.0  # so many residuals are worth one against a prior, since they h
 LEVEL = 0.95
 TOLD = 0.5  # a parameter whose deviation is more than this share of the prior's is not told
 LINKED = 0.9  # a correlation worth naming
-MOST_STEPS, ENOUGH = 12, 2e-4  # of a search; it ends where a step gains less
+MOST_STEPS, ENOUGH = 10, 5e-4  # of a search; it ends where a step gains less, as a share
 ROUNDS = 2  # of weighing windows by how well they are explained
 
 
@@ -138,7 +138,10 @@ def _solved(
         root = np.linalg.cholesky(square)
         bounds = (low / scale - x - 1e-12, high / scale - x + 1e-12)
         step = lsq_linear(root.T, -np.linalg.solve(root, gradient), bounds, method="bvls").x
-        for part in (1.0, 0.5, 0.25, 0.1):
+        promised = -(2.0 * gradient + square @ step) @ step
+        if promised < ENOUGH * now:
+            break
+        for part in (1.0, 0.4, 0.1):
             there = np.clip(x + part * step, low / scale, high / scale)
             r, its_slopes = _linear(predict, there, scale, low, high)
             if cost(there, r) < now:
