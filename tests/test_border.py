@@ -59,6 +59,9 @@ READ = [
     Taken("bench --config {}", ".toml"),
     Taken("install-service --destdir OUT --config {}", ".toml"),
     Taken("export {} -o OUT.csv", ".mcap"),
+    Taken("identify {}", ".mcap"),
+    Taken("identify LOG --against {}", ".json"),
+    Taken("identify LOG --config {}", ".toml"),
     Taken("import {} --dbc DBC -o OUT.mcap", ".log"),
     Taken("import {} --dbc DBC -o OUT.mcap", ".asc"),
     Taken("import {} --dbc DBC -o OUT.mcap", ".blf"),
@@ -412,7 +415,7 @@ WORKING += ["design virtual.toml --bandwidth 50 --error-mm 1", "bench --pairs 1 
 TELLING = ["status --json", "arm", "disarm", "stop", "clear", "home", "hold", "goto 1", "jog 1 --for 0.01"]
 TELLING += ["mark x", "track sine", "track steps 2 3", "tune get", "tune set k1=1", "tune diff", "tune save"]
 TELLING += ["tune reload", *(f"{words} --json" for words in ("arm", "tune get", "jog 1 --for 0.01"))]
-MUTE = {"plant", "top", "reproduce"}  # says nothing before it is told to end; draws; takes half a minute
+MUTE = {"plant", "top", "reproduce", "identify"}  # says nothing before it is told to end; draws; take long
 
 
 class Console(Daemon):
