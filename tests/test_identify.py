@@ -146,6 +146,16 @@ def test_forces_at_once_are_those_of_a_sliding_load() -> None:
     assert forces.at_once(w, 1.0) is None
 
 
+def test_a_breakaway_is_the_peak_before_motion() -> None:
+    v = np.concatenate([np.zeros(500), np.linspace(0.0, 0.1, 100), np.full(400, 0.1)])
+    force = np.concatenate([np.linspace(0.0, 50.0, 500), np.linspace(50.0, 40.0, 100), np.full(400, 40.0)])
+    none = np.zeros_like(v)
+    piece = Piece(0.3 + np.cumsum(v) * 1e-3, 1e3 * force, none, none, none)
+    rig = forces.Balance(1e-3, 1e-3, 0.0, 1.0)
+    assert forces.breakaways(piece, rig, 1e-3) == pytest.approx([50.0], rel=0.03)
+    assert len(forces.breakaways(piece._replace(position_m=none), rig, 1e-3)) == 0
+
+
 def line(seed: int) -> tuple[Fit, float]:
     """A fit of a slope in noise that hangs together, and the slope."""
     chance = np.random.default_rng(seed)

@@ -137,9 +137,10 @@ def simulate(w: Windows, guesses: Guess, rig: Rig, iso: bool) -> Floats:
     p2 = np.broadcast_to(w.p2_start_pa, (count, windows)).copy()
     out = np.empty((count, 2, windows, samples - w.warm - 1))
     length = rig.stroke_m + column.dead2_m
+    inside = np.clip(w.x_m, 0.0, rig.stroke_m)  # whatever the encoder says
     scale = column.exponent * column.flow
     for k in range(samples - 1):
-        x, step = w.x_m[:, k], w.x_m[:, k + 1] - w.x_m[:, k]
+        x, step = inside[:, k], inside[:, k + 1] - inside[:, k]
         at, counts = np.zeros_like(column.delay_s), k >= w.warm
         for late, h, n, (ee, er, re, rr) in moves:
             u = w.applied_v[:, k + late]

@@ -85,7 +85,8 @@ def identify(t: Table, c: Config) -> Identified:
     valved, moved = of_valve(t, c, noise_pa), of_load(t, c, noise_pa)
     if valved is not None:
         found |= _valve_estimates(valved, c, config)
-        linked += _named(valved.fit, _CHAMBER_KEYS)
+        sizes = {"flow": key.CONDUCTANCE} if valved.iso else {}
+        linked += _named(valved.fit, {**_CHAMBER_KEYS, **sizes})
     else:
         notes.append("valve and chambers: too few whole windows")
     if moved is not None:
