@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pneud.config.conversions import axis_of, plant_of
+from pneud.config.conversions import axis_of, motion_of, plant_of, resting_of
 from pneud.control import standstill
 from pneud.control.adaptation import Adaptation
 from pneud.control.feedforward import recalled
@@ -97,13 +97,55 @@ def test_the_law_has_a_while_before_it_gives_way() -> None:
     assert standstill.stand(StandstillState(ticks=999), 0.0, 0.0, 0.0, 0.0, 0.0, True, p).mode == CLOSED
 
 
+@pytest.mark.parametrize(
+    ("changed", "calm"),
+    [
+        ({}, False),
+        ({"encoder_resolution_m": 4e-6}, True),
+        ({"encoder_resolution_m": 4e-6, "push_bandwidth_rad_s": 700.0}, False),
+        ({"encoder_resolution_m": 4e-6, "push_bandwidth_rad_s": None}, False),
+        ({"bandwidth_rad_s": None, "encoder_noise_m": 1e-6, "force_walk_n_rs": 1.0}, False),
+    ],
+)
+def test_with_a_coarse_encoder_the_motion_filter_is_calmer_at_rest(
+    changed: dict[str, Any], calm: bool
+) -> None:
+    c = load("configs/virtual.toml").config
+    m = c.control.motion.model_copy(update=changed)
+    c = c.model_copy(update={"control": c.control.model_copy(update={"motion": m})})
+    moving, resting = motion_of(c), resting_of(c)
+    assert (resting.gamma < moving.gamma) is calm
+    assert (resting == moving) is not calm
+    assert resting.gamma + resting.more_gamma == pytest.approx(moving.gamma + moving.more_gamma)
+
+
 def test_the_law_keeps_the_valve_shut_within_the_band_where_it_asks_for_little() -> None:
-    p = P._replace(shut_v=0.1)
-    assert standstill.keeps_shut(6e-6, -0.1, False, p)
-    assert not standstill.keeps_shut(6.1e-6, 0.0, False, p)
-    assert standstill.keeps_shut(-11e-6, 0.1, True, p)
-    assert not standstill.keeps_shut(11.1e-6, 0.0, True, p)
-    assert not standstill.keeps_shut(0.0, 0.11, True, p)
+    p, swings = P._replace(shut_v=0.1), StandstillState(speed_m_s=1.1e-3)
+    assert standstill.keeps_shut(swings, 6e-6, -0.1, False, p)
+    assert not standstill.keeps_shut(swings, 6.1e-6, 0.0, False, p)
+    assert standstill.keeps_shut(swings, -11e-6, 0.1, True, p)
+    assert not standstill.keeps_shut(swings, 11.1e-6, 0.0, True, p)
+    assert not standstill.keeps_shut(swings, 0.0, 0.11, True, p)
+
+
+@pytest.mark.parametrize(
+    ("error_m", "net_n", "speed_m_s", "shut", "keeps"),
+    [
+        (5.9e-6, 0.0, 0.0, False, True),
+        (6.1e-6, 0.0, 0.0, False, False),
+        (10.9e-6, 0.0, 0.0, True, True),
+        (11.1e-6, 0.0, 0.0, True, False),
+        (0.0, 0.0, 5.9e-6 * 80.0, False, True),
+        (0.0, 0.0, 6.1e-6 * 80.0, False, False),
+        (5.9e-6, 0.59, 0.0, False, True),  # swings about its target
+        (0.0, 0.31, 0.0, False, False),  # and here beside it
+    ],
+)
+def test_the_law_keeps_the_valve_shut_whatever_it_asks_for_where_the_load_stays_in_the_band(
+    error_m: float, net_n: float, speed_m_s: float, shut: bool, keeps: bool
+) -> None:
+    s = StandstillState(net_n=net_n, speed_m_s=speed_m_s)
+    assert standstill.keeps_shut(s, error_m, 5.0, shut, P) is keeps
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,7 @@ from pneud.control.standstill import (
     nudge,
     read,
     stand,
+    stands,
     stirred,
 )
 from pneud.physics.cylinder import F0, Cylinder, F1_exhaust, F1_fill, x3_of
@@ -71,6 +72,7 @@ class Controller(NamedTuple):
     valve: Valve
     friction: Friction  # fed forward along the reference; all zero for none
     motion: MotionFilter
+    resting: MotionFilter  # in its place while the reference stands still
     observer: Observer
     sliding: Sliding
     use_x3_hat: bool  # x̂3 of the observer in place of x3: less noise
@@ -162,6 +164,7 @@ def as_learnt(p: Controller, learnt: Learnt) -> Controller:
         valve,
         friction_learnt(p.friction, learnt),
         p.motion,
+        p.resting,
         p.observer,
         sliding,
         p.use_x3_hat,
@@ -212,7 +215,8 @@ def observe(
     x3 = x3_of(p1_pa, p2_pa, c)
     motion = predict(state.motion, x3, state.force_step_n, c.rod_force_n, c.M, dt)
     if measured:
-        motion = correct(motion, position_m, c.M, p.h, p.motion)
+        gains = p.resting if stands(standstill) else p.motion
+        motion = correct(motion, position_m, c.M, p.h, gains)
         standstill = read(standstill, position_m, p.standstill)
         if is_held(standstill, p.standstill):
             motion = held(motion, c.rod_force_n, p.standstill.held)
@@ -389,7 +393,7 @@ def act(
         state, out = tracked(state, s, p)
         if still:
             shut = opening(state.applied_v, p.valve) == 0.0
-            if keeps_shut(error_m, opening(out.u_v, p.valve), shut, p.standstill):
+            if keeps_shut(standstill, error_m, opening(out.u_v, p.valve), shut, p.standstill):
                 out = LawOutput(dead_zone_inverse(0.0, p.valve, 0.0), out.s, out.ustar)
             u_max = p.valve.u_max_v
             step_v = abs(max(-u_max, min(u_max, out.u_v)) - state.applied_v)
