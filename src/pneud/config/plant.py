@@ -95,6 +95,19 @@ class PlantSensorsConfig(Section):
     pressure_noise_pa: NonNegative = 0.0
 
 
+class PlantWiringConfig(Section):
+    """Mistakes in putting the rig together, each by itself or with others."""
+
+    swapped_hoses: bool = False  # as is a valve whose command is inverted
+    encoder_inverted: bool = False
+    encoder_scale: Annotated[float, Field(ge=0.01, le=100)] = 1.0  # shown over true, from the start on
+    exchanged_pressures: bool = False
+    dead_pressure: Literal["none", "a", "b"] = "none"  # its sensor shows the atmosphere
+    supply_shut: bool = False
+    valve_unplugged: bool = False  # the spool stays in its centre
+    blocked: bool = False  # the load cannot move
+
+
 class PlantConfig(Section):
     """The software rig: what really happens, apart from what the controller's sections above believe.
 
@@ -115,3 +128,4 @@ class PlantConfig(Section):
     valve: PlantValveConfig = PlantValveConfig()
     friction: FrictionConfig = FrictionConfig()
     sensors: PlantSensorsConfig = PlantSensorsConfig()
+    wiring: PlantWiringConfig = PlantWiringConfig()

@@ -10,6 +10,16 @@ from pneud.physics.gas import Gas
 from pneud.physics.valve import Valve
 
 
+class Wiring(NamedTuple):
+    """How valve, sensors and hoses are connected; positions are shown from where the load is at first."""
+
+    swapped_hoses: bool = False
+    exchanged_pressures: bool = False
+    encoder_scale: float = 1.0  # negative for one that counts the other way
+    dead_pressure: int = 0  # number of the chamber whose sensor is dead, 0 for none
+    valve_unplugged: bool = False
+
+
 class PlantParameters(NamedTuple):
     """The true plant, which the controller's model may well differ from."""
 
@@ -33,3 +43,4 @@ class PlantParameters(NamedTuple):
     encoder_referenced: bool  # it says that it knows where it is
     node_delay_s: float  # from the end of SYNC to hand-over of the answers
     load_n: float = 0.0  # constant force against positive motion, the weight's part included
+    wiring: Wiring = Wiring()
