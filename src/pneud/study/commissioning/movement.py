@@ -18,7 +18,7 @@ from pneud.safety.faults import BLOCKS_ARM, F, names
 from pneud.signals import State, Tick
 
 HELD = 0.6  # of Coulomb friction: it holds the load on its bristles
-TOUCH_M, MOVE_M, SPEED_M_S = 1e-3, 2e-3, 0.05
+TOUCH_M, MOVE_M, SPEED_M_S = 1e-3, 1e-3, 0.03
 RATE_V_S = 0.1  # so that the valve's edge is passed slowly
 GOAL = 0.25  # of the greatest command
 LOOSE = 4.0  # times static friction: whatever could move has come loose
