@@ -24,7 +24,7 @@ def miswired(wiring: dict[str, Any], rig: str = "virtual.toml") -> Loaded:
     return loaded._replace(config=loaded.config.model_copy(update={"plant": plant}))
 
 
-def tested(loaded: Loaded, seed: int = 1) -> tuple[MovementTest, list[Record]]:
+def outcome(loaded: Loaded, seed: int = 1) -> tuple[MovementTest, list[Record]]:
     test = MovementTest(conversions.axis_of(loaded.config, loaded.codecs.command_lsb_v))
     records = []
     for record in Simulation(loaded, MOST_S, seed, backend_of(loaded), operator=test.ask).records():
@@ -53,7 +53,7 @@ def tested(loaded: Loaded, seed: int = 1) -> tuple[MovementTest, list[Record]]:
 )
 def test_a_mistake_is_named_and_little_moves(wiring: dict[str, Any], finding: Finding | None) -> None:
     loaded = miswired(wiring)
-    test, records = tested(loaded)
+    test, records = outcome(loaded)
     assert test.verdict is not None
     assert test.verdict.findings == (() if finding is None else (finding,))
     places_m = [r.truth_m for r in records]

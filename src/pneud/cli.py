@@ -31,7 +31,7 @@ FOLDER = Path(__file__).parent / "verbs"
 # of help and completion, what one looks for together; a verb that does not stand here comes last
 ORDER = (
     *("plant", "sim", "reproduce", "replay", "report", "export", "import", "recover", "learnt"),
-    *("new", "check", "design", "doctor", "install-service", "bench"),
+    *("new", "commission", "check", "design", "doctor", "install-service", "bench"),
     *("status", "arm", "disarm", "stop", "clear", "home", "hold"),
     *("goto", "jog", "mark", "track", "top", "tune"),
 )

@@ -115,6 +115,18 @@ class Home(RequestBase):
     verb: Literal["home"]
 
 
+class Probe(RequestBase):
+    """Open the valve slowly and without a loop, within bounds, for as long as the lease is renewed."""
+
+    verb: Literal["probe"]
+    voltage_v: Annotated[float, Field(ge=-10, le=10)]
+    rate_v_s: Annotated[float, Field(gt=0, le=100)]
+    travel_mm: Annotated[float, Field(gt=0, le=1e3)]
+    speed_mm_s: Annotated[float, Field(gt=0, le=1e4)]
+    force_n: Annotated[float, Field(gt=0, le=1e5)]
+    lease_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.3
+
+
 class Goto(RequestBase):
     """Go to a position; bounds that are not given are the configured ones."""
 
@@ -183,6 +195,7 @@ class Mark(RequestBase):
 
 Request = (
     Status | Attach | Observe | Arm | Disarm | Stop | Clear | Hold | Home | Goto | Jog | Track | Upload
+    | Probe
     | TuneGet
     | TuneSet
     | TuneReload
