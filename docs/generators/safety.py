@@ -120,9 +120,9 @@ Enable 0.
 * Only the request *clear* leaves `fault`, and only when what led there is gone. It leads to `disarmed`:
   after a fault it takes *clear* and then *arm*. Nothing arms again by itself.
 * *disarm*, and the end of the program, stop the load under control before the valve is centred; *stop*
-  holds it then, or centres, as `limits.stop_then` says. While homing and probing each of them centres at once:
-  the load is slow, with little force behind it, and no loop is there to stop it. After the end of the program was
-  asked for, the axis does not arm again.
+  holds it then, or centres, as `limits.stop_then` says. While homing and probing each of them centres at
+  once: the load is slow, with little force behind it, and no loop is there to stop it. After the end of
+  the program was asked for, the axis does not arm again.
 * No request widens a limit.
 
 What these sentences say is checked by tests that go through every state with every request, every fault and
