@@ -139,6 +139,9 @@ def daemon(
     arm: Annotated[
         bool, typer.Option("--arm", help="Arm once when everything allows it (benches and tests).")
     ] = False,
+    unproven: Annotated[
+        bool, typer.Option("--unproven", help="Let it be armed without a movement test.")
+    ] = False,
     duration: Annotated[
         float | None, typer.Option("--duration", metavar="S", help="Stop after this time.")
     ] = None,
@@ -193,6 +196,7 @@ def daemon(
             bus=bus if bus is not None else ("auto" if virtual else None),
             virtual=virtual,
             arm=arm,
+            unproven=unproven,
             duration_s=duration,
             rate_hz=rate,
             headless=headless,

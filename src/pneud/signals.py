@@ -50,6 +50,7 @@ class Host(IntFlag):
     CONFIG_CHANGED = 4096
     RECEIVE_OVERFLOW = 8192
     CONSOLE_LOST = 16384
+    UNPROVEN = 32768
 
 
 class EncoderStatus(IntFlag):

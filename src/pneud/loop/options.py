@@ -17,6 +17,7 @@ class Options(NamedTuple):
     duration_s: float | None  # None runs until it is told to stop
     end_on_fault: bool
     no_realtime: bool  # real-time scheduling is required and was refused
+    unproven: bool = False  # the movement test has not been passed
 
     def ticks(self, seconds: float, least: int = 1) -> int:
         """So much time, in ticks."""
@@ -30,8 +31,16 @@ def options_of(
     duration_s: float | None,
     end_on_fault: bool,
     no_realtime: bool,
+    unproven: bool = False,
 ) -> Options:
     """Options from a configuration and the command line."""
     return Options(
-        c.loop.rate_hz, c.loop.set_deadline, c.loop.spin_us, auto_arm, duration_s, end_on_fault, no_realtime
+        c.loop.rate_hz,
+        c.loop.set_deadline,
+        c.loop.spin_us,
+        auto_arm,
+        duration_s,
+        end_on_fault,
+        no_realtime,
+        unproven,
     )

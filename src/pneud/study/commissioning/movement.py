@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 from pneud.axis.state import AxisParameters
 from pneud.control.probe import Probe
-from pneud.safety.faults import BLOCKS_ARM, F, names
-from pneud.signals import State, Tick
+from pneud.safety.faults import F, names
+from pneud.safety.supervisor import BLOCKS
+from pneud.signals import RequestKind, State, Tick
 
 HELD = 0.6  # of Coulomb friction: it holds the load on its bristles
 TOUCH_M, MOVE_M, SPEED_M_S = 1e-3, 1e-3, 0.03
@@ -155,7 +156,7 @@ def _value(t: Tick, of: str) -> float:
 
 def judge_rest(present: int) -> Verdict | None:
     """What keeps an axis at rest from being tested at all; None for nothing."""
-    hindering = present & BLOCKS_ARM
+    hindering = present & BLOCKS[RequestKind.PROBE]
     if not hindering:
         return None
     shut = hindering & (1 << F.SUPPLY_PRESSURE | 1 << F.SUPPLY_FALLING)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pneud.axis.state import AxisParameters
 from pneud.control.probe import Probe
-from pneud.safety.faults import BLOCKS_ARM
+from pneud.safety.supervisor import BLOCKS
 from pneud.signals import Answer, Request, RequestKind, State, Tick
 from pneud.study.commissioning.movement import (
     Finding,
@@ -54,7 +54,7 @@ class MovementTest:
         if state == State.PROBING and self.asked is not None:
             self._age += 1
             return _request(self.asked) if self._age % (self._lease // 3 + 1) == 0 else None
-        if state != State.DISARMED or present & BLOCKS_ARM:
+        if state != State.DISARMED or present & BLOCKS[RequestKind.PROBE]:
             self._quiet, self._hindered = 0, self._hindered + 1
             if self._hindered * self._p.controller.h > PATIENCE_S:
                 self.verdict = judge_rest(present) or Verdict((Finding.BY_FAULT,))
