@@ -28,6 +28,7 @@ COMMANDS: dict[str, dict[str, Any]] = {  # fields of requests that have some
     "jog": {"velocity_mm_s": 10},
     "track": {"what": "reference"},
     "upload": {"first": True, "pieces": [PIECE]},
+    "probe": {"voltage_v": 1, "rate_v_s": 0.1, "travel_mm": 1, "speed_mm_s": 30, "force_n": 100},
     "mark": {"text": "x"},
     "tune_set": {"gains": {"k1": 1.0}},
 }

@@ -391,6 +391,7 @@ def never_together(rig: Rig, _: pytest.MonkeyPatch) -> None:
 BLOCKING = [
     Case(F.ENCODER_UNREFERENCED, value(encoder_status=0)),
     Case(F.NO_REALTIME, host(Host.NO_REALTIME)),
+    Case(F.UNPROVEN, host(Host.UNPROVEN)),
     Case(F.MOVING, moving),
     Case(F.UNSETTLED, just_started),
     Case(F.UNSETTLED, never_together),

@@ -214,7 +214,7 @@ def test_what_arms_takes_over_without_a_bump() -> None:
     assert course.reference == Reference(m.position_m, 0.0, 0.0, 0.0)
     assert course.controller is not None
     assert led(state, m).controller is not None
-    driven = actuate(course, int(State.HOLDING), m, known(state, m).estimate, 0.0, state.law, P)
+    driven = actuate(course, int(State.HOLDING), m, known(state, m), 0.0, state.law, P)
     assert driven.command.s == 0.0
 
 
@@ -307,8 +307,8 @@ def test_an_engaged_axis_knows_where_it_is(after: State) -> None:
 def test_a_command_may_slew_for_the_time_since_the_last_one(skipped: int) -> None:
     state, m = under_way()
     p = P._replace(output=P.output._replace(slew_v_s=10.0))
-    course, e = led(state, m), known(state, m).estimate
-    driven = actuate(course, int(State.TRACKING), m._replace(skipped=skipped), e, 4.0, state.law, p)
+    course, belief = led(state, m), known(state, m)
+    driven = actuate(course, int(State.TRACKING), m._replace(skipped=skipped), belief, 4.0, state.law, p)
     assert driven.command.voltage_v == pytest.approx(4.0 - 0.01 * (1 + skipped), abs=3e-4)
     assert driven.command.saturated == 1
     assert driven.controller != course.controller
@@ -316,13 +316,13 @@ def test_a_command_may_slew_for_the_time_since_the_last_one(skipped: int) -> Non
 
 def test_homing_asks_without_the_law(monkeypatch: pytest.MonkeyPatch) -> None:
     state, m = disarmed()
-    course, e = turned(state, m, State.HOMING), known(state, m).estimate
-    driven = actuate(course, int(State.HOMING), m, e, 0.0, state.law, P)
-    assert driven.command.law_v == homing.command(course.homing, m, e, P.homing, state.law)
+    course, belief = turned(state, m, State.HOMING), known(state, m)
+    driven = actuate(course, int(State.HOMING), m, belief, 0.0, state.law, P)
+    assert driven.command.law_v == homing.command(course.homing, m, belief.estimate, P.homing, state.law)
     assert (driven.command.s, driven.command.ustar, driven.faults) == (0.0, 0.0, 0)
     assert driven.controller == course.controller
     monkeypatch.setattr(homing, "command", lambda *_: math.nan)
-    assert names(actuate(course, int(State.HOMING), m, e, 0.0, state.law, P).faults) == ["not_finite"]
+    assert names(actuate(course, int(State.HOMING), m, belief, 0.0, state.law, P).faults) == ["not_finite"]
 
 
 DOUBT, STANDING = Doubt(encoder_share=0.1), Standing(turns=2)

@@ -92,7 +92,16 @@ WRITTEN = [
     Taken("install-service --destdir {}"),
 ]
 ASKING = ["status", "arm", "disarm", "stop", "clear", "home", "hold", "goto 1", "jog 1", "mark x", "top"]
-ASKING += ["track sine", "track steps", "tune get", "tune set k1=1", "tune diff", "tune save", "tune reload"]
+ASKING += [
+    "commission --yes",
+    "track sine",
+    "track steps",
+    "tune get",
+    "tune set k1=1",
+    "tune diff",
+    "tune save",
+    "tune reload",
+]
 SOCKETS = [
     *(Taken(f"{words} --socket {{}}", ".sock") for words in ASKING),
     Taken("status", ".sock", "PNEUD_SOCKET"),
@@ -409,6 +418,7 @@ NEW = "new x -o OUT.toml --cylinder 25/10 --stroke 200 --mass 3 --valve 350 --ye
 WORKING = [*SAYING, "sim --duration 0.01 --json", "sim --help", "doctor", "doctor --json", "check SCENARIO"]
 WORKING += ["replay LOG --json", "replay LOG --against LOG", "replay LOG --set control.k1=1"]
 WORKING += ["export LOG -o OUT.csv", "export LOG -o OUT.log", "import RECORDING --dbc DBC -o OUT.mcap"]
+WORKING += ["commission --virtual", "commission --virtual --json"]
 WORKING += ["recover LOG -o OUT.mcap", "report LOG -o OUT.html", "install-service --destdir OUT"]
 WORKING += [f"learnt {GOLDEN}", f"learnt {GOLDEN} --json", NEW, f"{NEW} --json"]
 WORKING += ["design virtual.toml --bandwidth 50 --error-mm 1", "bench --pairs 1 --disturb --json"]

@@ -25,7 +25,7 @@ from pneud.signals import ENGAGED, Answer, Host, Request, RequestKind, State, Ti
 NOW_NS = 90_000_000_000
 COMMANDS = [
     *(RequestKind.ARM, RequestKind.HOLD, RequestKind.GOTO),
-    *(RequestKind.JOG, RequestKind.TRACK, RequestKind.HOME),
+    *(RequestKind.JOG, RequestKind.TRACK, RequestKind.HOME, RequestKind.PROBE),
 ]
 
 

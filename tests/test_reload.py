@@ -17,6 +17,7 @@ from pneud.axis.requests import NOTHING, Asked, ask
 from pneud.config.conversions import axis_of
 from pneud.config.reading import with_settings
 from pneud.control.plan import FOLLOWING, GOING, IDLE, JOINING, RESTING, Plan, follow
+from pneud.control.probe import NO_PROBE
 from pneud.control.reference import ROOM, Sine, Way, along, at, septic, sine, stays, transfer
 from pneud.control.tunables import TUNABLE, tunables
 from pneud.log.files.naming import create_log
@@ -86,7 +87,7 @@ def test_gains_and_a_reference_fit_into_a_request() -> None:
 def asked(wanted: Sine, plan: Plan, now: Reference, gains: tuple[float, ...] = NOW) -> Asked:
     s = Supervisor(int(State.TRACKING), 0, 1000, False)
     request = Request(GAINS, (*gains, *wanted))
-    return ask(request, s, 0, plan, (), now, NOWHERE, AT_NS, P.controller, P.reference, P)
+    return ask(request, s, 0, plan, (), now, NOWHERE, AT_NS, P.controller, P.reference, NO_PROBE, P)
 
 
 sines = st.builds(

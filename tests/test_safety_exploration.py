@@ -21,6 +21,7 @@ from pneud.signals import ENGAGED, Host, Measurement, Request, RequestKind, Stat
 
 SINGLES = [1 << fault for fault in F]
 PAIRS = [a | b for a, b in combinations(SINGLES, 2)]
+PROBE = Request(RequestKind.PROBE, (1.0, 0.2, 2e-3, 0.05, 150.0, 100.0))
 REQUESTS = (
     None,
     Request(RequestKind.ARM),
@@ -36,11 +37,12 @@ REQUESTS = (
     Request(RequestKind.JOG, (0.05, 20.0)),
     Request(RequestKind.TRACK, (0.0,)),
     Request(RequestKind.PIECE),
+    PROBE,
     Request(RequestKind.GAINS, (1e9,) * 9),
     Request(RequestKind.GAINS, (*tunables(ready().axis.state.law), 0.4, 0.03, 3.0)),
     Request(99, (1.0, 2.0)),
 )
-ENGAGING = (RequestKind.ARM, RequestKind.HOME)
+ENGAGING = (RequestKind.ARM, RequestKind.HOME, RequestKind.PROBE)
 
 
 def holding() -> Rig:
@@ -94,6 +96,7 @@ SITUATIONS: dict[str, Callable[[], Rig]] = {
     "stopping, then holding": lambda: after(tracking(), RequestKind.STOP),
     "stopping, then centred": lambda: after(tracking(), RequestKind.DISARM),
     "shutting down": lambda: after(tracking(), RequestKind.SHUTDOWN),
+    "probing": lambda: after(ready(), PROBE.kind, *PROBE.values),
     "fault": faulty,
 }
 

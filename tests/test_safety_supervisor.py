@@ -28,7 +28,7 @@ ARM, DISARM, CLEAR, SHUTDOWN = (
     RequestKind.SHUTDOWN,
 )
 STOP, HOLD, GOTO, JOG = RequestKind.STOP, RequestKind.HOLD, RequestKind.GOTO, RequestKind.JOG
-TRACK, HOME = RequestKind.TRACK, RequestKind.HOME
+TRACK, HOME, PROBE = RequestKind.TRACK, RequestKind.HOME, RequestKind.PROBE
 STEERED = {
     HOLD: State.MOVING,
     GOTO: State.MOVING,
@@ -105,14 +105,15 @@ def test_all_states_of_the_supervisor_are_reached(steps: list[Step]) -> None:
     assert len(steps) > 10_000
 
 
-def test_only_three_requests_engage_and_only_from_disarmed_without_faults(steps: list[Step]) -> None:
+def test_only_four_requests_engage_and_only_from_disarmed_without_faults(steps: list[Step]) -> None:
     engaging = [step for step in steps if is_engaged(step[4].state) and not is_engaged(step[0].state)]
-    ends_in = {ARM: State.HOLDING, TRACK: State.TRACKING, HOME: State.HOMING}
+    ends_in = {ARM: State.HOLDING, TRACK: State.TRACKING, HOME: State.HOMING, PROBE: State.PROBING}
     assert {request for _, _, request, _, _ in engaging} == set(ends_in)
     for s, present, request, _, after in engaging:
         assert (s.state, after.state) == (State.DISARMED, ends_in[RequestKind(request)])
-        # who has to home has no reference yet
+        # who has to home has no reference yet, and who is being tested is not proven
         allowed = 1 << F.ENCODER_UNREFERENCED if request == HOME else 0
+        allowed |= 1 << F.UNPROVEN if request in (HOME, PROBE) else 0
         assert not present & BLOCKS_ARM & ~allowed
         assert not s.closing
 
@@ -132,13 +133,13 @@ def test_no_way_leads_from_a_fault_to_motion_but_by_clear_and_then_by_arming(
     faults = {after for _, _, after in ways if after.state == State.FAULT}
     assert faults
     assert reached(ways, faults, (CLEAR,)) == {State.FAULT}
-    assert reached(ways, faults, (ARM, TRACK, HOME)) == {State.FAULT, State.DISARMED, State.WAITING}
+    assert reached(ways, faults, (ARM, TRACK, HOME, PROBE)) == {State.FAULT, State.DISARMED, State.WAITING}
     assert reached(ways, faults, ()) >= set(ENGAGED)
 
 
 def test_nothing_engages_before_it_is_armed(ways: set[tuple[Supervisor, int, Supervisor]]) -> None:
     centred = {State.STARTING, State.WAITING, State.DISARMED}
-    assert reached(ways, [INITIAL], (ARM, TRACK, HOME)) == centred
+    assert reached(ways, [INITIAL], (ARM, TRACK, HOME, PROBE)) == centred
     assert reached(ways, [INITIAL], ()) == set(State)
 
 
@@ -183,11 +184,13 @@ def test_a_stop_fault_and_the_requests_to_end_stop_under_control(steps: list[Ste
     for s, present, request, at_rest, after in steps:
         if is_engaged(s.state) and s.state != State.STOPPING and not present & CENTRES:
             leaves = bool(present & STOPS) or request in (DISARM, SHUTDOWN)
-            if (leaves or request == STOP) and s.state == State.HOMING:
+            if (leaves or request == STOP) and s.state in (State.HOMING, State.PROBING):
                 assert after.state == (State.FAULT if after.latched else State.DISARMED)
             elif leaves or request == STOP:
                 assert after.state == State.STOPPING
                 assert after.centring == leaves
+            elif s.state == State.PROBING:
+                assert after.state == (State.DISARMED if at_rest else State.PROBING)
             elif s.state != State.HOMING and request in STEERED:
                 assert after.state == STEERED[RequestKind(request)]
             else:
@@ -222,7 +225,7 @@ def test_warnings_change_nothing(steps: list[Step]) -> None:
 def test_what_only_keeps_from_arming_changes_nothing_else(steps: list[Step]) -> None:
     hindrances = mask(Reaction.NO_ARM)
     for s, present, request, at_rest, after in steps[::7]:
-        if request not in (ARM, TRACK, HOME):
+        if request not in (ARM, TRACK, HOME, PROBE):
             assert advance(s, present | hindrances, request, at_rest) == after
 
 

@@ -42,6 +42,7 @@ FROM_WITHIN = {
     "config_changed": "a scenario does not write into the files of its user",
     "operator_lost": "takes an operator who jogs and goes away: the tests of the console have one",
     "homing_failed": "takes an operator who homes: the tests of the axis have one",
+    "unproven": "takes a bus on which air can be: a test of commissioning has it",
     "disk_full": "takes a file system of its own: the campaign has a case for it",
 }
 

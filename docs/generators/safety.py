@@ -27,6 +27,7 @@ _STATES = {
     State.HOMING: "the load is led against an end stop to find an incremental encoder's zero",
     State.STOPPING: "the load is brought to rest under control; then it is held, or the valve is centred",
     State.FAULT: "the valve is centred, and stays so until the fault is cleared",
+    State.PROBING: "the valve is opened slowly and without a loop, and centred at the first bound",
 }
 _REACTIONS = {
     Reaction.CENTRE: "the valve is centred in the same tick, past the slew limit, and disabled. Cannot arm",
@@ -46,6 +47,7 @@ _CIA_402 = {
     State.HOMING: "Operation enabled (homing)",
     State.STOPPING: "Quick stop active; with a latched fault Fault reaction active",
     State.FAULT: "Fault",
+    State.PROBING: "Operation enabled",
 }
 _DEBOUNCES = {
     "sensor_timeout_ns": "`bus.sensor_timeout_ms`",
@@ -118,9 +120,9 @@ Enable 0.
 * Only the request *clear* leaves `fault`, and only when what led there is gone. It leads to `disarmed`:
   after a fault it takes *clear* and then *arm*. Nothing arms again by itself.
 * *disarm*, and the end of the program, stop the load under control before the valve is centred; *stop*
-  holds it then, or centres, as `limits.stop_then` says. While homing each of them centres at once: the load
-  is slow, with little force behind it, and its position is not known. After the end of the program was
-  asked for, the axis does not arm again.
+  holds it then, or centres, as `limits.stop_then` says. While homing and probing each of them centres at
+  once: the load is slow, with little force behind it, and no loop is there to stop it. After the end of
+  the program was asked for, the axis does not arm again.
 * No request widens a limit.
 
 What these sentences say is checked by tests that go through every state with every request, every fault and

@@ -32,7 +32,7 @@ FOLDER = Path(__file__).parent / "verbs"
 # of help and completion, what one looks for together; a verb that does not stand here comes last
 ORDER = (
     *("plant", "sim", "reproduce", "replay", "report", "export", "import", "recover", "learnt", "identify"),
-    *("new", "check", "design", "doctor", "install-service", "bench"),
+    *("new", "commission", "check", "design", "doctor", "install-service", "bench"),
     *("status", "arm", "disarm", "stop", "clear", "home", "hold"),
     *("goto", "jog", "mark", "track", "top", "tune"),
 )
@@ -140,6 +140,9 @@ def daemon(
     arm: Annotated[
         bool, typer.Option("--arm", help="Arm once when everything allows it (benches and tests).")
     ] = False,
+    unproven: Annotated[
+        bool, typer.Option("--unproven", help="Let it be armed without a movement test.")
+    ] = False,
     duration: Annotated[
         float | None, typer.Option("--duration", metavar="S", help="Stop after this time.")
     ] = None,
@@ -194,6 +197,7 @@ def daemon(
             bus=bus if bus is not None else ("auto" if virtual else None),
             virtual=virtual,
             arm=arm,
+            unproven=unproven,
             duration_s=duration,
             rate_hz=rate,
             headless=headless,

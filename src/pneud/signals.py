@@ -50,6 +50,7 @@ class Host(IntFlag):
     CONFIG_CHANGED = 4096
     RECEIVE_OVERFLOW = 8192
     CONSOLE_LOST = 16384
+    UNPROVEN = 32768
 
 
 class EncoderStatus(IntFlag):
@@ -82,6 +83,7 @@ class State(IntEnum):
     HOMING = 6
     STOPPING = 7
     FAULT = 8
+    PROBING = 9
 
     @property
     def label(self) -> str:
@@ -89,7 +91,7 @@ class State(IntEnum):
         return self.name.lower()
 
 
-ENGAGED = (State.TRACKING, State.MOVING, State.HOLDING, State.HOMING, State.STOPPING)
+ENGAGED = (State.TRACKING, State.MOVING, State.HOLDING, State.HOMING, State.STOPPING, State.PROBING)
 
 
 class RequestKind(IntEnum):
@@ -108,6 +110,7 @@ class RequestKind(IntEnum):
     TRACK = 11  # (0.0,): the configured reference; (1.0,): the uploaded profile
     PIECE = 12  # (T, c0 … c7): one more piece of the profile; (): empty it
     GAINS = 13  # a law's code and its gains; behind them the configured reference, where it changes
+    PROBE = 14  # (voltage, rate, travel, speed, force, lease in ticks): a bounded opening without a loop
 
 
 class Hunting(IntEnum):

@@ -8,18 +8,18 @@ from __future__ import annotations
 
 from pneud.axis.doubt import listen
 from pneud.axis.guidance import NO_REFERENCE, Course, guide, redirect
-from pneud.axis.requests import ARM, BLOCKED, HOME, NOTHING, TAKEN, Asked, ask
+from pneud.axis.requests import ARM, BLOCKED, HOME, NOTHING, PROBE, TAKEN, Asked, ask
 from pneud.axis.sensing import NAN, NO_ESTIMATE, Belief, Driven, drive, sense
 from pneud.axis.standing import AT_WORK, Standing, judge
 from pneud.axis.state import INSIDE, AxisParameters, AxisState, Doubt, configured, learnt_so_far, switched_on
 from pneud.axis.stops import UNHELD, excused, gentle, outside
-from pneud.control import homing
+from pneud.control import homing, probe
 from pneud.control.plan import FOLLOWING, IDLE, NONE, Plan
 from pneud.control.step import Controller
 from pneud.safety import checks
 from pneud.safety.faults import F
 from pneud.safety.output import emit
-from pneud.safety.supervisor import DISARMED, HOLDING, HOMING, Supervisor, advance, is_engaged, trip
+from pneud.safety.supervisor import DISARMED, HOLDING, HOMING, PROBING, Supervisor, advance, is_engaged, trip
 from pneud.safety.watch import Watch, forget_position, remember
 from pneud.signals import Command, Estimate, Measurement, Reference, Request, RequestKind, Tick
 
@@ -45,7 +45,7 @@ def cycle(
     if p.homing.incremental:
         m = homing.placed(m, state.zero_m, state.referenced)
     m, doubt, doubtful = listen(state, m, t_ns, p)
-    arming = request is not None and request.kind in (ARM, HOME) and before.state == DISARMED
+    arming = request is not None and request.kind in (ARM, HOME, PROBE) and before.state == DISARMED
     belief, seen, lasting, present = sense(state, m, arming, t_ns, p)
     outside_m = outside(state.outside_m, m.position_m, is_engaged(before.state), p.limits)
     spared = excused(outside_m, m.position_m, belief.estimate, p.limits)
@@ -68,6 +68,7 @@ def cycle(
             belief.sampled_ns,
             state.law,
             configured(state, p),
+            state.probe,
             p,
         )
     law = state.law
@@ -78,7 +79,7 @@ def cycle(
     if is_engaged(after.state):
         course = redirect(course, asked, after.state, state, belief, p)
         bounded = p if outside_m == INSIDE else gentle(p)
-        driven = actuate(course, after.state, m, belief.estimate, state.last_v, law, bounded)
+        driven = actuate(course, after.state, m, belief, state.last_v, law, bounded)
         if driven.faults:
             after = trip(after, driven.faults)
     present = course.present | asked.faults | driven.faults
@@ -128,7 +129,13 @@ def stand(
 
 
 def actuate(
-    course: Course, state: int, m: Measurement, e: Estimate, last_v: float, law: Controller, p: AxisParameters
+    course: Course,
+    state: int,
+    m: Measurement,
+    belief: Belief,
+    last_v: float,
+    law: Controller,
+    p: AxisParameters,
 ) -> Driven:
     """What an engaged axis asks of the valve.
 
@@ -136,14 +143,17 @@ def actuate(
         course: where it is led.
         state: of this tick.
         m: the measurement.
-        e: the estimate.
+        belief: what is known of the load.
         last_v: the last command that left [V].
         law: with its gains from now on.
         p: parameters.
     """
-    dt = (1 + m.skipped) * law.h
-    if state == HOMING:
-        law_v = homing.command(course.homing, m, e, p.homing, law)
+    dt, e = (1 + m.skipped) * law.h, belief.estimate
+    if state in (HOMING, PROBING):
+        if state == HOMING:
+            law_v = homing.command(course.homing, m, e, p.homing, law)
+        else:
+            law_v = probe.opening_v(course.probe, belief.sampled_ns)
         out = emit(law_v, last_v, dt, p.output)
         command = Command(out.voltage_v, out.enable, out.saturated, law_v, 0.0, 0.0)
         return Driven(course.controller, command, out.faults)
@@ -211,6 +221,7 @@ def put_away(
         doubt=doubt,
         outside_m=outside_m,
         learnt=learnt_so_far(state),
+        probe=course.probe,
     )
 
 

@@ -7,13 +7,14 @@ from typing import NamedTuple
 from pneud.axis.requests import Asked
 from pneud.axis.sensing import NAN, Belief
 from pneud.axis.state import AxisParameters, AxisState, configured, learnt_so_far
-from pneud.control import homing
+from pneud.control import homing, probe
 from pneud.control.homing import Homing
 from pneud.control.plan import IDLE, Plan, follow, halting, resting
+from pneud.control.probe import Probe
 from pneud.control.reference import rest
 from pneud.control.step import ControllerState, change, join, resume
 from pneud.safety.faults import F
-from pneud.safety.supervisor import HOLDING, HOMING, STOPPING, is_engaged
+from pneud.safety.supervisor import HOLDING, HOMING, PROBING, STOPPING, is_engaged
 from pneud.signals import Measurement, Reference
 
 # an encoder that was silent, wrong or jumped may have lost count
@@ -31,13 +32,14 @@ class Course(NamedTuple):
 
     plan: Plan  # what the reference is doing
     reference: Reference
-    at_rest: bool  # at the end of the plan, or of homing
+    at_rest: bool  # at the end of the plan, of homing, or of a probe
     homing: Homing
     found: bool  # homing has just found the stop: positions count from there
     zero_m: float
     referenced: bool
     controller: ControllerState | None
     present: int  # bits of the faults that hold now
+    probe: Probe
 
 
 def guide(state: AxisState, belief: Belief, m: Measurement, present: int, p: AxisParameters) -> Course:
@@ -52,7 +54,7 @@ def guide(state: AxisState, belief: Belief, m: Measurement, present: int, p: Axi
     """
     law, limits, e, before = state.law, p.limits, belief.estimate, state.supervisor.state
     plan, reference, at_rest, way, found = state.plan, NO_REFERENCE, False, state.homing, False
-    controller, zero_m, referenced = belief.controller, state.zero_m, state.referenced
+    controller, zero_m, referenced, probed = belief.controller, state.zero_m, state.referenced, state.probe
     if p.homing.incremental and (not referenced or before == HOMING):
         present &= ~TRAVEL  # the stop lies beyond it
     if before == HOMING:
@@ -63,6 +65,10 @@ def guide(state: AxisState, belief: Belief, m: Measurement, present: int, p: Axi
         if found:
             zero_m, referenced = zero_m + p.homing.stop_m - m.position_m, True
             controller = resume(p.homing.stop_m, m.p1_pa, m.p2_pa, m.supply_pa, law, learnt_so_far(state))
+    elif before == PROBING:
+        probed = probed._replace(lease=probed.lease - 1 - m.skipped)
+        present |= (probed.lease < 0) << F.OPERATOR_LOST
+        at_rest = probe.is_over(probed, e, m, belief.sampled_ns, law.cylinder, law.gas)
     elif is_engaged(before):
         plan, reference, at_rest = follow(plan, belief.sampled_ns, configured(state, p), state.profile)
         error_m = reference.position_m - e.position_m
@@ -72,7 +78,7 @@ def guide(state: AxisState, belief: Belief, m: Measurement, present: int, p: Axi
             plan = plan._replace(lease=plan.lease - 1 - m.skipped)
     if present & LOSES_REFERENCE:
         referenced = False
-    return Course(plan, reference, at_rest, way, found, zero_m, referenced, controller, present)
+    return Course(plan, reference, at_rest, way, found, zero_m, referenced, controller, present, probed)
 
 
 def redirect(
@@ -93,6 +99,9 @@ def redirect(
     assert controller is not None  # else a fault has centred an engaged axis, or kept it from arming
     if after == HOMING:
         return _homewards(course, before, belief, p)
+    if after == PROBING:
+        asked_for = course.probe if asked.probe is None else asked.probe
+        return course._replace(probe=asked_for, reference=rest(e.position_m))
     if asked.plan is not None:
         plan = asked.plan
     elif asked.law is None and after == before and plan.lease >= 0:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 from pneud.axis.state import AxisParameters
 from pneud.axis.stops import soft_limits, way_inside
 from pneud.control.plan import COMING_TO_REST, FOLLOWING, GOING, JOINING, Plan, halting, resting
+from pneud.control.probe import Probe, is_allowed
 from pneud.control.profile import (
     LONGEST_S,
     MOST_PIECES,
@@ -52,7 +53,7 @@ MALFORMED, CLOSING, UNSTABLE = int(Answer.MALFORMED), int(Answer.CLOSING), int(A
 ARM, DISARM, CLEAR = int(RequestKind.ARM), int(RequestKind.DISARM), int(RequestKind.CLEAR)
 SHUTDOWN, MARK, STOP = int(RequestKind.SHUTDOWN), int(RequestKind.MARK), int(RequestKind.STOP)
 HOLD, GOTO, JOG = int(RequestKind.HOLD), int(RequestKind.GOTO), int(RequestKind.JOG)
-HOME = int(RequestKind.HOME)
+HOME, PROBE = int(RequestKind.HOME), int(RequestKind.PROBE)
 TRACK, PIECE, GAINS = int(RequestKind.TRACK), int(RequestKind.PIECE), int(RequestKind.GAINS)
 STEERED = (int(State.TRACKING), int(State.MOVING), int(State.HOLDING))  # may be asked to go elsewhere
 
@@ -77,6 +78,7 @@ COUNTS = {
     PIECE: (0, 9),
     GAINS: tuple({len(names_of(law)) + more for law in LAWS for more in (0, len(Sine._fields))}),
     HOME: (0,),
+    PROBE: (6,),
 }
 
 
@@ -90,6 +92,7 @@ class Asked(NamedTuple):
     law: Controller | None = None  # with its gains from now on
     reference: Sine | None = None  # the configured one from now on
     faults: int = 0  # that showed only now
+    probe: Probe | None = None  # from now on
 
 
 NOTHING = Asked(int(Answer.NONE))
@@ -106,6 +109,7 @@ def ask(
     now_ns: int,
     law: Controller,
     configured: Sine,
+    probed: Probe,
     p: AxisParameters,
 ) -> Asked:
     """What becomes of a request in this tick.
@@ -121,6 +125,7 @@ def ask(
         now_ns: the instant that both belong to.
         law: with its present gains.
         configured: the present reference.
+        probed: the last probe, perhaps under way.
         p: parameters.
     """
     kind, values = request
@@ -134,6 +139,8 @@ def ask(
         return _arm(values == (1.0,), s, present, e, now_ns, configured, p)
     if kind == HOME:
         return _home(s, present, p)
+    if kind == PROBE:
+        return _probe(values, s, present, e, now_ns, probed, p)
     if kind == CLEAR:
         if s.state != State.FAULT:
             return Asked(WRONG_STATE)
@@ -190,6 +197,31 @@ def _home(s: Supervisor, present: int, p: AxisParameters) -> Asked:
     if s.closing:
         return Asked(CLOSING)
     return Asked(BLOCKED) if present & BLOCKS[HOME] else Asked(TAKEN, HOME)
+
+
+def _probe(
+    values: tuple[float, ...],
+    s: Supervisor,
+    present: int,
+    e: Estimate,
+    now_ns: int,
+    old: Probe,
+    p: AxisParameters,
+) -> Asked:
+    """A bounded opening from rest; the same again, while it is under way, renews its lease."""
+    goal_v, rate_v_s, travel_m, speed_m_s, force_n, lease = values
+    if not 1.0 <= lease <= LONGEST_LEASE:
+        return Asked(MALFORMED)
+    wanted = Probe(goal_v, rate_v_s, travel_m, speed_m_s, force_n, int(lease), now_ns, e.position_m, e.x3_n)
+    if not is_allowed(wanted, p.output.u_max_v):
+        return Asked(BEYOND_LIMITS)
+    if s.state == State.PROBING and wanted[:5] == old[:5]:
+        return Asked(TAKEN, probe=old._replace(lease=wanted.lease))
+    if s.state != State.DISARMED:
+        return Asked(WRONG_STATE)
+    if s.closing:
+        return Asked(CLOSING)
+    return Asked(BLOCKED) if present & BLOCKS[PROBE] else Asked(TAKEN, PROBE, probe=wanted)
 
 
 def _tune(

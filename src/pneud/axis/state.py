@@ -8,6 +8,7 @@ from pneud.axis.standing import AT_WORK, Expected, Standing
 from pneud.control.adaptation import Learnt
 from pneud.control.homing import NOWHERE, Homing, HomingParameters
 from pneud.control.plan import IDLE, Plan
+from pneud.control.probe import NO_PROBE, Probe
 from pneud.control.profile import Profile
 from pneud.control.reference import Bounds, Sine, Way
 from pneud.control.step import Controller, ControllerState
@@ -86,6 +87,7 @@ class AxisState(NamedTuple):
     doubt: Doubt = Doubt()
     outside_m: float = INSIDE  # innermost position since it has been armed outside its travel
     learnt: Learnt = Learnt()  # up to the last tick, for a controller that starts anew
+    probe: Probe = NO_PROBE
 
     @property
     def phase(self) -> int:

@@ -12,7 +12,7 @@ from pneud.config.detail import detail_of
 from pneud.config.learnt import adaptation_of, start_of
 from pneud.config.measured import edges_of, with_map
 from pneud.config.models import BusConfig, Config, ControlConfig, CylinderConfig, RealtimeConfig, ValveConfig
-from pneud.config.plant import FrictionConfig, PlantConfig, PlantValveConfig
+from pneud.config.plant import FrictionConfig, PlantConfig, PlantValveConfig, PlantWiringConfig
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.feedforward import Creep
 from pneud.control.homing import HomingParameters
@@ -26,7 +26,7 @@ from pneud.control.step import Controller
 from pneud.physics import cylinder as cyl
 from pneud.physics.friction import Friction
 from pneud.physics.gas import Gas
-from pneud.physics.plant import PlantParameters
+from pneud.physics.plant import PlantParameters, Wiring
 from pneud.physics.valve import Valve, spool_transition
 from pneud.safety.checks import Limits
 from pneud.safety.output import OutputLimits
@@ -54,6 +54,7 @@ FAST = 16.0  # times the lead: a loop that swings faster is as fast as the valve
 FAST_S = 0.01  # where there is no lead
 STEEPEST = 0.858  # slope of exp(−(v/v_s)²), times v_s
 PASSING_S = 0.1  # a reference that passes the Stribeck speed in less does not creep
+BLOCKED_KG = 1e9  # nothing moves that
 BLEND_S = 0.1  # in which one set of gains gives way to another
 
 
@@ -144,6 +145,10 @@ def plant_of(c: Config) -> PlantParameters:
     cylinder, gas = cylinder_of(true), gas_of(true)
     if not p.rod_force:
         cylinder = cylinder._replace(rod_force_n=0.0)
+    if p.wiring.blocked:
+        cylinder = cylinder._replace(M=BLOCKED_KG)
+    if p.wiring.supply_shut:
+        gas = gas._replace(supply_pa=gas.atmosphere_pa)
     start_m = p.initial_x1_m + (cylinder.x_e1 - c.cylinder.dead_length_1_m)
     return PlantParameters(
         gas=gas,
@@ -167,6 +172,18 @@ def plant_of(c: Config) -> PlantParameters:
         node_delay_s=p.node_delay_us * 1e-6,
         load_n=true.cylinder.resistance_n,
         detail=detail_of(c, valve.u_max_v, gas.R, gas.temperature_k),
+        wiring=wiring_of(p.wiring),
+    )
+
+
+def wiring_of(w: PlantWiringConfig) -> Wiring:
+    """How the software rig is put together."""
+    return Wiring(
+        swapped_hoses=w.swapped_hoses,
+        exchanged_pressures=w.exchanged_pressures,
+        encoder_scale=-w.encoder_scale if w.encoder_inverted else w.encoder_scale,
+        dead_pressure=("none", "a", "b").index(w.dead_pressure),
+        valve_unplugged=w.valve_unplugged,
     )
 
 

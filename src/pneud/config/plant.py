@@ -176,6 +176,19 @@ class PlantSensorsConfig(Section):
         return self
 
 
+class PlantWiringConfig(Section):
+    """Mistakes in putting the rig together, each by itself or with others."""
+
+    swapped_hoses: bool = False  # as is a valve whose command is inverted
+    encoder_inverted: bool = False
+    encoder_scale: Annotated[float, Field(ge=0.01, le=100)] = 1.0  # shown over true, from the start on
+    exchanged_pressures: bool = False
+    dead_pressure: Literal["none", "a", "b"] = "none"  # its sensor shows the atmosphere
+    supply_shut: bool = False
+    valve_unplugged: bool = False  # the spool stays in its centre
+    blocked: bool = False  # the load cannot move
+
+
 class PlantConfig(Section):
     """The software rig: what really happens, apart from what the controller's sections above believe.
 
@@ -201,3 +214,4 @@ class PlantConfig(Section):
     supply: PlantSupplyConfig = PlantSupplyConfig()
     hoses: PlantHosesConfig = PlantHosesConfig()
     sensors: PlantSensorsConfig = PlantSensorsConfig()
+    wiring: PlantWiringConfig = PlantWiringConfig()

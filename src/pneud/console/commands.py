@@ -113,6 +113,8 @@ class AxisDesk:
                 self._check_speed(v)
                 ticks = max(1, round(lease_s * self._run.config.loop.rate_hz))
                 return Orders(f"jog {v:g} mm/s", (Request(RequestKind.JOG, (v * _MM, float(ticks))),))
+            case protocol.Probe():
+                return self._probe(message)
             case protocol.Track(what=what):
                 return Orders(f"track {what}", (Request(RequestKind.TRACK, (float(what == "profile"),)),))
             case protocol.Upload(first=first, last=last, pieces=pieces):
@@ -128,6 +130,12 @@ class AxisDesk:
                 shown = "".join(c if c.isprintable() else "?" for c in text)
                 return Orders(f"mark {shown}", (Request(RequestKind.MARK),), free=True)
         raise AssertionError(message)
+
+    def _probe(self, m: protocol.Probe) -> Orders:
+        ticks = max(1, round(m.lease_s * self._run.config.loop.rate_hz))
+        bounds = (m.travel_mm * _MM, m.speed_mm_s * _MM, m.force_n)
+        request = Request(RequestKind.PROBE, (m.voltage_v, m.rate_v_s, *bounds, float(ticks)))
+        return Orders(f"probe {m.voltage_v:+g} V within {m.travel_mm:g} mm and {m.force_n:g} N", (request,))
 
     def _goto(self, m: protocol.Goto) -> Orders:
         allowed = self._limits()

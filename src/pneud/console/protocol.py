@@ -77,6 +77,18 @@ class Plain(RequestBase):
     ]
 
 
+class Probe(RequestBase):
+    """Open the valve slowly and without a loop, within bounds, for as long as the lease is renewed."""
+
+    verb: Literal["probe"]
+    voltage_v: Annotated[float, Field(ge=-10, le=10)]
+    rate_v_s: Annotated[float, Field(gt=0, le=100)]
+    travel_mm: Annotated[float, Field(gt=0, le=1e3)]
+    speed_mm_s: Annotated[float, Field(gt=0, le=1e4)]
+    force_n: Annotated[float, Field(gt=0, le=1e5)]
+    lease_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.3
+
+
 class Goto(RequestBase):
     """Go to a position; bounds that are not given are the configured ones."""
 
@@ -143,7 +155,7 @@ class Mark(RequestBase):
     text: Annotated[str, Field(min_length=1, max_length=200)]
 
 
-Request = Plain | Goto | Jog | Track | Upload | TuneGet | TuneSet | TuneReload | Mark
+Request = Plain | Goto | Jog | Probe | Track | Upload | TuneGet | TuneSet | TuneReload | Mark
 VERBS: dict[str, type[Request]] = {
     verb: kind for kind in Request.__args__ for verb in kind.model_fields["verb"].annotation.__args__
 }

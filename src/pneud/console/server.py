@@ -30,6 +30,7 @@ _MOTION = (
     *(RequestKind.ARM, RequestKind.DISARM, RequestKind.STOP, RequestKind.HOLD),
     *(RequestKind.HOME, RequestKind.GOTO, RequestKind.TRACK),
 )
+_RENEWED = (RequestKind.JOG, RequestKind.PROBE)  # by the same again, which is no other command
 _CHUNK = 16 * 1024
 _ACCEPTS = 16  # new clients in a turn
 _QUIET_S = 1.0  # between two words for the log about the same client's mistakes
@@ -147,7 +148,7 @@ class Server:
         self._jogging: _Client | None = None
         self._files = files or Beside(desk.read, clock)
         self._unfinished: tuple[_Client | None, Orders] | None = None
-        self._jog_words = ""
+        self._renewed = ""
         self._order: dict[str, Any] | None = None  # of motion, the last one that was taken
         self._selector = selectors.DefaultSelector()
         listener.setblocking(False)
@@ -500,7 +501,7 @@ class Server:
 
     def _stop_jog(self, label: str) -> None:
         self._jogging = None
-        self._jog_words = ""
+        self._renewed = ""
         hold = Orders("hold", (Request(RequestKind.HOLD),))
         self._jobs.append(_Job(None, None, hold, label))
 
@@ -558,7 +559,7 @@ class Server:
     def _done(self, job: _Job, outcome: handoff.RequestOutcome) -> None:
         more = job.plan.done() if job.plan.done is not None else {}
         kind = job.plan.requests[0].kind
-        if kind in _MOTION or kind == RequestKind.JOG:
+        if kind in _MOTION or kind in _RENEWED:
             self._order = {"number": outcome.number, "words": job.plan.words}
             more["order"] = outcome.number
         if job.plan.undo is not None:
@@ -567,14 +568,16 @@ class Server:
                 self._desk.half_done(False)
             if job.plan.unfinished and job.client is None:
                 self._undo(job.plan, job.label)
-        if kind != RequestKind.JOG or job.plan.words != self._jog_words:
+        if kind not in _RENEWED or job.plan.words != self._renewed:
             self._say(INFO, f"{job.label}: {job.plan.words} → taken")
         if kind == RequestKind.JOG:
-            self._jogging, self._jog_words = job.client, job.plan.words  # renewing it is no other command
+            self._jogging, self._renewed = job.client, job.plan.words
             if job.client is None:
                 self._stop_jog(f"{job.label} has gone while jogging")
+        elif kind == RequestKind.PROBE:
+            self._renewed = job.plan.words
         elif kind in _MOTION:
-            self._jogging, self._jog_words = None, ""
+            self._jogging, self._renewed = None, ""
         self._send(job.client, self._reply(job.number, **more, state=State(outcome.state).label))
 
     def _end(self, job: _Job, error: ProtocolError) -> None:

@@ -15,6 +15,7 @@ from pneud.bus.link import Link, LinkError, open_link, refuse_if_driven
 from pneud.compiled.backend import Backend, backend
 from pneud.config import conversions
 from pneud.config.models import Config
+from pneud.config.proof import Proof, digest, proven
 from pneud.config.sections import ConfigError
 from pneud.console import endpoint
 from pneud.loading import Loaded, bus_name, listening_s
@@ -45,6 +46,7 @@ class RunOptions:
     socket: str | None
     live: str | None  # ADDRESS:PORT to serve viewers at
     live_origins: tuple[str, ...] = ()  # of pages elsewhere that may look
+    unproven: bool = False  # arm without a movement test
 
 
 class Ready(NamedTuple):
@@ -60,6 +62,7 @@ class Ready(NamedTuple):
     log_file: Path
     descriptor: int  # of the log file
     viewers: ViewersPlace | None
+    unproven: bool = False  # it has to pass its movement test before it is armed
 
     @property
     def config(self) -> Config:
@@ -100,6 +103,7 @@ def _prepared(o: RunOptions, viewers: ViewersPlace | None) -> Iterator[Ready]:
     how = backend(config.loop.compiled, p)
     if how.reason:
         print(f"pneud: the law runs in Python: {how.reason}", file=sys.stderr)
+    lacks = lacks_proof(o, loaded, channel)
     log_file, descriptor = open_log(o.log, config.name)
     try:
         link = _join(channel, loaded, how, o.virtual)
@@ -114,7 +118,9 @@ def _prepared(o: RunOptions, viewers: ViewersPlace | None) -> Iterator[Ready]:
         if viewers is not None and viewers.note:
             print(f"pneud: {viewers.note}", file=sys.stderr)
         try:
-            yield Ready(o, loaded, scenario, how, how.axis(p), link, socket, log_file, descriptor, viewers)
+            yield Ready(
+                o, loaded, scenario, how, how.axis(p), link, socket, log_file, descriptor, viewers, lacks
+            )
         except BaseException:
             with suppress(OSError):
                 if log_file.stat().st_size == 0:  # nothing had begun that could be looked up
@@ -122,6 +128,21 @@ def _prepared(o: RunOptions, viewers: ViewersPlace | None) -> Iterator[Ready]:
             raise
         finally:
             socket.path.unlink(missing_ok=True)
+
+
+def lacks_proof(o: RunOptions, axis: Loaded, channel: str) -> bool:
+    """Whether the axis may not be armed for want of a movement test; on a virtual bus that is but said."""
+    found = proven(axis.path, digest(axis.config, axis.dbc.read_bytes()))
+    if o.virtual or found == Proof.PASSED:
+        return False
+    words = {Proof.FAILED: "failed", Proof.CHANGED: "was with another rig", Proof.MISSING: "is lacking"}[
+        found
+    ]
+    airless = found != Proof.FAILED and channel.startswith(("unixcan:", "socketcan:vcan"))
+    if o.unproven or airless:
+        print(f"pneud: the movement test {words}; pneud commission makes it", file=sys.stderr)
+        return False
+    return True
 
 
 def _named(o: RunOptions) -> tuple[Scenario | None, Loaded, str]:

@@ -114,6 +114,7 @@ class Session:
             duration_s=o.duration_s,
             end_on_fault=o.virtual,
             no_realtime=config.realtime.required and not fifo.ok,
+            unproven=ready.unproven,
         )
         turn = Turn(ready.axis, Inbox(codecs, config.bus), codecs)
         watch = RecorderWatch(self.ring, recorder)

@@ -15,6 +15,7 @@ class Options(NamedTuple):
     duration_s: float | None  # None runs until it is told to stop
     end_on_fault: bool
     no_realtime: bool  # real-time scheduling is required and was refused
+    unproven: bool = False  # the movement test has not been passed
 
     def ticks(self, seconds: float, least: int = 1) -> int:
         """So much time, in ticks."""

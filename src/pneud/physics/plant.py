@@ -33,6 +33,16 @@ class Detail(NamedTuple):
     hose_s: float = 0.0  # from the valve's opening to the flow into the chamber
 
 
+class Wiring(NamedTuple):
+    """How valve, sensors and hoses are connected; positions are shown from where the load is at first."""
+
+    swapped_hoses: bool = False
+    exchanged_pressures: bool = False
+    encoder_scale: float = 1.0  # negative for one that counts the other way
+    dead_pressure: int = 0  # number of the chamber whose sensor is dead, 0 for none
+    valve_unplugged: bool = False
+
+
 FRICTION_AT_PA = 3e5  # mean pressure of the chambers at which friction is as its parameters say
 
 
@@ -60,3 +70,4 @@ class PlantParameters(NamedTuple):
     node_delay_s: float  # from the end of SYNC to hand-over of the answers
     load_n: float = 0.0  # constant force against positive motion, the weight's part included
     detail: Detail = Detail()
+    wiring: Wiring = Wiring()

@@ -24,6 +24,7 @@ STATE_COLOURS = {
     State.HOMING: "#cc79a7",
     State.STOPPING: "#e69f00",
     State.FAULT: "#d55e00",
+    State.PROBING: "#f0e442",
 }
 
 

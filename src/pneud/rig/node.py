@@ -235,16 +235,24 @@ class PlantNode:
 
     def _sample(self, t_ns: int, sync_ns: int) -> None:
         p, state, codecs, valve = self.p, self._state, self._codecs, self.valve
-        true = sensed(state, p)
-        position = true.position_m - p.encoder_zero_m
+        true, w = sensed(state, p), p.wiring
+        shown_m = true.position_m
+        if w.encoder_scale != 1.0:
+            start_m = p.initial_x1 - p.cylinder.x_e1
+            shown_m = start_m + w.encoder_scale * (shown_m - start_m)
+        position = shown_m - p.encoder_zero_m
         if p.detail.encoder_noise_m:
             position += p.detail.encoder_noise_m * self._noise.draw()
         position = quantised(position, p.encoder_resolution_m)
         status = int(EncoderStatus.REFERENCED) if p.encoder_referenced else 0
         read = self._pressure.read
+        chambers = [true.p1_pa, true.p2_pa]
+        if w.dead_pressure:
+            chambers[w.dead_pressure - 1] = p.gas.atmosphere_pa
+        p1, p2 = reversed(chambers) if w.exchanged_pressures else chambers
         readings: tuple[tuple[Codec, tuple[float, ...]], ...] = (
             (codecs.encoder, (position, status, self._age_s)),
-            (codecs.pressure, (read(true.p1_pa), read(true.p2_pa), read(true.supply_pa))),
+            (codecs.pressure, (read(p1), read(p2), read(true.supply_pa))),
             (codecs.valve_status, (valve.output_v, int(valve.state))),
         )
         valve.booted()
@@ -267,9 +275,12 @@ class PlantNode:
         if t_ns > self._plant_ns:
             t0_s = (self._plant_ns - self._epoch_ns) * 1e-9
             t1_s = (t_ns - self._epoch_ns) * 1e-9
-            self._state = self._advance(
-                self._state, self.valve.output_v, self.force_ext_n, t0_s, t1_s, self.p
-            )
+            w, command_v = self.p.wiring, self.valve.output_v
+            if w.swapped_hoses:
+                command_v = -command_v
+            if w.valve_unplugged:
+                command_v = 0.0
+            self._state = self._advance(self._state, command_v, self.force_ext_n, t0_s, t1_s, self.p)
             self._plant_ns = t_ns
 
 

@@ -37,6 +37,7 @@ _HOST = (
     (int(Host.CONFIG_CHANGED), 1 << F.CONFIG_CHANGED),
     (int(Host.RECEIVE_OVERFLOW), 1 << F.RECEIVE_OVERFLOW),
     (int(Host.CONSOLE_LOST), 1 << F.CONSOLE_LOST),
+    (int(Host.UNPROVEN), 1 << F.UNPROVEN),
 )
 
 

@@ -85,6 +85,7 @@ class F(IntEnum):
     CONSOLE_LOST = 59
     ENCODER_DOUBTFUL = 60
     PRESSURE_DOUBTFUL = 61
+    UNPROVEN = 62
 
 
 class Fault(NamedTuple):
@@ -510,6 +511,13 @@ TABLE: tuple[Fault, ...] = (
         " crossed a limit, and the next one does not confirm them",
         "check the sensors' shielding, wiring and supply",
         clears="when fewer have been odd for some 40 ms",
+    ),
+    Fault(
+        F.UNPROVEN,
+        Reaction.NO_ARM,
+        "the movement test has not been passed with this wiring, cylinder and valve (only the test itself and"
+        " homing are allowed)",
+        "pneud commission, then restart the daemon; --unproven does without for one run",
     ),
 )
 

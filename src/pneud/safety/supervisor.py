@@ -15,11 +15,17 @@ CLEAR, SHUTDOWN, STOP = int(RequestKind.CLEAR), int(RequestKind.SHUTDOWN), int(R
 HOLDING, MOVING, HOMING = int(State.HOLDING), int(State.MOVING), int(State.HOMING)
 HOLD, GOTO, JOG = int(RequestKind.HOLD), int(RequestKind.GOTO), int(RequestKind.JOG)
 TRACK, HOME = int(RequestKind.TRACK), int(RequestKind.HOME)
+PROBE, PROBING = int(RequestKind.PROBE), int(State.PROBING)
 
 # what a request makes of a disarmed axis, and of an engaged one
-ENGAGES = {ARM: HOLDING, TRACK: TRACKING, HOME: HOMING}
+ENGAGES = {ARM: HOLDING, TRACK: TRACKING, HOME: HOMING, PROBE: PROBING}
 STEERS = {HOLD: MOVING, GOTO: MOVING, JOG: MOVING, TRACK: TRACKING, HOME: HOMING}
-BLOCKS = {ARM: BLOCKS_ARM, TRACK: BLOCKS_ARM, HOME: BLOCKS_ARM & ~(1 << F.ENCODER_UNREFERENCED)}
+BLOCKS = {
+    ARM: BLOCKS_ARM,
+    TRACK: BLOCKS_ARM,
+    HOME: BLOCKS_ARM & ~(1 << F.ENCODER_UNREFERENCED | 1 << F.UNPROVEN),
+    PROBE: BLOCKS_ARM & ~(1 << F.UNPROVEN),
+}
 
 
 class Supervisor(NamedTuple):
@@ -37,7 +43,7 @@ INITIAL = Supervisor(STARTING, 0, 0, False)
 
 def is_engaged(state: int) -> bool:
     """Whether the valve may leave its centre in this state."""
-    return TRACKING <= state <= STOPPING
+    return TRACKING <= state <= STOPPING or state == PROBING
 
 
 def advance(s: Supervisor, present: int, request: int, at_rest: bool) -> Supervisor:
@@ -60,11 +66,13 @@ def advance(s: Supervisor, present: int, request: int, at_rest: bool) -> Supervi
                 return Supervisor(STOPPING, latched, s.ticks + 1, closing, centring)
             return Supervisor(FAULT if latched else DISARMED if centring else HOLDING, latched, 0, closing)
         if present & STOPS or request in (DISARM, SHUTDOWN, STOP):
-            if s.state == HOMING:  # slow, with little force, and with no position to stop at
+            if s.state in (HOMING, PROBING):  # slow, with little force, and no loop to stop by
                 return Supervisor(FAULT if latched else DISARMED, latched, 0, closing)
             return Supervisor(STOPPING, latched, 0, closing, centring)
         goal = s.state
-        if s.state != HOMING and request in STEERS:
+        if s.state == PROBING:
+            goal = DISARMED if at_rest else PROBING
+        elif s.state != HOMING and request in STEERS:
             goal = STEERS[request]
         elif at_rest:
             goal = HOLDING

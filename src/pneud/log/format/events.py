@@ -10,7 +10,7 @@ from pneud.signals import HUNTING_CURES, Answer, Defect, Hunting, Record, Reques
 
 _QUIET_NS = 1_000_000_000
 _ODD, _CONFIRMED = int(Defect.ODD), int(Defect.CONFIRMED)
-_OFTEN = (RequestKind.JOG, RequestKind.PIECE)  # asked many times a second
+_OFTEN = (RequestKind.JOG, RequestKind.PIECE, RequestKind.PROBE)  # asked many times a second
 
 
 class _Limiter:

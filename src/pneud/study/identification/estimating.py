@@ -111,7 +111,7 @@ def of_valve(t: Table, c: Config, noise_pa: float) -> Valved | None:
     if len(w.x_m) < LEAST_WINDOWS:
         return None
     few = chambers.some(w, FEW)
-    configured_iso = getattr(c.valve, "flow", "orifice") == "iso6358"
+    configured_iso = c.valve.flow == "iso6358"
     plain = _fit_valve(few, t, c, noise_pa, configured_iso, {}, False)
     first = plain
     if plain.misfit_pa > EXPLAINED * noise_pa and not configured_iso:

@@ -124,7 +124,7 @@ def chamber_unknowns(c: Config, delay_s: float, first: Mapping[str, float], iso:
 
 def configured_exhaust(c: Config) -> float:
     """Flow of the edges to the atmosphere, relative to those from the supply."""
-    return float(getattr(c.valve, "exhaust_ratio", 1.0))
+    return c.valve.exhaust_ratio
 
 
 def configured_edges_v(c: Config) -> tuple[float, float]:

@@ -1,0 +1,85 @@
+"""Proof that a rig has passed its movement test, kept beside the configuration.
+
+It holds for the wiring, the cylinder, the valve and the sensors that it was made with: a digest of what the
+configuration says of them tells whether that is still so.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from pneud.config.models import Config
+
+_VALVE = {"orifice_area_m2", "u_max_v"}  # the rest is tuned
+_BUS = {"channel", "dbc", "frames"}
+
+
+class Proof(StrEnum):
+    """What is known of a rig."""
+
+    PASSED = "passed"
+    FAILED = "failed"
+    CHANGED = "changed"  # passed or failed, but with another configuration
+    MISSING = "missing"
+
+
+def place(config_file: Path) -> Path:
+    """Where a configuration's proof is kept."""
+    return config_file.with_suffix(".proof.json")
+
+
+def digest(c: Config, dbc: bytes) -> str:
+    """Of all that the movement test has tried.
+
+    Args:
+        c: the configuration.
+        dbc: its DBC.
+    """
+    tried = {
+        "cylinder": c.cylinder.model_dump(mode="json"),
+        "valve": c.valve.model_dump(mode="json", include=_VALVE),
+        "encoder": c.encoder.kind,
+        "bus": c.bus.model_dump(mode="json", include=_BUS),
+        "dbc": hashlib.sha256(dbc).hexdigest(),
+    }
+    return hashlib.sha256(json.dumps(tried, sort_keys=True).encode()).hexdigest()
+
+
+def keep(config_file: Path, of: str, verdict: dict[str, Any]) -> Path:
+    """Write what a movement test came to, whole or not at all.
+
+    Args:
+        config_file: that was tested.
+        of: its digest.
+        verdict: `passed`, and what else a person wants to know.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    path = place(config_file)
+    new = path.with_suffix(".new")
+    new.write_text(json.dumps({"schema": 1, "digest": of, **verdict}, indent=1) + "\n", encoding="utf-8")
+    new.replace(path)
+    return path
+
+
+def proven(config_file: Path, of: str) -> Proof:
+    """What is known of a rig with the configuration that it has now; what cannot be read proves nothing.
+
+    Args:
+        config_file: of the rig.
+        of: its digest.
+    """
+    try:
+        kept = json.loads(place(config_file).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return Proof.MISSING
+    if not isinstance(kept, dict) or not isinstance(kept.get("passed"), bool):
+        return Proof.MISSING
+    if kept.get("digest") != of:
+        return Proof.CHANGED
+    return Proof.PASSED if kept["passed"] else Proof.FAILED

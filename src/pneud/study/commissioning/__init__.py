@@ -1,0 +1,1 @@
+"""From a box of parts to an axis that works."""

@@ -1,0 +1,228 @@
+"""The movement test: is what moves the encoder, the right way, and do the right pressures answer?
+
+Small bounded openings both ways, first with less force than friction holds, then until the load comes loose.
+What each has shown is read from the recorded ticks alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from enum import StrEnum
+from statistics import fmean
+from typing import NamedTuple
+
+from pneud.axis.state import AxisParameters
+from pneud.control.probe import Probe
+from pneud.safety.faults import F, names
+from pneud.safety.supervisor import BLOCKS
+from pneud.signals import RequestKind, State, Tick
+
+HELD = 0.6  # of Coulomb friction: it holds the load on its bristles
+TOUCH_M, MOVE_M, SPEED_M_S = 1e-3, 1e-3, 0.03
+RATE_V_S = 0.1  # so that the valve's edge is passed slowly
+GOAL = 0.25  # of the greatest command
+LOOSE = 4.0  # times static friction: whatever could move has come loose
+STUCK_SHARE = 0.9  # of limits.stuck_force_n, beyond which the axis itself says that it is jammed
+BETWEEN = math.sqrt(10.0)  # a scale is off by ten: nearer to that than to none
+COUNTS = 3.0  # of the encoder, up to which nothing moves
+MEAN_TICKS = 20  # of readings at either end
+LEAST_V = 0.5  # opened so far, a valve that works is open
+SILENT_PA, SILENT_SHARE = 500.0, 0.15  # less is no answer, nor so little of the other chamber's
+
+
+class Finding(StrEnum):
+    """What is wrong."""
+
+    SWAPPED_HOSES = "swapped_hoses"
+    ENCODER_INVERTED = "encoder_inverted"
+    EXCHANGED_PRESSURES = "exchanged_pressures"
+    DEAD_PRESSURE_1 = "dead_pressure_1"
+    DEAD_PRESSURE_2 = "dead_pressure_2"
+    SUPPLY_SHUT = "supply_shut"
+    VALVE_UNPLUGGED = "valve_unplugged"
+    VALVE_SILENT = "valve_silent"
+    ENCODER_SCALE_LARGE = "encoder_scale_large"
+    ENCODER_SCALE_SMALL = "encoder_scale_small"
+    BLOCKED = "blocked"
+    BY_FAULT = "by_fault"
+    UNDECIDED = "undecided"
+
+
+CURES: dict[Finding, str] = {
+    Finding.SWAPPED_HOSES: "exchange the two hoses at the valve, or invert the valve's command",
+    Finding.ENCODER_INVERTED: "let the encoder count the other way: it has to grow as the rod comes out;"
+    " where the pressure sensors sit at the valve, see whether the hoses are exchanged",
+    Finding.EXCHANGED_PRESSURES: "exchange the two pressure sensors, or their signals in the DBC",
+    Finding.DEAD_PRESSURE_1: "check the sensor of chamber 1, its cable and its hose: it does not answer",
+    Finding.DEAD_PRESSURE_2: "check the sensor of chamber 2, its cable and its hose: it does not answer",
+    Finding.SUPPLY_SHUT: "open the supply; check the regulator",
+    Finding.VALVE_UNPLUGGED: "plug the valve in: its node puts the command out and no pressure answers",
+    Finding.VALVE_SILENT: "check the valve's node: what it puts out does not follow the command",
+    Finding.ENCODER_SCALE_LARGE: "check the encoder's scale in the DBC: it shows several times the way that"
+    " the force explains (a factor of 10 or 25.4)",
+    Finding.ENCODER_SCALE_SMALL: "check the encoder's scale in the DBC: it shows a part of the way that the"
+    " force explains (a factor of 10 or 25.4)",
+    Finding.BLOCKED: "free the load, or couple the encoder to it: pushed both ways, nothing is seen to move",
+    Finding.BY_FAULT: "see to the faults that are shown, and test again",
+    Finding.UNDECIDED: "test again with the load in the middle of its travel, and nothing that pushes it",
+}
+
+
+class Seen(NamedTuple):
+    """What a probe has shown; changes from beginning to end, turned where it opened the other way."""
+
+    way_m: float  # greatest, as the encoder shows it
+    force_n: float
+    p1_pa: float
+    p2_pa: float
+    opened_v: float  # most that was asked for
+    followed_v: float  # most that the valve's node has put out
+    faults: int  # that ended it
+
+
+class Expected(NamedTuple):
+    """What the configuration has to say."""
+
+    coulomb_n: float
+    stiffness_n_m: float  # of the bristles
+    step_m: float  # of the encoder
+
+
+class Verdict(NamedTuple):
+    """What the movement test comes to."""
+
+    findings: tuple[Finding, ...]
+    faults: tuple[str, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Nothing is wrong."""
+        return not self.findings
+
+
+def expected_of(p: AxisParameters) -> Expected:
+    """What is looked for on an axis."""
+    f = p.controller.friction
+    return Expected(f.coulomb_n, f.sigma0_n_m, p.controller.motion.blind_m * 2.0)
+
+
+def touches(p: AxisParameters, lease: int) -> list[Probe]:
+    """Openings both ways with which the load stays where its friction holds it."""
+    force_n = HELD * p.controller.friction.coulomb_n
+    return _both_ways(p, TOUCH_M, force_n, lease) if force_n > 0.0 else []
+
+
+def moves(p: AxisParameters, lease: int) -> list[Probe]:
+    """Openings both ways that let the load come loose."""
+    static_n, most_n = LOOSE * p.controller.friction.static_n, STUCK_SHARE * p.limits.stuck_force_n
+    return _both_ways(p, MOVE_M, min(static_n, most_n) if static_n > 0.0 else most_n, lease)
+
+
+def _both_ways(p: AxisParameters, travel_m: float, force_n: float, lease: int) -> list[Probe]:
+    goal_v = GOAL * p.output.u_max_v
+    return [Probe(way * goal_v, RATE_V_S, travel_m, SPEED_M_S, force_n, lease) for way in (1.0, -1.0)]
+
+
+def seen(ticks: Sequence[Tick]) -> Seen:
+    """What a probe has shown.
+
+    Args:
+        ticks: of the probe and the one behind it.
+    """
+    way = math.copysign(1.0, sum(t.command.voltage_v for t in ticks))
+    during = [t for t in ticks if t.state == State.PROBING]
+    first, last = during[:MEAN_TICKS], during[-MEAN_TICKS:]
+    from_m = first[0].measurement.position_m
+    ways = [way * (t.measurement.position_m - from_m) for t in during]
+
+    def change(of: str) -> float:
+        return way * (fmean(_value(t, of) for t in last) - fmean(_value(t, of) for t in first))
+
+    return Seen(
+        way_m=max(ways, key=abs),
+        force_n=change("x3_n"),
+        p1_pa=change("p1_pa"),
+        p2_pa=change("p2_pa"),
+        opened_v=max(abs(t.command.voltage_v) for t in during),
+        followed_v=max(abs(t.measurement.applied_v) for t in during),
+        faults=ticks[-1].latched,
+    )
+
+
+def _value(t: Tick, of: str) -> float:
+    return float(getattr(t.estimate if of == "x3_n" else t.measurement, of))
+
+
+def judge_rest(present: int) -> Verdict | None:
+    """What keeps an axis at rest from being tested at all; None for nothing."""
+    hindering = present & BLOCKS[RequestKind.PROBE]
+    if not hindering:
+        return None
+    shut = hindering & (1 << F.SUPPLY_PRESSURE | 1 << F.SUPPLY_FALLING)
+    return Verdict((Finding.SUPPLY_SHUT if shut else Finding.BY_FAULT,), tuple(names(hindering)))
+
+
+def judge(probes: Sequence[Seen], x: Expected, loose: bool) -> Verdict:
+    """What openings both ways have shown.
+
+    Args:
+        probes: one each way, or more.
+        x: what the configuration has to say.
+        loose: the load was to come loose; else it was to stay on its bristles.
+    """
+    found = _of_valve(probes) or _of_pressures(probes) or _of_way(probes, x, loose)
+    faults = 0
+    for s in probes:
+        faults |= s.faults
+    if not found and faults:
+        found = (Finding.BY_FAULT,)
+    return Verdict(found, tuple(names(faults)))
+
+
+def _of_valve(probes: Sequence[Seen]) -> tuple[Finding, ...]:
+    if any(s.followed_v < 0.5 * s.opened_v for s in probes):
+        return (Finding.VALVE_SILENT,)
+    if all(max(abs(s.p1_pa), abs(s.p2_pa)) < SILENT_PA and s.opened_v >= LEAST_V for s in probes):
+        return (Finding.VALVE_UNPLUGGED,)
+    return ()
+
+
+def _of_pressures(probes: Sequence[Seen]) -> tuple[Finding, ...]:
+    one, two = (max(abs(p) for p in ps) for ps in zip(*((s.p1_pa, s.p2_pa) for s in probes), strict=True))
+    if max(one, two) < SILENT_PA:
+        return ()
+    if one < SILENT_SHARE * two:
+        return (Finding.DEAD_PRESSURE_1,)
+    return (Finding.DEAD_PRESSURE_2,) if two < SILENT_SHARE * one else ()
+
+
+def _of_way(probes: Sequence[Seen], x: Expected, loose: bool) -> tuple[Finding, ...]:
+    least_m = COUNTS * x.step_m
+    ratios = [abs(s.way_m) * x.stiffness_n_m / max(abs(s.force_n), 1e-9) for s in probes]
+    if not loose and min(ratios) > BETWEEN and all(abs(s.way_m) > least_m for s in probes):
+        return (Finding.ENCODER_SCALE_LARGE,)
+    if all(abs(s.way_m) <= least_m for s in probes):
+        return (Finding.BLOCKED,) if loose or _would_show(probes, x) else ()
+    if not loose and max(ratios) * BETWEEN < 1.0 and _would_show(probes, x):
+        return (Finding.ENCODER_SCALE_SMALL,)
+    ways = {_sign(s.way_m, least_m) for s in probes}
+    forces = {_sign(s.p1_pa - s.p2_pa, SILENT_PA) for s in probes}
+    table: dict[tuple[float, float], tuple[Finding, ...]] = {
+        (1.0, 1.0): (),
+        (-1.0, -1.0): (Finding.SWAPPED_HOSES,),
+        (-1.0, 1.0): (Finding.ENCODER_INVERTED,),
+        (1.0, -1.0): (Finding.EXCHANGED_PRESSURES,),
+    }
+    if len(ways) == len(forces) == 1:
+        return table.get((ways.pop(), forces.pop()), () if not loose else (Finding.UNDECIDED,))
+    return (Finding.UNDECIDED,) if loose else ()
+
+
+def _would_show(probes: Sequence[Seen], x: Expected) -> bool:
+    """Whether the encoder can show how far the bristles give."""
+    return all(abs(s.force_n) > BETWEEN**2 * COUNTS * x.step_m * x.stiffness_n_m for s in probes)
+
+
+def _sign(value: float, least: float) -> float:
+    return math.copysign(1.0, value) if abs(value) > least else 0.0

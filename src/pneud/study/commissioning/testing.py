@@ -1,0 +1,91 @@
+"""The movement test's way: which probe is asked for when, tick by tick; an operator of the axis."""
+
+from __future__ import annotations
+
+from pneud.axis.state import AxisParameters
+from pneud.control.probe import Probe
+from pneud.safety.supervisor import BLOCKS
+from pneud.signals import Answer, Request, RequestKind, State, Tick
+from pneud.study.commissioning.movement import (
+    Finding,
+    Seen,
+    Verdict,
+    expected_of,
+    judge,
+    judge_rest,
+    moves,
+    seen,
+    touches,
+)
+
+QUIET_S, PATIENCE_S = 0.3, 3.0  # at rest before a probe; before what hinders is told
+LEASE_S = 0.3
+
+
+class MovementTest:
+    """Asks for one probe after another, and judges what they show.
+
+    Attributes:
+        verdict: what came of it, once it is over.
+        asked: the probe that is under way or was the last.
+    """
+
+    def __init__(self, p: AxisParameters) -> None:
+        """Nothing has been asked for yet."""
+        self._p = p
+        self._lease = max(1, round(LEASE_S / p.controller.h))
+        self._loose = False
+        self._todo = touches(p, self._lease)
+        self._begin_loose()
+        self._seen: list[Seen] = []
+        self._ticks: list[Tick] = []
+        self._quiet = self._hindered = self._age = 0
+        self.asked: Probe | None = None
+        self.verdict: Verdict | None = None
+
+    def _begin_loose(self) -> None:
+        if not self._todo and not self._loose:
+            self._loose, self._todo = True, moves(self._p, self._lease)
+
+    def ask(self, state: int, present: int) -> Request | None:
+        """What is asked of the axis in this tick; at the end that it shuts down."""
+        if self.verdict is not None:
+            return Request(RequestKind.SHUTDOWN)
+        if state == State.PROBING and self.asked is not None:
+            self._age += 1
+            return _request(self.asked) if self._age % (self._lease // 3 + 1) == 0 else None
+        if state != State.DISARMED or present & BLOCKS[RequestKind.PROBE]:
+            self._quiet, self._hindered = 0, self._hindered + 1
+            if self._hindered * self._p.controller.h > PATIENCE_S:
+                self.verdict = judge_rest(present) or Verdict((Finding.BY_FAULT,))
+            return None
+        self._quiet += 1
+        if self._quiet * self._p.controller.h < QUIET_S:
+            return None
+        self._quiet = self._hindered = self._age = 0
+        self.asked = self._todo.pop(0)
+        return _request(self.asked)
+
+    def see(self, tick: Tick) -> None:
+        """What became of it."""
+        asked = tick.request is not None and tick.request.kind == RequestKind.PROBE
+        if asked and tick.answer != Answer.TAKEN:
+            self.verdict = judge_rest(tick.present) or Verdict((Finding.BY_FAULT,))
+        if tick.state == State.PROBING:
+            self._ticks.append(tick)
+        elif self._ticks:
+            self._seen.append(seen([*self._ticks, tick]))
+            self._ticks = []
+            if not self._todo or tick.latched:
+                self._conclude()
+
+    def _conclude(self) -> None:
+        verdict = judge(self._seen, expected_of(self._p), self._loose)
+        if self._loose or not verdict.passed:
+            self.verdict = verdict
+        self._seen = []
+        self._begin_loose()
+
+
+def _request(p: Probe) -> Request:
+    return Request(RequestKind.PROBE, tuple(map(float, p[:6])))
