@@ -12,12 +12,10 @@ from hypothesis import strategies as st
 
 from pneud.control import motion
 from pneud.control.motion import (
-    CALM,
     MotionFilter,
     MotionState,
     at_rest,
     beyond,
-    calmed,
     correct,
     kalman,
     predict,
@@ -202,24 +200,7 @@ def test_the_correction_is_continuous(innovation_m: float, step_m: float) -> Non
 @pytest.mark.parametrize("ratio", [1.9, 2.5])
 @pytest.mark.parametrize("omega_h", [0.05, 0.2, 0.5])
 def test_two_filters_have_a_lyapunov_function_in_common(ratio: float, omega_h: float) -> None:
-    assert lyapunov_growth([triple_pole(w, 1.0) for w in (omega_h, ratio * omega_h)], omega_h) < 1.0
-
-
-@pytest.mark.parametrize("omega_h", [0.05, 0.2, 0.5])
-def test_the_filter_at_rest_has_one_in_common_with_both(omega_h: float) -> None:
-    filters = [calmed(omega_h, 1.0), triple_pole(omega_h, 1.0), triple_pole(2.0 * omega_h, 1.0)]
-    assert lyapunov_growth(filters, omega_h) < 1.0
-
-
-@pytest.mark.parametrize("omega_h", [0.05, 0.2, 0.5])
-def test_at_rest_the_force_alone_is_slower(omega_h: float) -> None:
-    found = sorted(abs(np.linalg.eigvals(error_step(calmed(omega_h, 1.0)))))
-    assert found == pytest.approx([math.exp(-omega_h)] * 2 + [math.exp(-CALM * omega_h)], rel=1e-6)
-
-
-def lyapunov_growth(filters: list[MotionFilter], omega_h: float) -> float:
-    """How much x' P x grows in a step at most, for the best P found. It is convex in the gains."""
-    steps = [error_step(p) for p in filters]
+    steps = [error_step(triple_pole(w, 1.0)) for w in (omega_h, ratio * omega_h)]
 
     def growth(factor: np.ndarray) -> float:
         root = np.zeros((3, 3))
@@ -227,12 +208,13 @@ def lyapunov_growth(filters: list[MotionFilter], omega_h: float) -> float:
         P = root @ root.T
         return max(float(scipy.linalg.eigvalsh(A.T @ P @ A, P)[-1]) for A in steps)
 
-    middle = np.mean(steps, axis=0)
+    middle = 0.5 * (steps[0] + steps[1])
     weights = np.diag([1.0, omega_h**-2, omega_h**-4])
     P = scipy.linalg.solve_discrete_lyapunov(middle.T, weights)
     begin = np.linalg.cholesky(P)[np.tril_indices(3)]
     found = scipy.optimize.minimize(growth, begin, method="Nelder-Mead", options={"maxfev": 3000})
-    return float(found.fun)
+    # x' P x falls in every step, whatever mixture of the two is applied: it is convex in the gains
+    assert found.fun < 1.0
 
 
 def test_without_a_second_filter_nothing_is_added() -> None:

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pneud.config.conversions import axis_of, motion_of, plant_of, resting_of
+from pneud.config.conversions import axis_of, plant_of
 from pneud.control import standstill
 from pneud.control.adaptation import Adaptation
 from pneud.control.feedforward import recalled
@@ -95,28 +95,6 @@ def test_the_law_has_a_while_before_it_gives_way() -> None:
     p = P._replace(settle=1000)
     assert standstill.stand(StandstillState(ticks=998), 0.0, 0.0, 0.0, 0.0, 0.0, True, p).mode == LAW
     assert standstill.stand(StandstillState(ticks=999), 0.0, 0.0, 0.0, 0.0, 0.0, True, p).mode == CLOSED
-
-
-@pytest.mark.parametrize(
-    ("changed", "calm"),
-    [
-        ({}, False),
-        ({"encoder_resolution_m": 4e-6}, True),
-        ({"encoder_resolution_m": 4e-6, "push_bandwidth_rad_s": 700.0}, False),
-        ({"encoder_resolution_m": 4e-6, "push_bandwidth_rad_s": None}, False),
-        ({"bandwidth_rad_s": None, "encoder_noise_m": 1e-6, "force_walk_n_rs": 1.0}, False),
-    ],
-)
-def test_with_a_coarse_encoder_the_motion_filter_is_calmer_at_rest(
-    changed: dict[str, Any], calm: bool
-) -> None:
-    c = load("configs/virtual.toml").config
-    m = c.control.motion.model_copy(update=changed)
-    c = c.model_copy(update={"control": c.control.model_copy(update={"motion": m})})
-    moving, resting = motion_of(c), resting_of(c)
-    assert (resting.gamma < moving.gamma) is calm
-    assert (resting == moving) is not calm
-    assert resting.gamma + resting.more_gamma == pytest.approx(moving.gamma + moving.more_gamma)
 
 
 def test_the_law_keeps_the_valve_shut_within_the_band_where_it_asks_for_little() -> None:

@@ -19,7 +19,7 @@ from pneud.control.homing import HomingParameters
 from pneud.control.homogeneous import Feedback, feedback
 from pneud.control.laws.sliding import Sliding
 from pneud.control.laws.slot import IN_SLOT, SLIDING, Slot
-from pneud.control.motion import MotionFilter, calmed, kalman, quickened, triple_pole
+from pneud.control.motion import MotionFilter, kalman, quickened, triple_pole
 from pneud.control.reference import Bounds, Sine
 from pneud.control.standstill import Standstill
 from pneud.control.step import Controller
@@ -38,7 +38,6 @@ LEAST_STILL_M, STILL_STEPS = 5e-5, 10.0  # travel that a reading cannot hide: at
 LEAST_HELD_M = 5e-6  # error that may be left rather than cross the dead zone, at least
 BALANCE = 0.03  # of dry friction that may be out of balance while a load counts as held by it
 SMOOTH_S = 0.005  # of force and speed of a standing load
-MOST_QUICKER = 2.0  # times the filter's bandwidth, for pushes, beside which it may be calmer at rest
 SETTLE_S = 1.0  # that the law has, before it gives way
 SHUT = 0.02  # of the greatest command, up to which the law keeps the valve shut at rest
 GRACE_S = 0.08  # that a load has to come to rest when the valve is closed
@@ -215,33 +214,11 @@ def motion_of(c: Config) -> MotionFilter:
         assert m.encoder_noise_m is not None and m.force_walk_n_rs is not None
         return kalman(m.encoder_noise_m, m.force_walk_n_rs, c.cylinder.moving_mass_kg, h, blind_m)
     found = triple_pole(m.bandwidth_rad_s, h, blind_m)
-    return found if m.push_bandwidth_rad_s is None else pushed_of(c, found, m.push_bandwidth_rad_s)
-
-
-def resting_of(c: Config) -> MotionFilter:
-    """The motion filter's gains while the reference stands still: calmer for a coarse encoder.
-
-    One is coarse whose step is as large as what only a push explains. Where a push is answered so fast that
-    the two are not known to be stable together, the gains stay.
-    """
-    m = c.control.motion
-    omega, fast = m.bandwidth_rad_s, m.push_bandwidth_rad_s
-    if (
-        omega is None
-        or fast is None
-        or fast > MOST_QUICKER * omega
-        or m.encoder_resolution_m < m.push_beyond_m
-    ):
-        return motion_of(c)
-    return pushed_of(c, calmed(omega, 1.0 / c.loop.rate_hz, 0.5 * m.encoder_resolution_m), fast)
-
-
-def pushed_of(c: Config, found: MotionFilter, omega_rad_s: float) -> MotionFilter:
-    """A filter with the gains of a faster one for pushes."""
-    m = c.control.motion
+    if m.push_bandwidth_rad_s is None:
+        return found
     # a step of the encoder is no push
     beyond_m = max(m.push_beyond_m, m.encoder_resolution_m)
-    return quickened(found, triple_pole(omega_rad_s, 1.0 / c.loop.rate_hz), beyond_m)
+    return quickened(found, triple_pole(m.push_bandwidth_rad_s, h), beyond_m)
 
 
 def gains_of(c: Config) -> Feedback:
@@ -268,7 +245,6 @@ def controller_of(c: Config) -> Controller:
         valve=valve,
         friction=friction_of(law.friction),
         motion=motion_of(c),
-        resting=resting_of(c),
         observer=Observer(
             law.observer.lambda0,
             law.observer.lambda1,

@@ -11,7 +11,6 @@ import math
 from typing import NamedTuple
 
 MAX_ITERATIONS = 1_000_000  # for the Kalman gains
-CALM = 0.2  # pole of the force at rest, in terms of the others
 
 
 class MotionFilter(NamedTuple):
@@ -43,19 +42,6 @@ def triple_pole(omega_rad_s: float, h: float, blind_m: float = 0.0) -> MotionFil
     q = math.exp(-omega_rad_s * h)
     p = 1.0 - q
     return MotionFilter(1.0 - q * q * q, 1.5 * (1.0 + q) * p * p, p * p * p, blind_m)
-
-
-def calmed(omega_rad_s: float, h: float, blind_m: float = 0.0) -> MotionFilter:
-    """Gains of the filter for a load at rest, beside those of `triple_pole`.
-
-    There the force changes slowly, and a step of a coarse encoder would pass for a change of it: its pole is
-    slower. Together with a triple pole there, and one up to twice as fast, it has a Lyapunov function.
-    """
-    q, slow = math.exp(-omega_rad_s * h), math.exp(-CALM * omega_rad_s * h)
-    alpha = 1.0 - q * q * slow
-    total = 2.0 * q + slow
-    gamma = alpha - total + q * (q + 2.0 * slow)
-    return MotionFilter(alpha, 3.0 - alpha - 0.5 * gamma - total, gamma, blind_m)
 
 
 def quickened(p: MotionFilter, fast: MotionFilter, noise_m: float) -> MotionFilter:

@@ -101,11 +101,6 @@ def read(s: StandstillState, position_m: float, p: Standstill) -> StandstillStat
     return _read(s, s.anchor_m, s.same + 1)
 
 
-def stands(s: StandstillState) -> bool:
-    """Whether the reference has stood still for more than a tick."""
-    return s.mode != LAW or s.ticks > 0
-
-
 def is_held(s: StandstillState, p: Standstill) -> bool:
     """Whether friction holds a load left alone: no reading differed for longer than any force would need."""
     return s.mode != LAW and p.held > 0.0 and s.same >= p.stick

@@ -44,7 +44,6 @@ from pneud.control.standstill import (
     nudge,
     read,
     stand,
-    stands,
     stirred,
 )
 from pneud.physics.cylinder import F0, Cylinder, F1_exhaust, F1_fill, x3_of
@@ -72,7 +71,6 @@ class Controller(NamedTuple):
     valve: Valve
     friction: Friction  # fed forward along the reference; all zero for none
     motion: MotionFilter
-    resting: MotionFilter  # in its place while the reference stands still
     observer: Observer
     sliding: Sliding
     use_x3_hat: bool  # x̂3 of the observer in place of x3: less noise
@@ -164,7 +162,6 @@ def as_learnt(p: Controller, learnt: Learnt) -> Controller:
         valve,
         friction_learnt(p.friction, learnt),
         p.motion,
-        p.resting,
         p.observer,
         sliding,
         p.use_x3_hat,
@@ -215,8 +212,7 @@ def observe(
     x3 = x3_of(p1_pa, p2_pa, c)
     motion = predict(state.motion, x3, state.force_step_n, c.rod_force_n, c.M, dt)
     if measured:
-        gains = p.resting if stands(standstill) else p.motion
-        motion = correct(motion, position_m, c.M, p.h, gains)
+        motion = correct(motion, position_m, c.M, p.h, p.motion)
         standstill = read(standstill, position_m, p.standstill)
         if is_held(standstill, p.standstill):
             motion = held(motion, c.rod_force_n, p.standstill.held)
