@@ -15,7 +15,6 @@ and has the load back when it leaves a wider band, or moves.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 from pneud.signals import Reference
@@ -106,25 +105,16 @@ def is_held(s: StandstillState, p: Standstill) -> bool:
     return s.mode != LAW and p.held > 0.0 and s.same >= p.stick
 
 
-def keeps_shut(s: StandstillState, error_m: float, opening_v: float, shut: bool, p: Standstill) -> bool:
-    """Whether the law keeps the valve shut: it asks for little, or the load would stay within the band.
+def keeps_shut(error_m: float, opening_v: float, shut: bool, p: Standstill) -> bool:
+    """Whether the law keeps the valve shut for a load at rest.
 
     Args:
-        s: of this tick.
         error_m: reference minus estimate.
         opening_v: that it asks for.
         shut: it is shut.
         p: parameters.
     """
-    band_m = p.leave_m if shut else p.enter_m
-    small = abs(opening_v) <= p.shut_v and abs(error_m) <= band_m
-    return small or farthest(s, error_m, p) <= band_m
-
-
-def farthest(s: StandstillState, error_m: float, p: Standstill) -> float:
-    """How far from its target the load would swing on its bristles, were the valve closed [m]."""
-    sag_m, swing_m = s.net_n / p.stiffness_n_m, s.speed_m_s / p.omega_rad_s
-    return abs(error_m - sag_m) + math.sqrt(sag_m * sag_m + swing_m * swing_m)
+    return abs(opening_v) <= p.shut_v and abs(error_m) <= (p.leave_m if shut else p.enter_m)
 
 
 def stand(

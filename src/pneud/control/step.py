@@ -389,7 +389,7 @@ def act(
         state, out = tracked(state, s, p)
         if still:
             shut = opening(state.applied_v, p.valve) == 0.0
-            if keeps_shut(standstill, error_m, opening(out.u_v, p.valve), shut, p.standstill):
+            if keeps_shut(error_m, opening(out.u_v, p.valve), shut, p.standstill):
                 out = LawOutput(dead_zone_inverse(0.0, p.valve, 0.0), out.s, out.ustar)
             u_max = p.valve.u_max_v
             step_v = abs(max(-u_max, min(u_max, out.u_v)) - state.applied_v)
