@@ -75,10 +75,16 @@ def judge(ticks: Iterable[Tick], p: AxisParameters) -> Iterator[tuple[Tick, Verd
         kind = request_of(tick, s, p)
         if engaged:
             present |= checks.engaged(m, e, s.state, s.ticks, h, limits)
-            if known and not abs(tick.reference.position_m - e.position_m) <= limits.tracking_error_m:
+            follows = s.state not in (State.HOMING, State.PROBING)  # which have no reference
+            if (
+                known
+                and follows
+                and not abs(tick.reference.position_m - e.position_m) <= limits.tracking_error_m
+            ):
                 present |= 1 << F.TRACKING_ERROR
         else:
-            arming = tick.request is not None and tick.request.kind == ARM and s.state == State.DISARMED
+            engaging = tick.request is not None and tick.request.kind in (ARM, RequestKind.PROBE)
+            arming = engaging and s.state == State.DISARMED
             present |= checks.disengaged(m, s.ticks, arming)
         present |= tick.present & ELSEWHERE
         # whether the reference has come to rest is not for the safety layer to say
@@ -154,6 +160,10 @@ def _run() -> Iterator[Tick]:
     rig = Rig()
     yield from rig.ticks(120)
     yield rig.tick(RequestKind.GOTO, 0.6, 0.0, 0.0, 0.0)
+    yield rig.tick(RequestKind.PROBE, 1.0, 0.2, 2e-3, 0.05, 150.0, 500.0)
+    yield from rig.ticks(100)
+    yield rig.tick(RequestKind.STOP)
+    yield from rig.ticks(100)
     yield rig.tick(ARM)
     yield from rig.ticks(30)
     yield rig.tick(RequestKind.GOTO, 0.45, 0.0, 0.0, 0.0)
