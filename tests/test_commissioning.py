@@ -81,6 +81,12 @@ def test_a_proof_holds_for_what_was_tried(tmp_path: Path) -> None:
     assert digest(c.model_copy(update={"control": gains}), dbc) == now
     shorter = c.cylinder.model_copy(update={"stroke_m": 0.5})
     assert proven(file, digest(c.model_copy(update={"cylinder": shorter}), dbc)) == Proof.CHANGED
+    larger = c.valve.model_copy(update={"orifice_area_m2": None, "nominal_flow_l_min": 700.0})
+    assert proven(file, digest(c.model_copy(update={"valve": larger}), dbc)) == Proof.CHANGED
+    other = larger.model_copy(update={"nominal_flow_l_min": 350.0})
+    assert digest(c.model_copy(update={"valve": other}), dbc) != digest(
+        c.model_copy(update={"valve": larger}), dbc
+    )
     assert proven(file, digest(c, dbc + b" ")) == Proof.CHANGED
     keep(file, now, {"passed": False})
     assert proven(file, now) == Proof.FAILED

@@ -12,9 +12,11 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+from pneud.config.flow import RATINGS
 from pneud.config.models import Config
+from pneud.rt.outputs import replacing
 
-_VALVE = {"orifice_area_m2", "u_max_v"}  # the rest is tuned
+_VALVE = {*RATINGS, "u_max_v"}  # the rest is tuned
 _BUS = {"channel", "dbc", "frames"}
 
 
@@ -61,9 +63,9 @@ def keep(config_file: Path, of: str, verdict: dict[str, Any]) -> Path:
         OSError: it cannot be written.
     """
     path = place(config_file)
-    new = path.with_suffix(".new")
-    new.write_text(json.dumps({"schema": 1, "digest": of, **verdict}, indent=1) + "\n", encoding="utf-8")
-    new.replace(path)
+    text = json.dumps({"schema": 1, "digest": of, **verdict}, indent=1) + "\n"
+    with replacing(path) as beside:
+        beside.write_text(text, encoding="utf-8")
     return path
 
 

@@ -225,7 +225,11 @@ def _header(ready: Ready) -> LogHeader:
         dbc=dbc.read_bytes(),
         fault_names=FAULT_NAMES,
         realtime_offset_ns=ready.link.realtime_offset_ns,
-        extra={"law": ready.how.name, **({"seed": str(o.seed)} if o.virtual else {})},
+        extra={
+            "law": ready.how.name,
+            **({"seed": str(o.seed)} if o.virtual else {}),
+            **({"movement_test": "not asked for: --unproven"} if o.unproven else {}),
+        },
     )
 
 
