@@ -90,6 +90,12 @@ def test_a_session_from_arming_to_disarming_and_its_replay(axis: Path, tmp_path:
             client.ask("disarm")
             until(client, "disarmed")
 
+            # a probe, which ends by itself
+            eventually(lambda: not client.ask("status")["faults"])
+            bounds = {"travel_mm": 1.0, "speed_mm_s": 30.0, "force_n": 20.0}
+            assert client.ask("probe", voltage_v=0.3, rate_v_s=0.5, **bounds)["state"] == "probing"
+            until(client, "disarmed")
+
             # arm → goto → retarget in motion
             eventually(lambda: not client.ask("status")["faults"])
             assert client.ask("arm")["state"] == "holding"
