@@ -63,6 +63,32 @@ def test_one_that_is_gone_is_lost_at_once_and_one_that_has_not_begun_is_not() ->
     assert watch.host(NOW_NS) == Host.CONSOLE_LOST
 
 
+def test_one_that_is_gone_is_lost_though_the_next_one_has_begun_before_it_was_looked_at() -> None:
+    watch, ring = commanded()
+    ring.set_console_gone()
+    ring.set_console(NOW_NS + 1)
+    assert watch.host(NOW_NS + 2) == Host.CONSOLE_LOST
+    watch.after(tick(State.STOPPING), asked=False)
+    assert watch.host(NOW_NS + 3) == Host.CONSOLE_LOST
+    watch.after(tick(State.FAULT), asked=False)
+    watch.after(tick(State.HOLDING, RequestKind.ARM), asked=True)
+    assert watch.host(NOW_NS + 4) == 0, "this is the next one's"
+
+
+def test_a_console_that_died_before_an_operator_steered_is_none_of_his() -> None:
+    ring = Ring.create(slots=8)
+    watch = ConsoleWatch(ring)
+    watch.after(tick(State.TRACKING, RequestKind.ARM), asked=False)
+    ring.set_console_gone()
+    ring.set_console(NOW_NS)
+    assert watch.host(NOW_NS + 1) == 0, "it has armed by itself"
+    watch.after(tick(State.MOVING, RequestKind.GOTO), asked=True)
+    assert watch.host(NOW_NS + 2) == 0
+    ring.set_console_gone()
+    ring.set_console(NOW_NS)
+    assert watch.host(NOW_NS + 3) == Host.CONSOLE_LOST
+
+
 @pytest.mark.parametrize("kind", COMMANDS)
 def test_what_arms_or_steers_makes_the_axis_the_operators(kind: RequestKind) -> None:
     watch, ring = commanded(CONSOLE_GONE)

@@ -17,7 +17,7 @@ from pneud.console.facts import RunFacts
 from pneud.console.memory import Memory
 from pneud.console.worker import Post, load, serve
 from pneud.log.live.notes import Teller
-from pneud.log.live.ring import CONSOLE_GONE, Ring
+from pneud.log.live.ring import Ring
 
 _LOOK_S = 0.25  # how often a console that may stand still is looked at; an end is told by a signal
 _STANDS_NS = 2_000_000_000  # a console that has been silent for longer is killed
@@ -77,7 +77,7 @@ class _Keeper:
             except OSError as e:
                 why = f"cannot be started: {e.strerror}"
             lived_ns = self._post.ring.console_ns - self._begun_ns
-            self._post.ring.set_console(CONSOLE_GONE)
+            self._post.ring.set_console_gone()
             time.sleep(_SOON_S)
             if not self._over():
                 self._mourn(why, lived_ns)

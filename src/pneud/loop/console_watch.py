@@ -18,18 +18,21 @@ class ConsoleWatch:
     An axis that has armed by itself, and that no operator has steered since, goes on without a console.
     """
 
-    __slots__ = ("_commanded", "_ring")
+    __slots__ = ("_commanded", "_gone", "_ring")
 
     def __init__(self, ring: Ring) -> None:
         self._ring = ring
         self._commanded = False  # the axis is engaged at an operator's request
+        self._gone = 0  # consoles that had died before
 
     def host(self, t_ns: int) -> int:
         """Bits of `signals.Host`."""
         if not self._commanded:
             return 0
         beat_ns = self._ring.console_ns
-        return CONSOLE_LOST if beat_ns and t_ns - beat_ns > SILENT_NS else 0
+        silent = beat_ns and t_ns - beat_ns > SILENT_NS
+        # the next console may have begun before a loop that was held up has seen that the last one was gone
+        return CONSOLE_LOST if silent or self._ring.consoles_gone != self._gone else 0
 
     def after(self, tick: Tick, *, asked: bool) -> None:
         """See what has become of the axis.
@@ -41,4 +44,6 @@ class ConsoleWatch:
         if not is_engaged(tick.state):
             self._commanded = False
         elif asked and tick.answer == TAKEN and tick.request is not None and tick.request.kind in _COMMANDS:
+            if not self._commanded:
+                self._gone = self._ring.consoles_gone
             self._commanded = True

@@ -30,7 +30,7 @@ from pneud.signals import Frame, Record, Tick
 # 64-bit words of the head of the mapping; the loop's, the console's and the recorder's lie in different cache
 # lines.
 _HEAD, _NUMBER, _CLOSED, _NEWEST = 0, 1, 2, 3
-_CONSOLE = 8
+_CONSOLE, _CONSOLES_GONE = 8, 9
 _HEARTBEAT = 16
 _NOTES_LENGTH = 32
 _NOTES_BYTE = 33 * 8
@@ -226,9 +226,19 @@ class Ring:
         """For the console: say that it lives.
 
         Args:
-            beat_ns: now, CLOCK_MONOTONIC; `CONSOLE_GONE` where it does not live.
+            beat_ns: now, CLOCK_MONOTONIC.
         """
         self._words[_CONSOLE] = beat_ns
+
+    def set_console_gone(self) -> None:
+        """For who watches the console: it does not live any longer, which the next one does not undo."""
+        self._words[_CONSOLE] = CONSOLE_GONE
+        self._words[_CONSOLES_GONE] += 1
+
+    @property
+    def consoles_gone(self) -> int:
+        """Consoles that have died so far."""
+        return self._words[_CONSOLES_GONE]
 
     @property
     def console_ns(self) -> int:
