@@ -15,7 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from commands import pneud_here
-from pneud.config.conversions import gas_of, plant_of
+from pneud.config.conversions import plant_of
+from pneud.config.flow import area_of, gas_of
 from pneud.config.models import Config
 from pneud.config.sections import ConfigError
 from pneud.loading import load
@@ -49,7 +50,7 @@ def guess(**other: float) -> chambers.Guess:
     """The plant of virtual.toml as a guess."""
     k, v = PLANT.cylinder, PLANT.valve
     true = {
-        "flow": key.flow_of_area(key.configured_area_m2(C), AIR),
+        "flow": key.flow_of_area(area_of(C), AIR),
         "plus_v": v.centre_v + v.dead_zone_v,
         "minus_v": v.centre_v - v.dead_zone_v,
         "bandwidth_hz": v.omega_rad_s / (2.0 * math.pi),

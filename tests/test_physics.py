@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from pneud.config.conversions import cylinder_of, gas_of
+from pneud.config.conversions import cylinder_of
+from pneud.config.flow import gas_of
 from pneud.config.reading import load_config
 from pneud.physics.cylinder import F0, F1_FLOOR, F1_exhaust, F1_fill
 from pneud.physics.friction import Friction, friction_force, relaxation_rate, slide, stribeck

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pneud.config.conversions import gas_of
+from pneud.config.flow import gas_of
 from pneud.config.reading import load_config
 from pneud.physics import ratings as r
 from pneud.physics.gas import iso6358, signed_flow, subsonic_share

@@ -25,7 +25,6 @@ from pneud.control.standstill import Standstill
 from pneud.control.step import Controller
 from pneud.physics import cylinder as cyl
 from pneud.physics.friction import Friction
-from pneud.physics.gas import Gas
 from pneud.physics.plant import PlantParameters, Wiring
 from pneud.physics.valve import Valve, spool_transition
 from pneud.safety.checks import Limits
@@ -57,11 +56,6 @@ BLOCKED_KG = 1e9  # nothing moves that
 BLEND_S = 0.1  # in which one set of gains gives way to another
 
 
-def gas_of(c: Config) -> Gas:
-    """The gas as plain numbers, flowing as the valve has it."""
-    return flow.gas_of(c)
-
-
 def cylinder_of(c: Config) -> cyl.Cylinder:
     """The cylinder as plain numbers."""
     k = c.cylinder
@@ -74,7 +68,7 @@ def cylinder_of(c: Config) -> cyl.Cylinder:
         x_e2=k.dead_length_2_m,
         orifice_m2=flow.area_of(c),
         u_max_v=c.valve.u_max_v,
-        g=gas_of(c),
+        g=flow.gas_of(c),
         exhaust=c.valve.exhaust_ratio,
     )
 
@@ -141,7 +135,7 @@ def plant_of(c: Config) -> PlantParameters:
     if not valve.bent:
         valve = valve._replace(centre_v=v.centre_v + 0.5 * (plus - minus))
     incremental = (p.sensors.encoder_kind or c.encoder.kind) == "incremental"
-    cylinder, gas = cylinder_of(true), gas_of(true)
+    cylinder, gas = cylinder_of(true), flow.gas_of(true)
     if not p.rod_force:
         cylinder = cylinder._replace(rod_force_n=0.0)
     if p.wiring.blocked:
@@ -240,7 +234,7 @@ def controller_of(c: Config) -> Controller:
         spool_before=spool_transition(delay_s, valve),
         lead_s=ahead_s,
         spool_ahead=spool_transition(0.5 * ahead_s, valve),
-        gas=gas_of(c),
+        gas=flow.gas_of(c),
         cylinder=cylinder._replace(reverse_flow=law.reverse_flow),
         valve=valve,
         friction=friction_of(law.friction),
@@ -400,7 +394,7 @@ def expected_of(c: Config) -> Expected:
 
 def _swings_pa_m_s(c: Config) -> tuple[float, float]:
     """Fastest change of each chamber's pressure by valve and piston together, times the chamber's length."""
-    g, k = gas_of(c), cylinder_of(c)
+    g, k = flow.gas_of(c), cylinder_of(c)
     upstream_pa = max(c.limits.supply_max_pa, c.limits.chamber_max_pa)
     filled = k.c1 * max(1.0, k.exhaust) * c.valve.u_max_v * g.gamma_choked * upstream_pa
     moved = g.k * c.limits.chamber_max_pa * c.limits.speed_m_s

@@ -38,28 +38,41 @@ class Valve(NamedTuple):
 
 def bent(x: float, b: Bend) -> float:
     """Relative opening, 0 to 1, at a relative way beyond an edge."""
-    if x < b.x1:
-        return b.y1 * x / b.x1
-    if x < b.x2:
-        return b.y1 + (b.y2 - b.y1) * (x - b.x1) / (b.x2 - b.x1)
-    if x < b.x3:
-        return b.y2 + (b.y3 - b.y2) * (x - b.x2) / (b.x3 - b.x2)
-    if x < b.x4:
-        return b.y3 + (b.y4 - b.y3) * (x - b.x3) / (b.x4 - b.x3)
-    return b.y4 + (1.0 - b.y4) * (x - b.x4) / (b.x5 - b.x4) if x < b.x5 else 1.0
+    if x >= b.x5:
+        return 1.0
+    return _between(x, b.x1, b.x2, b.x3, b.x4, b.x5, b.y1, b.y2, b.y3, b.y4, 1.0)
 
 
 def straightened(y: float, b: Bend) -> float:
     """The reverse of `bent`; what is more than the whole opening lies as far beyond its end."""
-    if y < b.y1:
-        return b.x1 * y / b.y1
-    if y < b.y2:
-        return b.x1 + (b.x2 - b.x1) * (y - b.y1) / (b.y2 - b.y1)
-    if y < b.y3:
-        return b.x2 + (b.x3 - b.x2) * (y - b.y2) / (b.y3 - b.y2)
-    if y < b.y4:
-        return b.x3 + (b.x4 - b.x3) * (y - b.y3) / (b.y4 - b.y3)
-    return b.x4 + (b.x5 - b.x4) * (y - b.y4) / (1.0 - b.y4) if y < 1.0 else b.x5 + (y - 1.0)
+    if y >= 1.0:
+        return b.x5 + (y - 1.0)
+    return _between(y, b.y1, b.y2, b.y3, b.y4, 1.0, b.x1, b.x2, b.x3, b.x4, b.x5)
+
+
+def _between(
+    a: float,
+    a1: float,
+    a2: float,
+    a3: float,
+    a4: float,
+    a5: float,
+    b1: float,
+    b2: float,
+    b3: float,
+    b4: float,
+    b5: float,
+) -> float:
+    """What b is at a, straight from place to place, and both from 0 on."""
+    if a < a1:
+        return b1 * a / a1
+    if a < a2:
+        return b1 + (b2 - b1) * (a - a1) / (a2 - a1)
+    if a < a3:
+        return b2 + (b3 - b2) * (a - a2) / (a3 - a2)
+    if a < a4:
+        return b3 + (b4 - b3) * (a - a3) / (a4 - a3)
+    return b4 + (b5 - b4) * (a - a4) / (a5 - a4)
 
 
 def opening(spool_v: float, valve: Valve) -> float:

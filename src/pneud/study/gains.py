@@ -13,11 +13,11 @@ from pneud.config.conversions import (
     command_delay_s,
     cylinder_of,
     gains_of,
-    gas_of,
     hold_v,
     lead_s,
     valve_of,
 )
+from pneud.config.flow import gas_of
 from pneud.config.models import Config
 from pneud.config.plant import FrictionConfig
 from pneud.control.homogeneous import Feedback, feedback

@@ -9,11 +9,11 @@ from pneud.config.conversions import (
     command_delay_s,
     cylinder_of,
     gains_of,
-    gas_of,
     lead_s,
     motion_of,
     valve_of,
 )
+from pneud.config.flow import gas_of
 from pneud.config.models import Config
 from pneud.control.motion import MotionState, correct, predict
 from pneud.control.prediction import Motion, Rates, Spool, ahead, follow

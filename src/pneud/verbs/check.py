@@ -67,7 +67,7 @@ def check(
 
 def _flowing(c: Config) -> dict[str, Any]:
     """What a valve lets through by its rating."""
-    g, C = conversions.gas_of(c), flow.conductance_of(c)
+    g, C = flow.gas_of(c), flow.conductance_of(c)
     found = {
         "nominal_flow_l_min": ratings.nominal_flow_of(C, g) / flow.L_MIN,
         "sonic_conductance_l_s_bar": C / flow.L_S_BAR,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pneud.config.conversions import gas_of
+from pneud.config.flow import gas_of
 from pneud.config.models import Config
 from pneud.study.identification import chambers, forces
 from pneud.study.identification import parameters as key

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from pneud.config.conversions import gas_of
+from pneud.config.flow import gas_of
 from pneud.config.models import Config
 from pneud.study.identification import chambers
 from pneud.study.identification.estimating import Moved, Valved

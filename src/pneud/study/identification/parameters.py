@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from pneud.config.conversions import command_delay_s, cylinder_of, gas_of
+from pneud.config.conversions import command_delay_s
+from pneud.config.flow import L_S_BAR, area_of, conductance_of, gas_of
 from pneud.config.models import Config
 from pneud.config.sections import GRAVITY_M_S2
 from pneud.physics.gas import Gas
@@ -15,7 +16,6 @@ from pneud.study.identification.fitting import Found, Unknown
 
 AREA, CONDUCTANCE = "valve.orifice_area_m2", "valve.sonic_conductance_l_s_bar"
 CRITICAL, EXHAUST = "valve.critical_ratio", "valve.exhaust_ratio"
-L_S_BAR = 1e-8  # l/(s bar) in m³/(s Pa)
 PLUS, MINUS = "valve.dead_zone_positive_v", "valve.dead_zone_negative_v"
 CENTRE, HALF = "valve.centre_v", "valve.dead_zone_v"
 BANDWIDTH, DELAY = "valve.bandwidth_hz", "bus.command_delay_us"
@@ -85,23 +85,17 @@ def flow_of_conductance(c_l_s_bar: float, g: Gas) -> float:
     return c_l_s_bar * L_S_BAR * DENSITY_ANR_KG_M3 * g.R * math.sqrt(TEMPERATURE_ANR_K * g.temperature_k)
 
 
-def configured_area_m2(c: Config) -> float:
-    """Of the valve's orifice, or of one that flows as much choked."""
-    g = gas_of(c)
-    return cylinder_of(c).c1 * c.valve.u_max_v / (g.k * math.sqrt(g.R * g.k * g.temperature_k))
-
-
 def chamber_unknowns(c: Config, delay_s: float, first: Mapping[str, float], iso: bool) -> list[Unknown]:
     """Those of valve and chambers, in the order of `chambers.Guess`; `first` has better guesses."""
     g, k, v = gas_of(c), c.cylinder, c.valve
-    flow = flow_of_area(configured_area_m2(c), g)
+    flow = flow_of_area(area_of(c), g)
     plus, minus = configured_edges_v(c)
     band = v.bandwidth_hz or 100.0
     h = 1.0 / c.loop.rate_hz
     reach = 0.5 * v.u_max_v
     least, most_m = 0.002 * k.stroke_m, 0.3 * k.stroke_m
     exponent = min(g.k, 1.3)
-    exhaust = configured_exhaust(c)
+    exhaust = v.exhaust_ratio
     found = [
         Unknown("flow", flow, flow, flow, 0.02 * flow, 20.0 * flow),
         Unknown("plus", plus, plus, 0.3, -reach, reach),
@@ -120,11 +114,6 @@ def chamber_unknowns(c: Config, delay_s: float, first: Mapping[str, float], iso:
     if iso:
         found.append(Unknown("critical", 0.35, 0.35, 0.15, 0.0, 0.6))
     return [u._replace(start=first.get(u.key, u.start)) for u in found]
-
-
-def configured_exhaust(c: Config) -> float:
-    """Flow of the edges to the atmosphere, relative to those from the supply."""
-    return c.valve.exhaust_ratio
 
 
 def configured_edges_v(c: Config) -> tuple[float, float]:
@@ -164,11 +153,10 @@ def configured(c: Config) -> dict[str, float]:
     """What the configuration says."""
     plus, minus = configured_edges_v(c)
     v, k, f = c.valve, c.cylinder, c.control.friction
-    area_m2 = configured_area_m2(c)
     return {
-        AREA: area_m2, CONDUCTANCE: conductance_of_orifice(area_m2, gas_of(c)) / L_S_BAR,
+        AREA: area_of(c), CONDUCTANCE: conductance_of(c) / L_S_BAR,
         PLUS: plus, MINUS: -minus, CENTRE: 0.5 * (plus + minus), HALF: 0.5 * (plus - minus),
-        EXHAUST: configured_exhaust(c),
+        EXHAUST: v.exhaust_ratio,
         BANDWIDTH: v.bandwidth_hz, DELAY: 1e6 * command_delay_s(c.bus), SEEP: 0.0, PLAY: 0.0,
         DEAD1: k.dead_length_1_m, DEAD2: k.dead_length_2_m,
         EXPONENT: c.plant.polytropic_exponent or c.gas.heat_capacity_ratio,
