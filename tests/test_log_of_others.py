@@ -17,7 +17,7 @@ from pneud.log.files.naming import create_log
 from pneud.log.files.reader import LoggedState, read_log
 from pneud.log.files.recovery import recover
 from pneud.log.files.writer import LogWriter
-from pneud.log.format.schema import FRAMES, TICK
+from pneud.log.format.schema import EVENTS, FRAMES, TICK
 from pneud.replay.replaying import replay
 from rewritten import rewrite
 
@@ -236,3 +236,29 @@ def test_a_message_of_no_known_channel_is_said(tmp_path: Path) -> None:
     done = pneud_here("recover", path, "-o", tmp_path / "again.mcap")
     assert done.returncode == 1
     assert "nowhere defined" in done.stdout
+
+
+@pytest.mark.parametrize("topic", [TICK, FRAMES, EVENTS])
+def test_a_time_that_no_clock_shows_is_damage_there(log: Path, tmp_path: Path, topic: str) -> None:
+    other, messages = tmp_path / "other.mcap", 0
+
+    def late(of: str, message: Any) -> int:
+        nonlocal messages
+        messages += of == topic
+        if of == topic and (messages == 90 or topic != TICK):
+            message.log_time = 1 << 63
+        return 0  # as they were
+
+    rewrite(log, other, key=late)
+    read = read_log(other)
+    ticks = list(read)
+    assert read.truncated
+    assert read.damage == f"damaged in a message of {topic}: its time lies behind the year 2262"
+    assert len(ticks) < len(RECORDS)
+    again = read_log(other)
+    assert sum(len(block.number) for block in blocks(again)) == len(ticks)
+    assert again.damage == read.damage
+    for verb in (("report", other, "-o", tmp_path / "x.html"), ("export", other, "-o", tmp_path / "x.csv")):
+        done = pneud_here(*verb)
+        assert done.returncode in (1, 2)
+        assert "Traceback" not in done.stderr

@@ -35,6 +35,7 @@ from pneud.log.format.records import LoggedEvent, LoggedTick, TickMessage, unpac
 from pneud.log.format.schema import EVENTS, FRAMES, METADATA, READABLE, SCHEMA, SETUP, STATE, TICK
 
 _SEQUENCES = 1 << 32  # of MCAP's messages, after which they begin anew
+_LATEST_NS = (1 << 63) - 1  # Unix; MCAP's times have a bit more
 _LOOK_BACK = 2000  # places among which a snapshot is looked for
 _OWN_TOPICS = {TICK, FRAMES, STATE, EVENTS}
 _BEHIND_THE_HEAD = (Opcode.CHUNK, Opcode.MESSAGE, Opcode.DATA_END)
@@ -347,6 +348,9 @@ class LogReader:
         waiting: dict[int, TickMessage] = {}
         began = not from_ns  # from the middle, what came before is not missing
         for topic, schema, message in file.messages(from_ns):
+            if message.log_time_ns > _LATEST_NS:
+                self._damaged(f"damaged in a message of {topic}: its time lies behind the year 2262")
+                return last
             # the number whose sequence this is and that lies nearest to the last one
             number = last + (message.sequence - last + _SEQUENCES // 2) % _SEQUENCES - _SEQUENCES // 2
             if topic == TICK:
