@@ -55,7 +55,7 @@ VALUES = 8  # of Learnt that are learnt; what follows is memory
 def compiled_trial() -> Any:
     if shutil.which("cc") is None:
         pytest.skip("there is no C compiler")
-    (run,), _ = compile_functions([trial.trial], cache=cache_folder("compiled"))
+    (run,) = compile_functions([trial.trial], cache=cache_folder("compiled")).functions
     return run
 
 
