@@ -7,15 +7,74 @@ the machine refuses, ends it with one line: see `cli`. A verb that has verbs of 
 """
 
 import sys
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 if TYPE_CHECKING:
     from pneud.log.files.reader import LogReader
 
+
+def _files(incomplete: str, suffix: str, *folders: Path) -> Iterator[str]:
+    """Files that begin so: here, or where a path leads; or in folders by their paths or bare names."""
+    here = Path(incomplete)
+    stem = "" if incomplete.endswith("/") else here.name
+    for path in sorted((here if not stem else here.parent).glob(f"{stem}*")):
+        if (path.is_dir() or path.suffix == suffix) and not path.name.startswith("."):
+            yield f"{path}/" if path.is_dir() else str(path)
+    for folder in folders if "/" not in incomplete else ():
+        yield from (str(path) for path in sorted(folder.glob(f"{incomplete}*{suffix}"), reverse=True))
+
+
+def complete_log(incomplete: str) -> list[str]:
+    """Logs here, and those of the daemon, the newest first."""
+    from pneud.log.files.naming import LogError, log_folder  # noqa: PLC0415 - whoever completes waits
+
+    try:
+        return [*_files(incomplete, ".mcap", log_folder(None))]
+    except LogError:
+        return [*_files(incomplete, ".mcap")]
+
+
+def complete_config(incomplete: str) -> list[str]:
+    """Configurations here, and the bare names of those that come with pneud."""
+    from pneud import resources  # noqa: PLC0415 - whoever completes waits
+
+    own = (path.name for path in sorted(resources.configs().glob("*.toml")))
+    return [*_files(incomplete, ".toml"), *(name for name in own if name.startswith(incomplete))]
+
+
+def complete_scenario(incomplete: str) -> list[str]:
+    """The names of pneud's scenarios, and files here."""
+    from pneud import resources  # noqa: PLC0415 - whoever completes waits
+
+    own = (path.stem for path in sorted(resources.scenarios().glob("*.toml")))
+    return [*(name for name in own if name.startswith(incomplete)), *_files(incomplete, ".toml")]
+
+
+def complete_key(incomplete: str) -> list[str]:
+    """Keys of the configurations that come with pneud, ready for their values."""
+    from pneud import resources  # noqa: PLC0415 - whoever completes waits
+    from pneud.config.toml import flat, tables_of  # noqa: PLC0415
+
+    texts = (path.read_text(encoding="utf-8-sig") for path in resources.configs().glob("*.toml"))
+    keys = {key for text in texts for key in flat(tables_of(text))}
+    return sorted(f"{key}=" for key in keys if key.startswith(incomplete))
+
+
 ConfigOption = Annotated[
-    str | None, typer.Option("--config", metavar="FILE", help="Configuration; default virtual.toml.")
+    str | None,
+    typer.Option(
+        "--config",
+        metavar="FILE",
+        help="Configuration; default virtual.toml.",
+        autocompletion=complete_config,
+    ),
+]
+LogArgument = Annotated[
+    str, typer.Argument(metavar="LOG", help="A log, or the folder of its parts.", autocompletion=complete_log)
 ]
 BusOption = Annotated[
     str | None, typer.Option("--bus", metavar="BUS", help="auto, socketcan:IF or unixcan:NAME.")
@@ -23,9 +82,19 @@ BusOption = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
 SocketOption = Annotated[str | None, typer.Option("--socket", metavar="PATH", help="The daemon's socket.")]
 ScenarioOption = Annotated[
-    str | None, typer.Option("--scenario", metavar="NAME", help="Faults to inject: pneud's own, or a file.")
+    str | None,
+    typer.Option(
+        "--scenario",
+        metavar="NAME",
+        help="Faults to inject: pneud's own, or a file.",
+        autocompletion=complete_scenario,
+    ),
 ]
 SeedOption = Annotated[int, typer.Option("--seed", help="Seed of the plant's noise.")]
+ProgressOption = Annotated[
+    Literal["auto", "json", "off"],
+    typer.Option("--progress", help="On standard error: a bar on a terminal, or a line a second."),
+]
 
 
 # of a verb that names it as its `SETTINGS`
