@@ -8,6 +8,7 @@ the machine refuses, ends it with one line: see `cli`. A verb that has verbs of 
 
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,6 +16,7 @@ import typer
 
 if TYPE_CHECKING:
     from pneud.log.files.reader import LogReader
+    from pneud.view.progress import Report
 
 
 def _files(incomplete: str, suffix: str, *folders: Path) -> Iterator[str]:
@@ -76,6 +78,14 @@ ConfigOption = Annotated[
 LogArgument = Annotated[
     str, typer.Argument(metavar="LOG", help="A log, or the folder of its parts.", autocompletion=complete_log)
 ]
+LogsArgument = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="LOG…",
+        help="Logs, parts of one, or the folder that they are in.",
+        autocompletion=complete_log,
+    ),
+]
 BusOption = Annotated[
     str | None, typer.Option("--bus", metavar="BUS", help="auto, socketcan:IF or unixcan:NAME.")
 ]
@@ -112,6 +122,16 @@ def whole(*logs: "LogReader") -> bool:
             saved = "pneud recover may save more"
             print(f"pneud: {log.path}: not whole: {log.damage}; {saved}", file=sys.stderr)
     return not any(log.truncated for log in logs)
+
+
+def watch(report: "Report", *logs: "LogReader") -> None:
+    """Have it told how far each reading of a log is."""
+    for log in logs:
+        log.watch = partial(_read, report, log.path.name)
+
+
+def _read(report: "Report", name: str, read: int, size: int) -> None:
+    report(name, 1e-6 * read, 1e-6 * size, "MB")
 
 
 class VerbError(Exception):

@@ -28,15 +28,14 @@ from pneud.report.gather import gather
 from pneud.report.pictures import require
 from pneud.report.timing import in_words
 from pneud.rt.outputs import require_folder
-from pneud.verbs import JsonOption, whole
+from pneud.verbs import JsonOption, LogsArgument, ProgressOption, watch, whole
+from pneud.view.progress import progress
 
 _ROWS = 12  # of the table of differences
 
 
 def replay(
-    logs: Annotated[
-        list[str], typer.Argument(metavar="LOG…", help="A log, its parts, or the folder that they are in.")
-    ],
+    logs: LogsArgument,
     config: Annotated[
         str | None, typer.Option("--config", metavar="FILE", help="What if: another configuration.")
     ] = None,
@@ -60,6 +59,7 @@ def replay(
         float, typer.Option("--speed", metavar="FACTOR", help="With --bus: how much faster than it was.")
     ] = 1.0,
     json: JsonOption = False,
+    how: ProgressOption = "auto",
 ) -> int:
     """Replay a log and say how it compares, compare it with another one, or play it on a bus.
 
@@ -80,10 +80,10 @@ def replay(
         _check_picture(output)
     log = read_log(*logs)
     if bus is not None:
-        return _play(log, _channel(bus), speed, begin_s, json)
+        return _play(log, _channel(bus), speed, begin_s, json, how)
     if against is not None:
-        return _against(log, read_log(against), output, json)
-    return _again(log, _config(log, config, settings or []), begin_s, output, json)
+        return _against(log, read_log(against), output, json, how)
+    return _again(log, _config(log, config, settings or []), begin_s, output, json, how)
 
 
 def _alone(what: str, given: Mapping[str, object], but: tuple[str, ...]) -> None:
@@ -106,23 +106,27 @@ def _config(log: LogReader, file: str | None, settings: list[str]) -> Config | N
     return with_settings(log.config_text, f"{log.path}:{log.config_name}", settings) if settings else None
 
 
-def _again(log: LogReader, what_if: Config | None, begin_s: float, output: Path | None, json: bool) -> int:
+def _again(
+    log: LogReader, what_if: Config | None, begin_s: float, output: Path | None, json: bool, how: str
+) -> int:
     differences = None
     if what_if is not None or output is not None:
         differences = Differences(exact=log.metadata.get("detail") == "full")
-    outcome = run(log, what_if, begin_s, differences.add if differences is not None else None)
+    told = differences if what_if is not None else None
+    with progress(how) as report:
+        watch(report, log)
+        outcome = run(log, what_if, begin_s, differences.add if differences is not None else None)
+        timing = in_words(gather(log)) if not json and told is None and outcome.ticks else []
     if differences is not None and output is not None:
         courses.write(differences.points, ("log", "replay"), output)
-    told = differences if what_if is not None else None
     if json:
         print(json_.dumps(_result(outcome) | ({} if told is None else {"differences": _spreads(told)})))
     else:
         _say(outcome)
         if told is not None:
             _tell(told)
-        elif outcome.ticks:
-            for line in in_words(gather(log)):
-                print(line)
+        for line in timing:
+            print(line)
     return 0 if outcome.good else 1
 
 
@@ -173,8 +177,10 @@ def _tell(d: Differences) -> None:
         print(f"and {len(spreads) - _ROWS} more (--json lists all)")
 
 
-def _against(one: LogReader, other: LogReader, output: Path | None, json: bool) -> int:
-    c = compare(one, other)
+def _against(one: LogReader, other: LogReader, output: Path | None, json: bool, how: str) -> int:
+    with progress(how) as report:
+        watch(report, one)
+        c = compare(one, other)
     d = c.differences
     if output is not None:
         courses.write(d.points, (one.path.name, other.path.name), output)
@@ -217,7 +223,7 @@ def _channel(name: str) -> str:
     return channel
 
 
-def _play(log: LogReader, channel: str, speed: float, begin_s: float, json: bool) -> int:
+def _play(log: LogReader, channel: str, speed: float, begin_s: float, json: bool, how: str) -> int:
     stopped = False
 
     def stop(*_: object) -> None:
@@ -229,7 +235,9 @@ def _play(log: LogReader, channel: str, speed: float, begin_s: float, json: bool
         refuse_if_driven(link, ids, what="another node answers there")
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, stop)
-        done = play(log, link, speed, begin_s, lambda: stopped)
+        with progress(how) as report:
+            watch(report, log)
+            done = play(log, link, speed, begin_s, lambda: stopped)
     if json:
         result = {"schema": 1, "frames": done.frames, "failed": done.failed, "late_ms": done.late_ms}
         print(json_.dumps({**result, "truncated": log.truncated}))

@@ -15,14 +15,15 @@ from pneud.report.gather import Window, gather
 from pneud.report.page import is_reference, page
 from pneud.rt.inputs import read_whole
 from pneud.rt.outputs import require_folder, write_whole
-from pneud.verbs import whole
+from pneud.verbs import LogsArgument, ProgressOption, watch, whole
+from pneud.view.progress import progress
 
 _BUCKETS = 8192  # of a page, shared by its logs
 _FEWEST = 1024
 
 
 def report(
-    logs: Annotated[list[str], typer.Argument(metavar="LOG…", help="Logs; several are compared.")],
+    logs: LogsArgument,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="The page (.html).")],
     png: Annotated[
         bool, typer.Option("--png", help="Write the figures as PNG beside the page, too.")
@@ -37,6 +38,7 @@ def report(
     end: Annotated[
         float | None, typer.Option("--to", metavar="S", help="End so long after the first tick.")
     ] = None,
+    how: ProgressOption = "auto",
 ) -> int:
     """Write a report on one log, or a comparison of several.
 
@@ -52,7 +54,9 @@ def report(
     setting = _reference(reference) if reference is not None else None
     buckets = max(_FEWEST, _BUCKETS // len(logs))
     readers = [read_log(log) for log in logs]
-    runs = [gather(reader, window, buckets) for reader in readers]
+    with progress(how) as told:
+        watch(told, *readers)
+        runs = [gather(reader, window, buckets) for reader in readers]
     write_whole(output, page(runs, setting))
     for path in (output, *(pictures.write(runs, output.with_suffix("")) if png else ())):
         print(path)

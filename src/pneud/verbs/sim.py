@@ -29,12 +29,14 @@ from pneud.scenario.format import Scenario
 from pneud.signals import RequestKind, State
 from pneud.study.comparison import as_json, compare
 from pneud.study.comparison import in_words as compared
-from pneud.verbs import JsonOption, ScenarioOption, SeedOption, VerbError
+from pneud.verbs import JsonOption, ProgressOption, ScenarioOption, SeedOption, VerbError, complete_config
+from pneud.view.progress import Report, progress
 
 DURATION_S = 10.0
 MOVE_S = 20.0  # at most, of each
 MOST_REST_S = 600.0
 NO_LOG = -1
+TOLD_TICKS = 100
 GotoOption = Annotated[
     str | None,
     typer.Option("--goto", metavar="MM[@MM_S],…", help="Go to positions in turn, in place of tracking."),
@@ -43,7 +45,10 @@ GotoOption = Annotated[
 
 def sim(
     config_file: Annotated[
-        str | None, typer.Argument(metavar="FILE", help="Configuration; default virtual.toml.")
+        str | None,
+        typer.Argument(
+            metavar="FILE", help="Configuration; default virtual.toml.", autocompletion=complete_config
+        ),
     ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="LOG", help="Write a log (.mcap).")
@@ -61,6 +66,7 @@ def sim(
         ),
     ] = False,
     json: JsonOption = False,
+    how: ProgressOption = "auto",
 ) -> int:
     """Simulate an axis, or compare its laws.
 
@@ -79,7 +85,8 @@ def sim(
             raise VerbError(
                 "--compare writes no log and has its own seed; leave out -o, --seed, --scenario and --goto"
             )
-        return _compare(config_file or "virtual.toml", DURATION_S if duration_s is None else duration_s, json)
+        rest_s = DURATION_S if duration_s is None else duration_s
+        return _compare(config_file or "virtual.toml", rest_s, json, how)
     if scenario_file is not None and goto is not None:
         raise VerbError("--goto: a scenario's verdict is on tracking; leave out --scenario")
     scenario = _playable(scenario_file) if scenario_file is not None else None
@@ -89,13 +96,16 @@ def sim(
     if not 0.0 < duration_s <= 1e6:
         raise ConfigError(f"--duration {duration_s:g}: must lie between 0 and 1,000,000 s")
     loaded = load_axis(config_file, None, scenario)
-    how = backend_of(loaded)
+    law = backend_of(loaded)
     operator = course.ask if course is not None else None
-    run = Simulation(loaded, duration_s, seed, how, scenario=scenario, operator=operator)
+    run = Simulation(loaded, duration_s, seed, law, scenario=scenario, operator=operator)
     path = log_path(str(output), loaded.config.name) if output is not None else None
-    with new_log(path) if path is not None else nullcontext(NO_LOG) as descriptor:
-        writer = _writer(descriptor, loaded, seed, how.name) if path is not None else None
-        tally, seen = _run(run, loaded.config.loop.rate_hz, writer, course)
+    with (
+        new_log(path) if path is not None else nullcontext(NO_LOG) as descriptor,
+        progress(how) as report,
+    ):
+        writer = _writer(descriptor, loaded, seed, law.name) if path is not None else None
+        tally, seen = _run(run, duration_s, loaded.config.loop.rate_hz, writer, course, report)
         whole = writer is None or (writer.close() and not writer.unwritten)
     if writer is not None and not whole:
         why = os.strerror(writer.error) if writer.error > 0 else "some ticks fit into no log"
@@ -150,13 +160,20 @@ def _in_words(summary: dict[str, Any]) -> str:
 
 
 def _run(
-    run: Simulation, rate_hz: float, writer: LogWriter | None, course: Course | None
+    run: Simulation,
+    duration_s: float,
+    rate_hz: float,
+    writer: LogWriter | None,
+    course: Course | None,
+    report: Report,
 ) -> tuple[Tally, verdict.Observed]:
     """All ticks, counted and written down."""
     tally = Tally(truth=True, timed=False)
     seen = verdict.Observed()
     snapshot_ticks, written = max(1, round(SNAPSHOT_S * rate_hz)), 0
-    for record in run.records():
+    for number, record in enumerate(run.records()):
+        if number % TOLD_TICKS == 0:
+            report("simulating", number / rate_hz, duration_s, "s")
         tally.add(record, run.axis.plan, ending=run.shut)
         if course is not None:
             course.see(record)
@@ -194,13 +211,14 @@ def _writer(descriptor: int, loaded: Loaded, seed: int, law: str) -> LogWriter:
     )
 
 
-def _compare(config_file: str, rest_s: float, json: bool) -> int:
+def _compare(config_file: str, rest_s: float, json: bool, how: str) -> int:
     """Run every law through every case and print the tables."""
     if not 1.0 <= rest_s <= MOST_REST_S:
         raise ConfigError(f"--duration {rest_s:g}: with --compare, between 1 and {MOST_REST_S:g} s")
     compiled = importlib.util.find_spec("numba") is not None
     if not compiled:
         print("pneud: three cases only without numba; for all: pip install 'pneud[sim]'", file=sys.stderr)
-    found = compare(load(config_file), rest_s, compiled)
+    with progress(how) as report:
+        found = compare(load(config_file), rest_s, compiled, report=report)
     print(json_.dumps(as_json(found)) if json else compared(found))
     return 0
