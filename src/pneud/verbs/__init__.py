@@ -66,6 +66,15 @@ def complete_key(incomplete: str) -> list[str]:
     return sorted(f"{key}=" for key in keys if key.startswith(incomplete))
 
 
+def complete_tunable(incomplete: str) -> list[str]:
+    """Names of gains, and keys of the reference, ready for their values."""
+    from pneud.control.tunables import LAWS, names_of  # noqa: PLC0415 - whoever completes waits
+
+    names = (f"{name}=" for law in LAWS for name in names_of(law))
+    gains = [name for name in dict.fromkeys(names) if name.startswith(incomplete)]
+    return gains + [key for key in complete_key(incomplete) if key.startswith("reference.")]
+
+
 ConfigOption = Annotated[
     str | None,
     typer.Option(
@@ -74,6 +83,9 @@ ConfigOption = Annotated[
         help="Configuration; default virtual.toml.",
         autocompletion=complete_config,
     ),
+]
+FileArgument = Annotated[
+    str, typer.Argument(metavar="FILE", help="Configuration.", autocompletion=complete_config)
 ]
 LogArgument = Annotated[
     str, typer.Argument(metavar="LOG", help="A log, or the folder of its parts.", autocompletion=complete_log)
@@ -132,6 +144,16 @@ def watch(report: "Report", *logs: "LogReader") -> None:
 
 def _read(report: "Report", name: str, read: int, size: int) -> None:
     report(name, 1e-6 * read, 1e-6 * size, "MB")
+
+
+def require_suffix(path: Path, suffix: str, what: str) -> None:
+    """Refuse a name that says something else than what is to be written; a pipe or a device may have any.
+
+    Raises:
+        VerbError: it does.
+    """
+    if path.suffix.lower() != suffix and (path.is_file() or not path.exists()):
+        raise VerbError(f"{path}: {what}, and no other format; its name must end in {suffix}")
 
 
 class VerbError(Exception):

@@ -24,7 +24,7 @@ from pneud.loop.summary import finite
 from pneud.rt.outputs import write_whole
 from pneud.rt.setup import own_cpu
 from pneud.service import machine
-from pneud.verbs import BusOption, ConfigOption, JsonOption, ProgressOption, VerbError
+from pneud.verbs import BusOption, ConfigOption, JsonOption, ProgressOption, VerbError, require_suffix
 from pneud.view.progress import Report, progress
 
 
@@ -94,6 +94,8 @@ def bench(
         raise ConfigError(f"--turn {turn_s:g}: must be positive, and at most 3600")
     if disturb and output is not None:
         raise ConfigError("--output shows the contestants, and --disturb has none")
+    if output is not None:
+        require_suffix(output, ".html", "the report is a page of HTML")
     if output is not None and not output.parent.is_dir():
         raise ConfigError(f"{output}: there is no folder {output.parent}; create it or name another file")
     axis = load(config or "virtual.toml")

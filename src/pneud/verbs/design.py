@@ -19,7 +19,7 @@ from pneud.study import gains as rules
 from pneud.study.judging import Judged, Lengths
 from pneud.study.proposing import LAWS, Proposal, propose
 from pneud.study.push import Pushed, service
-from pneud.verbs import JsonOption, ProgressOption, complete_config
+from pneud.verbs import FileArgument, JsonOption, ProgressOption
 from pneud.view.progress import each, progress
 
 
@@ -54,9 +54,7 @@ def design(
             "--bandwidth", metavar="RAD_S", help="Of the closed loop; or auto: the fastest that holds."
         ),
     ],
-    file: Annotated[
-        str, typer.Argument(metavar="FILE", help="Configuration.", autocompletion=complete_config)
-    ] = "virtual.toml",
+    file: FileArgument = "virtual.toml",
     error_mm: Annotated[
         float | None,
         typer.Option(

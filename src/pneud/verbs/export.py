@@ -22,14 +22,14 @@ from pneud.view.progress import progress
 def export(
     log: LogArgument,
     output: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             "-o",
             "--output",
             metavar="FILE",
-            help="Frames as .log (candump), .asc or .blf; ticks as .csv or .parquet.",
+            help="Frames as .log (candump), .asc or .blf; ticks as .csv or .parquet; default .csv.",
         ),
-    ],
+    ] = None,
     how: ProgressOption = "auto",
 ) -> int:
     """Write a log in another format, which the suffix names.
@@ -37,6 +37,7 @@ def export(
     Returns:
         Exit status: 0, or 1 where the log could not be read to its end, or no frame is in its ticks.
     """
+    output = output or Path(f"{read_log(log).path.stem}.csv")
     suffix = output.suffix
     if suffix not in (*to.TABLES, *FORMATS):
         known = ", ".join((*to.TABLES, *FORMATS))

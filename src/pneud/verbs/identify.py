@@ -14,7 +14,7 @@ from pneud.config.models import Config
 from pneud.config.reading import load_config
 from pneud.log.files.reader import read_log
 from pneud.rt.outputs import require_folder, write_whole
-from pneud.verbs import JsonOption, LogsArgument, ProgressOption, VerbError, watch, whole
+from pneud.verbs import JsonOption, LogsArgument, ProgressOption, VerbError, require_suffix, watch, whole
 from pneud.view.progress import progress
 
 if TYPE_CHECKING:
@@ -55,6 +55,7 @@ def identify(
     from pneud.study.identification import comparing, estimating, explaining, table, words  # noqa: PLC0415
 
     if output is not None:
+        require_suffix(output, ".html", "the report is a page of HTML")
         require_folder(output)
     before = comparing.earlier(against) if against is not None else {}
     given = load_config(config) if config is not None else None

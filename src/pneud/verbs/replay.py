@@ -17,6 +17,7 @@ from pneud.config.models import Config
 from pneud.config.reading import load_with_text as load_text
 from pneud.config.reading import with_settings
 from pneud.config.sections import ConfigError, check_channel
+from pneud.console.tuning import settings_of
 from pneud.log.files.reader import LogReader, read_log
 from pneud.loop.summary import finite
 from pneud.replay import courses
@@ -28,7 +29,17 @@ from pneud.report.gather import gather
 from pneud.report.pictures import require
 from pneud.report.timing import in_words
 from pneud.rt.outputs import require_folder
-from pneud.verbs import JsonOption, LogsArgument, ProgressOption, watch, whole
+from pneud.study.linear import doubts_of
+from pneud.verbs import (
+    JsonOption,
+    LogsArgument,
+    ProgressOption,
+    complete_config,
+    complete_key,
+    complete_log,
+    watch,
+    whole,
+)
 from pneud.view.progress import progress
 
 _ROWS = 12  # of the table of differences
@@ -37,13 +48,31 @@ _ROWS = 12  # of the table of differences
 def replay(
     logs: LogsArgument,
     config: Annotated[
-        str | None, typer.Option("--config", metavar="FILE", help="What if: another configuration.")
+        str | None,
+        typer.Option(
+            "--config",
+            metavar="FILE",
+            help="What if: another configuration.",
+            autocompletion=complete_config,
+        ),
     ] = None,
     settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="What if: another value.")
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="What if: another value, by its key or as in tune.",
+            autocompletion=complete_key,
+        ),
     ] = None,
     against: Annotated[
-        str | None, typer.Option("--against", metavar="LOG2", help="Compare with another log instead.")
+        str | None,
+        typer.Option(
+            "--against",
+            metavar="LOG2",
+            help="Compare with another log instead.",
+            autocompletion=complete_log,
+        ),
     ] = None,
     begin_s: Annotated[
         float, typer.Option("--from", metavar="S", help="Begin so long after the log's start.")
@@ -100,10 +129,16 @@ def _check_picture(output: Path) -> None:
 
 
 def _config(log: LogReader, file: str | None, settings: list[str]) -> Config | None:
+    if file is None and not settings:
+        return None
+    text, name = log.config_text, f"{log.path}:{log.config_name}"
     if file is not None:
         _, text, path = load_text(file)
-        return with_settings(text, str(path), settings)
-    return with_settings(log.config_text, f"{log.path}:{log.config_name}", settings) if settings else None
+        name = str(path)
+    found = with_settings(text, name, [s for setting in settings for s in settings_of(setting)])
+    for doubt in doubts_of(found):
+        print(f"pneud: warning: {doubt}", file=sys.stderr)
+    return found
 
 
 def _again(

@@ -15,7 +15,7 @@ from pneud.report.gather import Window, gather
 from pneud.report.page import is_reference, page
 from pneud.rt.inputs import read_whole
 from pneud.rt.outputs import require_folder, write_whole
-from pneud.verbs import LogsArgument, ProgressOption, watch, whole
+from pneud.verbs import LogsArgument, ProgressOption, require_suffix, watch, whole
 from pneud.view.progress import progress
 
 _BUCKETS = 8192  # of a page, shared by its logs
@@ -24,7 +24,10 @@ _FEWEST = 1024
 
 def report(
     logs: LogsArgument,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="The page (.html).")],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="The page; default the log's name with .html."),
+    ] = None,
     png: Annotated[
         bool, typer.Option("--png", help="Write the figures as PNG beside the page, too.")
     ] = False,
@@ -48,6 +51,8 @@ def report(
     window = Window(begin or 0.0, float("inf") if end is None else end)
     if not window.begin_s < window.end_s:
         raise ConfigError(f"--from {window.begin_s:g} --to {window.end_s:g}: there is nothing between them")
+    output = output or Path(f"{read_log(logs[0]).path.stem}.html")
+    require_suffix(output, ".html", "a report is a page of HTML")
     require_folder(output)
     if png:
         pictures.require()

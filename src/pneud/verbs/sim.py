@@ -29,7 +29,15 @@ from pneud.scenario.format import Scenario
 from pneud.signals import RequestKind, State
 from pneud.study.comparison import as_json, compare
 from pneud.study.comparison import in_words as compared
-from pneud.verbs import JsonOption, ProgressOption, ScenarioOption, SeedOption, VerbError, complete_config
+from pneud.verbs import (
+    JsonOption,
+    ProgressOption,
+    ScenarioOption,
+    SeedOption,
+    VerbError,
+    complete_config,
+    require_suffix,
+)
 from pneud.view.progress import Report, progress
 
 DURATION_S = 10.0
@@ -80,6 +88,8 @@ def sim(
         BuildError: the compiled law is required and cannot be had.
         VerbError: an option does not go with another.
     """
+    if output is not None and not output.is_dir():
+        require_suffix(output, ".mcap", "a log is an MCAP file")
     if laws:
         if output is not None or seed or scenario_file is not None or goto is not None:
             raise VerbError(
