@@ -52,7 +52,7 @@ def complete_scenario(incomplete: str) -> list[str]:
     """The names of pneud's scenarios, and files here."""
     from pneud import resources  # noqa: PLC0415 - whoever completes waits
 
-    own = (path.stem for path in sorted(resources.scenarios().glob("*.toml")))
+    own = sorted(path.stem for path in resources.scenarios().glob("*.toml"))
     return [*(name for name in own if name.startswith(incomplete)), *_files(incomplete, ".toml")]
 
 

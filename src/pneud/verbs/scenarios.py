@@ -16,7 +16,7 @@ def scenarios(json: JsonOption = False) -> int:
     Returns:
         Exit status: 0.
     """
-    found = [_facts(path.stem) for path in sorted(resources.scenarios().glob("*.toml"))]
+    found = [_facts(name) for name in sorted(path.stem for path in resources.scenarios().glob("*.toml"))]
     if json:
         print(json_.dumps({"schema": 1, "folder": str(resources.scenarios()), "scenarios": found}))
         return 0

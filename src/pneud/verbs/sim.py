@@ -88,7 +88,7 @@ def sim(
         BuildError: the compiled law is required and cannot be had.
         VerbError: an option does not go with another.
     """
-    if output is not None and not output.is_dir():
+    if output is not None and output.suffix and not output.is_dir():  # else it is a folder
         require_suffix(output, ".mcap", "a log is an MCAP file")
     if laws:
         if output is not None or seed or scenario_file is not None or goto is not None:
