@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import select
 import time
 from pathlib import Path
 
@@ -44,7 +45,9 @@ def test_on_a_terminal_a_bar_is_drawn_and_wiped(hasty: None, monkeypatch: pytest
             report("looking", 1, 0, "MB")
     finally:
         os.dup2(before, 2)
-    drawn = os.read(ours, 65536).decode()
+    drawn = ""
+    while select.select([ours], [], [], 0.1)[0]:
+        drawn += os.read(ours, 65536).decode()
     assert "counting" in drawn
     assert "3/4 turns" in drawn
     assert "looking" in drawn
