@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import resource
 import shutil
@@ -425,6 +426,7 @@ WORKING += ["design virtual.toml --bandwidth 50 --error-mm 1", "bench --pairs 1 
 TELLING = ["status --json", "arm", "disarm", "stop", "clear", "home", "hold", "goto 1", "jog 1 --for 0.01"]
 TELLING += ["mark x", "track sine", "track steps 2 3", "tune get", "tune set k1=1", "tune diff", "tune save"]
 TELLING += ["tune reload", *(f"{words} --json" for words in ("arm", "tune get", "jog 1 --for 0.01"))]
+FULL = "standard output: No space left on device"
 MUTE = {"plant", "top", "view", "reproduce", "identify"}  # says nothing until its end; draw; take long
 
 
@@ -457,7 +459,10 @@ def test_a_full_device_as_standard_output(
     )
     assert done.returncode == 3, done
     said = [line for line in done.stderr.splitlines() if not line.startswith(REMARKS)]
-    assert said == ["pneud: standard output: No space left on device"], done
+    if "--json" in words:
+        assert [json.loads(line)["error"]["message"] for line in said] == [FULL], done
+    else:
+        assert said == [f"pneud: {FULL}"], done
 
 
 @pytest.mark.slow

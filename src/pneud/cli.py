@@ -402,7 +402,7 @@ def main() -> None:
         sys.exit(DONE)
     except OSError as e:  # what is raised out of a verb does not get here, but help and version do
         said = True
-        print(f"pneud: {refusal_of(e)}", file=sys.stderr)
+        _say(refusal_of(e), MACHINE, JSON in sys.argv)
         sys.exit(MACHINE)
     finally:
         _flush(said)
@@ -429,7 +429,7 @@ def _flush(said: bool) -> None:
     except OSError as e:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         if sys.stderr is not None and not said:
-            print(f"pneud: {refusal_of(e)}", file=sys.stderr)
+            _say(refusal_of(e), MACHINE, JSON in sys.argv)
         os._exit(MACHINE)
 
 
