@@ -52,6 +52,19 @@ WHOLE = Lengths(20.0, 4.0, 60.0)
 BRIEF = Lengths(10.0, 2.0, 12.0)  # for a first look, and where nothing is compiled
 
 
+class Tolerances(NamedTuple):
+    """What an encoder's step allows for [m]."""
+
+    still_m: float  # at rest
+    position_m: float  # what counts as in position
+    over_m: float  # overshoot
+
+
+def tolerances(step_m: float) -> Tolerances:
+    """Those of an encoder with this step [m]."""
+    return Tolerances(max(15e-6, 2.0 * step_m), max(20e-6, 2.0 * step_m), max(50e-6, 3.0 * step_m))
+
+
 class Course(NamedTuple):
     """What a session does, and what it may come to on the plant as configured."""
 
@@ -146,9 +159,7 @@ def course_of(c: Config, lengths: Lengths, within_m: float = WITHIN_M) -> Course
         PUSH_SHARE * (c.gas.supply_pa - c.gas.atmosphere_pa) * c.cylinder.piston_area_1_m2,
         LARGE_ERROR * c.cylinder.stroke_m,
         within_m,
-        still_m=max(15e-6, 2.0 * step_m),
-        position_m=max(20e-6, 2.0 * step_m),
-        over_m=max(50e-6, 3.0 * step_m),
+        *tolerances(step_m),
     )
 
 
