@@ -59,6 +59,17 @@ def test_steady_sliding_is_as_stribeck_says(v: float) -> None:
     assert grip(e, 0.0, dry, SEALS.sigma0_n_m).force_n == pytest.approx(math.copysign(dry, v))
 
 
+def test_a_load_that_slows_down_is_not_damped_by_what_slips() -> None:
+    """Dry friction grows from step to step, and every element is beyond it only at the end of each."""
+    e, braked = Elements(), []
+    for i in range(4000):
+        v = 0.3 - 7e-5 * i
+        mean, e = slip(v, e, v, 0.0, 1e3, H, SEALS)
+        braked.append(2e3 * (v - mean) / H - SEALS.viscous_n_s_m * mean)
+    for i in range(100, 4000, 100):
+        assert braked[i] == pytest.approx(stribeck(0.3 - 7e-5 * i, SEALS), rel=1e-3)
+
+
 def test_a_load_is_held_up_to_static_friction() -> None:
     v, e = carried(38.0, 3.0)
     assert abs(v) < 1e-8
