@@ -9,7 +9,7 @@ import math
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -163,12 +163,25 @@ def course_of(c: Config, lengths: Lengths, within_m: float = WITHIN_M) -> Course
     )
 
 
-def tasks(c: Config, command_lsb_v: float, course: Course, cases: Iterable[str] = ()) -> list[Task]:
+def tasks(
+    c: Config,
+    command_lsb_v: float,
+    course: Course,
+    cases: Iterable[str] = (),
+    among: Mapping[str, PlantParameters] | None = None,
+) -> list[Task]:
     """The sessions of a configuration, on all plants or on those named.
 
     Where the configured reference stands still, the sine is one of 5 % of the stroke.
+
+    Args:
+        c: the configuration.
+        command_lsb_v: of the bus.
+        course: from `course_of`.
+        cases: names of plants.
+        among: the plants; else those of `plants`.
     """
-    axis, found = axis_of(c, command_lsb_v), plants(plant_of(c))
+    axis, found = axis_of(c, command_lsb_v), among or plants(plant_of(c))
     s = axis.reference
     if s.amplitude_m == 0.0 or s.omega_rad_s == 0.0:
         axis = axis._replace(reference=Sine(s.centre_m, 0.05 * c.cylinder.stroke_m, math.pi))

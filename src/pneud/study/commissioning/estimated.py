@@ -9,7 +9,6 @@ import numpy as np
 from pydantic import ValidationError
 
 from pneud.config.flow import RATINGS
-from pneud.config.learnt import MOST_EDGE
 from pneud.config.models import Config
 from pneud.config.reading import explain
 from pneud.config.sections import ConfigError
@@ -25,9 +24,8 @@ SAME = (
     *(key.EXHAUST, key.BANDWIDTH, key.DELAY, key.DEAD1, key.DEAD2, key.MASS, key.LOAD, key.COULOMB),
     *(key.STRIBECK, key.VISCOUS, key.STIFFNESS, key.DAMPING),
 )  # keys that the controller has under the same name
-STEP, START = "control.motion.encoder_resolution_m", "control.adaptation.start"
+STEP, START, MAP = "control.motion.encoder_resolution_m", "control.adaptation.start", "valve.map"
 CRITICAL_RATIOS = (0.01, 0.59)  # that a configuration may have
-LEAST_EDGES_V = 2e-3  # between those of a map
 LEVEL_M = 1e-9  # readings closer than that are the same
 
 
@@ -38,20 +36,17 @@ def encoder_step_m(t: Table) -> float:
     return LEVEL_M * float(np.median(apart[apart <= 1.5 * apart.min()])) if len(apart) else 0.0
 
 
-def believed(found: Mapping[str, Estimate], step_m: float, c: Config, log: str = "") -> Values:
+def believed(found: Mapping[str, Estimate], step_m: float, c: Config) -> Values:
     """What the controller is to believe from now on: of all that is told, the values to be written.
-
-    Edges of their own go where adaptation starts, or into a map where it could not have learnt them.
 
     Args:
         found: estimates, those that the logs do not tell among them.
         step_m: of the encoder, 0 where it is not known.
         c: the configuration that they are to be written into.
-        log: where they come from.
     """
     told = {name: e.value for name, e in found.items() if e.told}
     values: Values = {name: told[name] for name in SAME if name in told}
-    values |= _flow(told) | _edges(told, c, log)
+    values |= _flow(told) | _edges(told)
     friction = c.control.friction
     coulomb_n = values.get(key.COULOMB, friction.coulomb_n)
     values[key.STATIC] = max(told.get(key.STATIC, friction.static_n), coulomb_n)
@@ -74,21 +69,13 @@ def _flow(told: Mapping[str, float]) -> Values:
     return {f"valve.{rating}": None for rating in RATINGS} | sized
 
 
-def _edges(told: Mapping[str, float], c: Config, log: str) -> Values:
-    """Both edges and the centre between them, as adaptation starts from them or as a map."""
-    if key.PLUS not in told or key.MINUS not in told:
-        return {START: None}
-    plus, minus, u_max = told[key.PLUS], told[key.MINUS], c.valve.u_max_v
-    middle, half = 0.5 * (plus - minus), max(0.5 * (plus + minus), 0.0)
-    plus, minus = _rounded(middle + half), _rounded(half - middle)
-    widest = max(MOST_EDGE * u_max, half)
-    if 0.0 <= plus <= widest and 0.0 <= minus <= widest:
-        start = {"axis": c.name, "log": log, "dead_zone_positive_v": plus, "dead_zone_negative_v": minus}
-        return {key.HALF: half, "valve.map": None, START: start}
-    if plus + minus < LEAST_EDGES_V:
-        plus, minus = _rounded(middle + 0.5 * LEAST_EDGES_V), _rounded(0.5 * LEAST_EDGES_V - middle)
-    places = [[-u_max, -1.0], [-minus, 0.0], [plus, 0.0], [u_max, 1.0]]
-    return {key.HALF: 0.5 * (plus + minus), "valve.map": places, START: None}
+def _edges(told: Mapping[str, float]) -> Values:
+    """Both edges, about the centre between them; where adaptation had got to before counts no more."""
+    values: Values = {START: None}
+    if key.PLUS in told and key.MINUS in told:
+        plus, minus = told[key.PLUS], told[key.MINUS]
+        values |= {key.CENTRE: 0.5 * (plus - minus), key.HALF: max(0.5 * (plus + minus), 0.0), MAP: None}
+    return values
 
 
 def rig(found: Mapping[str, Estimate], step_m: float, noise_pa: float, c: Config) -> Values:
@@ -101,12 +88,11 @@ def rig(found: Mapping[str, Estimate], step_m: float, noise_pa: float, c: Config
         c: with what the controller believes of it.
     """
     v = {name: e.value for name, e in found.items()}
-    half = max(v.get(key.HALF, c.valve.dead_zone_v), 0.0)
     valve = {
         "bandwidth_hz": c.valve.bandwidth_hz,
         "damping": c.valve.damping,
-        "dead_zone_v": half,
-        "centre_v": v.get(key.CENTRE, 0.0),
+        "dead_zone_v": c.valve.dead_zone_v,
+        "centre_v": c.valve.centre_v,
         "hysteresis_v": v.get(key.PLAY, 0.0),
         "leakage": v.get(key.SEEP, 0.0),
         "dac_bits": c.plant.valve.dac_bits,
