@@ -18,6 +18,7 @@ from pneud.log.format.header import LogHeader
 from pneud.replay.lockstep import Simulation, backend_of
 from pneud.safety.faults import FAULT_NAMES
 from pneud.signals import Record, Request
+from pneud.study.commissioning.movement import Verdict
 
 LONGEST_S = 600.0  # of axis time, for one operator
 
@@ -54,6 +55,9 @@ class Bench(Protocol):
 
     def logs(self) -> list[LogReader]:
         """What has been recorded since the last configuration was put to use."""
+
+    def prove(self, verdict: Verdict, /) -> None:
+        """Keep what the movement test has come to; where it is passed, the axis may be armed."""
 
     def adopt(self, text: str) -> None:
         """Go on with another configuration."""
@@ -98,6 +102,9 @@ class Simulated:
     def logs(self) -> list[LogReader]:
         """What has been recorded since the last configuration was put to use."""
         return [read_log(str(path)) for path in self._logs]
+
+    def prove(self, _verdict: Verdict) -> None:
+        """Nothing: a software rig proves nothing, and may be armed."""
 
     def adopt(self, text: str) -> None:
         """Go on with another configuration, and the same rig."""
