@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from pneud.config.reading import parse
+from pneud.config.writing import put_text
 from pneud.loading import Loaded, changed_text
 from pneud.log.files.naming import new_log
 from pneud.log.files.reader import LogReader, read_log
@@ -44,8 +45,10 @@ class Bench(Protocol):
         loaded: the configuration that it runs with.
         axis_s: how long it has been at work.
         log_name: of the log that is being written or was written last.
+        tries: it can go on with a configuration that is in no file.
     """
 
+    tries: bool
     loaded: Loaded
     axis_s: float
     log_name: str
@@ -59,12 +62,14 @@ class Bench(Protocol):
     def prove(self, verdict: Verdict, /) -> None:
         """Keep what the movement test has come to; where it is passed, the axis may be armed."""
 
-    def adopt(self, text: str) -> None:
-        """Go on with another configuration."""
+    def adopt(self, text: str, keep: bool) -> None:
+        """Go on with another configuration, which is kept in its file, or tried."""
 
 
 class Simulated:
     """The software rig, the same for a seed; it may be unlike what the configuration says of it."""
+
+    tries = True
 
     def __init__(self, loaded: Loaded, truth: dict[str, Any], seed: int, folder: Path) -> None:
         """A rig that stands still.
@@ -106,8 +111,10 @@ class Simulated:
     def prove(self, _verdict: Verdict) -> None:
         """Nothing: a software rig proves nothing, and may be armed."""
 
-    def adopt(self, text: str) -> None:
+    def adopt(self, text: str, keep: bool) -> None:
         """Go on with another configuration, and the same rig."""
+        if keep:
+            put_text(self.loaded.path, text)
         self.loaded = self.loaded._replace(config=parse(text, str(self.loaded.path)), text=text)
         self._logs = []
 

@@ -9,6 +9,7 @@ from pneud.axis.state import AxisParameters
 from pneud.config import conversions
 from pneud.config.models import Config
 from pneud.loading import Loaded
+from pneud.loop.summary import finite
 from pneud.signals import Record, Request
 from pneud.study.commissioning import estimated, gains, written
 from pneud.study.commissioning.bench import Bench
@@ -17,7 +18,7 @@ from pneud.study.commissioning.playing import Player
 from pneud.study.commissioning.steps import Step, dynamic, length_s, static
 from pneud.study.commissioning.testing import MovementTest
 from pneud.study.commissioning.verification import Verification, Verified, course
-from pneud.study.identification import estimating, table
+from pneud.study.identification import comparing, estimating, table
 from pneud.study.identification.estimating import Identified
 from pneud.study.judging import tolerances
 
@@ -98,13 +99,14 @@ def commission(bench: Bench, wishes: Wishes, talk: Talk) -> Outcome:
         return Outcome("interrupted", movement, why, () if played is None else played.faults)
     talk.say("estimates and gains")
     found = _found(bench, wishes)
-    before = Outcome("identified", movement, found=found)
-    if not wishes.write or not talk.agreed(found.changes):
-        return before
-    bench.adopt(found.text)
+    so_far = Outcome("identified", movement, found=found)
+    keep = wishes.write and talk.agreed(found.changes)
+    if not keep and not bench.tries:
+        return so_far
+    bench.adopt(found.text, keep)
     after = _verified(bench, talk)
     words = "passed" if after.holds else "missed" if not after.failure else "interrupted"
-    return before._replace(verdict=words, after=after, failure=after.failure, written=True)
+    return so_far._replace(verdict=words, after=after, failure=after.failure, written=keep)
 
 
 def axis_of(loaded: Loaded) -> AxisParameters:
@@ -144,7 +146,7 @@ def _found(bench: Bench, wishes: Wishes) -> Found:
     measured, _ = table.read(bench.logs())
     identified = estimating.identify(measured, c)
     told, step_m = identified.parameters, estimated.encoder_step_m(measured)
-    values = estimated.believed(told, step_m, c, bench.log_name)
+    values = estimated.believed(told, step_m, c)
     values |= _in_place(values, c)
     believed = estimated.changed(c, values)
     values |= estimated.rig(told, step_m, identified.noise_pa, believed)
@@ -193,15 +195,21 @@ def as_json(o: Outcome) -> dict[str, Any]:
     return {
         "schema": 1,
         "verdict": o.verdict,
-        "parameters": {
-            name: {"value": e.value, "low": e.low, "high": e.high, "configured": e.configured, "told": e.told}
-            for name, e in parameters.items()
-        },
-        "changes": [] if found is None else [c._asdict() for c in found.changes],
-        "gains": None if found is None or found.chosen is None else found.chosen.as_json(),
+        "parameters": {name: comparing.as_json(e) for name, e in parameters.items()},
+        "changes": [] if found is None else [finite(c._asdict()) for c in found.changes],
+        "gains": None if found is None or found.chosen is None else _gains(found.chosen),
         "before": {} if o.before is None else o.before.as_json(),
         "after": {} if o.after is None else o.after.as_json(),
         "failure": o.failure or None,
         "faults": list(o.faults),
         "written": o.written,
+    }
+
+
+def _gains(chosen: gains.Chosen) -> dict[str, Any]:
+    return {
+        "bandwidth_rad_s": chosen.bandwidth_rad_s,
+        "holds": chosen.holds,
+        "doubts": list(chosen.doubts),
+        "missed": sorted({f"{j.case}: {f.part} {f.what}" for j in chosen.judged for f in j.missed}),
     }

@@ -38,11 +38,10 @@ def changes(c: Config, values: Values, found: Mapping[str, Estimate]) -> list[Ch
         found: estimates, by key.
     """
     had = flat(c.model_dump(by_alias=True))
-    whole = {**flat({}), **_flattened(values)}
     return [
         Change(name, had.get(name), value, _interval(name, found))
-        for name, value in whole.items()
-        if value != had.get(name)
+        for name, value in _flattened(values).items()
+        if value != had.get(name) and (value is not None or had.get(name))
     ]
 
 
