@@ -16,9 +16,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pneud import resources
+from pneud.config.proof import Proof, digest, proven
 from pneud.console.client import Client, RefusedError
-from pneud.loading import load
-from pneud.study.commissioning.movement import CURES, MOVE_M, SPEED_M_S, Verdict
+from pneud.loading import Loaded, load
+from pneud.signals import State
+from pneud.study.commissioning.movement import CURES, Verdict
 from pneud.verbs import ConfigOption, JsonOption, SocketOption, VerbError
 
 if TYPE_CHECKING:
@@ -72,11 +74,7 @@ def commission(
         return _tell(_simulated(config_file, seed, wishes, yes), json)
     if seed is not None:
         raise VerbError("--seed: draws a software rig; give --virtual, too")
-    with Client(socket) as client:
-        try:
-            return _tell(_on_the_rig(client, config_file, wishes, again, yes), json)
-        except RefusedError as e:
-            raise VerbError(f"commission: {e}", 1) from None
+    return _tell(_on_the_rig(socket, config_file, wishes, again, yes), json)
 
 
 class _Talk:
@@ -107,18 +105,41 @@ def _simulated(config_file: str | None, seed: int | None, wishes: Wishes, yes: b
         return procedure.commission(rig, wishes._replace(write=wishes.write and not packaged), _Talk(yes))
 
 
-def _on_the_rig(client: Client, config_file: str | None, wishes: Wishes, again: bool, yes: bool) -> Outcome:
-    raise NotImplementedError
+def _on_the_rig(
+    socket: str | None, config_file: str | None, wishes: Wishes, again: bool, yes: bool
+) -> Outcome:
+    from pneud.study.commissioning import procedure  # noqa: PLC0415
+    from pneud.study.commissioning.live import Live  # noqa: PLC0415
+
+    with Client(socket) as client:
+        status = client.ask("status")
+    if status["state"] != State.DISARMED.label or status["config_changed"]:
+        found = "its file has changed" if status["config_changed"] else f"the axis is {status['state']}"
+        raise VerbError(f"commission: {found}; it has to be disarmed, and to run what its file says", 1)
+    loaded = load(status["config"])
+    if config_file is not None and load(config_file).text != loaded.text:
+        raise VerbError(f"commission: the daemon runs {status['config']}, another configuration")
+    passed = proven(loaded.path, digest(loaded.config, loaded.dbc.read_bytes())) == Proof.PASSED
+    wishes = wishes._replace(movement=again or not passed or not wishes.steps)
+    _agreed(loaded, wishes, yes)
+    rig = Live(lambda: Client(socket), loaded)
+    try:
+        return procedure.commission(rig, wishes, _Talk(yes))
+    except RefusedError as e:
+        raise VerbError(f"commission: {e}", 1) from None
+    finally:
+        rig.close()
 
 
-def _agreed(yes: bool) -> None:
+def _agreed(loaded: Loaded, wishes: Wishes, yes: bool) -> None:
     """Say what will move, and ask.
 
     Raises:
         VerbError: nobody agrees.
     """
-    words = "the load is pushed both ways, and moves some"
-    print(f"movement test: {words} {1e3 * MOVE_M:g} mm at {1e3 * SPEED_M_S:g} mm/s at most", file=sys.stderr)
+    from pneud.study.commissioning.procedure import planned  # noqa: PLC0415
+
+    print("\n".join(planned(loaded, wishes)), file=sys.stderr)
     if not yes and not (sys.stdin.isatty() and typer.confirm("go on?", err=True)):
         raise VerbError("commission: nobody agreed; --yes does without")
 

@@ -44,14 +44,16 @@ class Bench(Protocol):
     Attributes:
         loaded: the configuration that it runs with.
         axis_s: how long it has been at work.
-        log_name: of the log that is being written or was written last.
         tries: it can go on with a configuration that is in no file.
     """
 
     tries: bool
     loaded: Loaded
     axis_s: float
-    log_name: str
+
+    @property
+    def log_name(self) -> str:
+        """Of the log that is being written or was written last."""
 
     def play(self, operator: Operator) -> None:
         """Let an operator do what he wants to."""
@@ -81,9 +83,14 @@ class Simulated:
             folder: for logs.
         """
         self.loaded, self._truth, self._seed, self._folder = loaded, truth, seed, folder
-        self.axis_s, self.log_name = 0.0, f"{loaded.config.name}-simulated"
+        self.axis_s = 0.0
         self._logs: list[Path] = []
         self._runs = 0
+
+    @property
+    def log_name(self) -> str:
+        """Of all that is simulated."""
+        return f"{self.loaded.config.name}-simulated"
 
     def play(self, operator: Operator) -> None:
         """Let an operator do what he wants to, from the rig's first state on."""

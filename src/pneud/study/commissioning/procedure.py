@@ -13,7 +13,7 @@ from pneud.loop.summary import finite
 from pneud.signals import Record, Request
 from pneud.study.commissioning import estimated, gains, written
 from pneud.study.commissioning.bench import Bench
-from pneud.study.commissioning.movement import Verdict
+from pneud.study.commissioning.movement import MOVE_M, SPEED_M_S, Verdict
 from pneud.study.commissioning.playing import Player
 from pneud.study.commissioning.steps import Step, dynamic, length_s, static
 from pneud.study.commissioning.testing import MovementTest
@@ -83,13 +83,14 @@ def commission(bench: Bench, wishes: Wishes, talk: Talk) -> Outcome:
     movement: Verdict | None = None
     if wishes.movement:
         movement = _movement(bench)
-        bench.prove(movement)
+        if wishes.write:
+            bench.prove(movement)
         if not movement.passed:
             return Outcome("failed", movement, faults=movement.faults)
     if not wishes.steps:
         return Outcome("passed", movement)
     p = axis_of(bench.loaded)
-    steps = static(p) + (dynamic(p) if wishes.dynamic else [])
+    steps = _steps(p, wishes)
     talk.say(f"{len(steps)} steps, {length_s(steps):.0f} s")
     player = Player(steps, p.controller.h, lambda step: talk.say(_announced(step)))
     bench.play(player)
@@ -107,6 +108,22 @@ def commission(bench: Bench, wishes: Wishes, talk: Talk) -> Outcome:
     after = _verified(bench, talk)
     words = "passed" if after.holds else "missed" if not after.failure else "interrupted"
     return so_far._replace(verdict=words, after=after, failure=after.failure, written=keep)
+
+
+def planned(loaded: Loaded, wishes: Wishes) -> list[str]:
+    """What will move, how far and how fast: a line for each step."""
+    p, lines = axis_of(loaded), []
+    if wishes.movement:
+        words = "the load is pushed both ways, and moves some"
+        lines.append(f"movement test: {words} {1e3 * MOVE_M:g} mm at {1e3 * SPEED_M_S:g} mm/s at most")
+    if wishes.steps:
+        lines += map(_announced, _steps(p, wishes))
+        lines.append("verification: a sine, rest and steps about the middle of the travel")
+    return lines
+
+
+def _steps(p: AxisParameters, wishes: Wishes) -> list[Step]:
+    return static(p) + (dynamic(p) if wishes.dynamic else [])
 
 
 def axis_of(loaded: Loaded) -> AxisParameters:
@@ -158,8 +175,9 @@ def _found(bench: Bench, wishes: Wishes) -> Found:
     else:
         values |= _slower(c)
     source = f"{bench.log_name}, {time.strftime('%Y-%m-%d')}"
-    text = written.text_with(loaded.text, str(loaded.path), values, told, source)
-    return Found(identified, values, chosen, written.changes(c, values, told), text)
+    changes = written.changes(c, loaded.text, values, told)
+    text = written.text_with(loaded.text, str(loaded.path), changes, source)
+    return Found(identified, values, chosen, changes, text)
 
 
 def _in_place(values: estimated.Values, c: Config) -> estimated.Values:
