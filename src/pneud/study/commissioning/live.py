@@ -23,6 +23,7 @@ from pneud.study.commissioning.steps import LEASE_S
 LOOK_S = 0.005
 SESSION_S = 20.0  # for a daemon that begins anew, or comes to rest, or has to write its log
 BEGINNING = (State.STARTING.label, State.WAITING.label)
+BY_THE_AXIS = ("wrong_state", "blocked")  # answers that stand in a tick, too
 PLAIN = {RequestKind.ARM: "arm", RequestKind.DISARM: "disarm", RequestKind.HOME: "home"}
 
 
@@ -191,10 +192,18 @@ class _Played:
         if kind == RequestKind.PIECE:
             self._pieces = [*self._pieces, values] if values else []
             return
-        self._asked_ns = time.monotonic_ns()
-        self._awaited = kind
+        self._asked_ns, self._awaited = time.monotonic_ns(), kind
+        try:
+            self._send(kind, values)
+        except RefusedError as e:
+            if e.kind not in BY_THE_AXIS:
+                raise
+
+    def _send(self, kind: RequestKind, values: tuple[float, ...]) -> None:
         if kind == RequestKind.PROBE:
-            self._probe(values)
+            voltage_v, rate_v_s, travel_m, speed_m_s, force_n, _ = values
+            bounds = {"travel_mm": 1e3 * travel_m, "speed_mm_s": 1e3 * speed_m_s, "force_n": force_n}
+            self._client.ask("probe", voltage_v=voltage_v, rate_v_s=rate_v_s, **bounds, lease_s=LEASE_S)
         elif kind == RequestKind.GOTO:
             position_m, speed_m_s, *_ = (*values, 0.0)
             bounds = {"speed_mm_s": 1e3 * speed_m_s} if speed_m_s else {}
@@ -204,15 +213,6 @@ class _Played:
             self._client.ask("track", what="profile")
         else:
             self._client.ask(PLAIN[kind])
-
-    def _probe(self, values: tuple[float, ...]) -> None:
-        voltage_v, rate_v_s, travel_m, speed_m_s, force_n, _ = values
-        bounds = {"travel_mm": 1e3 * travel_m, "speed_mm_s": 1e3 * speed_m_s, "force_n": force_n}
-        try:
-            self._client.ask("probe", voltage_v=voltage_v, rate_v_s=rate_v_s, **bounds, lease_s=LEASE_S)
-        except RefusedError as e:
-            if e.kind != "wrong_state":  # it may have ended while it was renewed
-                raise
 
     def _upload(self) -> None:
         self._asked_ns = time.monotonic_ns()

@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 from pneud.safety.faults import names
 from pneud.safety.supervisor import BLOCKS
-from pneud.signals import Answer, Record, Request, RequestKind, State
+from pneud.signals import Answer, Record, Request, RequestKind, State, Tick
 from pneud.study.commissioning.steps import Act, Step
 
-PATIENCE_S = 5.0  # for what keeps an axis from being armed
+QUIET_S, PATIENCE_S = 0.2, 5.0  # without anything that keeps an axis from it; for what does
+FROM_REST = (RequestKind.ARM, RequestKind.PROBE)
 NEVER_OURS = (RequestKind.STOP, RequestKind.SHUTDOWN, RequestKind.HOLD, RequestKind.JOG, RequestKind.HOME)
 
 Announce = Callable[[Step], None]
@@ -49,7 +50,7 @@ class Player:
         self._queue: list[Request] = []
         self._asked = 0  # kind of the last request
         self._taken = False  # all requests of the act have been
-        self._waited = self._stood = self._age = 0
+        self._waited = self._quiet = self._stood = self._age = 0
         self.verdict: Played | None = None
 
     def ask(self, state: int, present: int) -> Request | None:
@@ -82,39 +83,49 @@ class Player:
             if act.requests[0].kind != RequestKind.ARM or state != State.HOLDING:
                 break
         self._act, self._queue = act, list(act.requests)
-        self._taken, self._waited, self._stood, self._age = False, 0, 0, 0
+        self._taken = False
+        self._waited = self._quiet = self._stood = self._age = 0
         return act
 
     def _request(self, state: int, present: int) -> Request | None:
         kind = self._queue[0].kind
-        hindered = state != State.DISARMED or present & BLOCKS[kind] if kind in BLOCKS_FIRST else 0
-        if hindered:
-            self._waited += 1
-            if self._waited * self._h > PATIENCE_S:
-                found = tuple(names(present & BLOCKS[kind]))
-                self.verdict = Played(f"the axis is {State(state).label}", found)
-            return None
+        if kind in FROM_REST:
+            if state != State.DISARMED or present & BLOCKS[kind]:
+                self._quiet = 0
+                self._wait(state, present & BLOCKS[kind])
+                return None
+            self._quiet += 1
+            if self._quiet * self._h < QUIET_S:
+                return None
         self._asked = kind
         return self._queue.pop(0)
 
+    def _wait(self, state: int, hindering: int) -> None:
+        self._waited += 1
+        if self._waited * self._h > PATIENCE_S:
+            self.verdict = Played(f"the axis is {State(state).label}", tuple(names(hindering)))
+
     def see(self, record: Record) -> None:
         """What became of it."""
-        tick = record.tick
-        if self.verdict is not None or self._act is None:
+        tick, act = record.tick, self._act
+        if self.verdict is not None or act is None:
             return
         kind = tick.request.kind if tick.request is not None else 0
         if tick.latched:
             self.verdict = Played("a fault", tuple(names(tick.latched)))
-        elif kind in NEVER_OURS or (kind == RequestKind.DISARM != self._asked):
+        elif kind in NEVER_OURS or (kind == RequestKind.DISARM and kind != self._asked):
             self.verdict = Played("stopped")
-        elif kind and kind == self._asked and tick.answer != Answer.TAKEN:
-            if not self._taken:  # a probe may have ended while it was renewed
-                words = f"{RequestKind(kind).name.lower()}: {Answer(tick.answer).name.lower()}"
-                self.verdict = Played(words, tuple(names(tick.present)))
-        elif kind and kind == self._asked and not self._queue:
-            self._taken = True
-        if self._taken and (not kind or self._act.lease):
-            self._stood = self._stood + 1 if tick.state == self._act.until else 0
+        elif kind and kind == self._asked:
+            self._answered(act, kind, tick)
+        elif self._taken:
+            self._stood = self._stood + 1 if tick.state == act.until else 0
 
-
-BLOCKS_FIRST = (RequestKind.ARM, RequestKind.PROBE)  # for which an axis may not be ready yet
+    def _answered(self, act: Act, kind: int, tick: Tick) -> None:
+        if tick.answer == Answer.TAKEN:
+            self._taken = not self._queue
+        elif tick.answer == Answer.BLOCKED and kind in FROM_REST and not self._taken:
+            self._queue.insert(0, act.requests[-1])
+            self._quiet = 0
+        elif not self._taken:  # a probe may have ended while it was renewed
+            words = f"{RequestKind(kind).name.lower()}: {Answer(tick.answer).name.lower()}"
+            self.verdict = Played(words, tuple(names(tick.present)))
