@@ -20,6 +20,8 @@ from pneud.study.proposing import Proposal, propose
 
 WITHIN_M = PEAK_M / judging.PEAK  # so that the largest error, too, has the limit of the verification
 MOST = 4.0  # times a value, up or down, that is tried where next to nothing is known of it
+ALL_LOW, ALL_HIGH = "all low", "all high"
+FIRST = (NOMINAL, ALL_LOW, ALL_HIGH)  # plants of the brief sessions, among which the search goes
 
 Scaled = Callable[[PlantParameters, float], PlantParameters]
 
@@ -111,7 +113,7 @@ def spread(plant: PlantParameters, found: Mapping[str, Estimate]) -> dict[str, P
         low, high = max(e.low / e.value, 1.0 / MOST), min(e.high / e.value, MOST)
         plants |= {f"{s.name} x{by:.3g}": s.scaled(plant, by) for by in (low, high)}
         all_low, all_high = s.scaled(all_low, low), s.scaled(all_high, high)
-    return plants | {"all low": all_low, "all high": all_high}
+    return plants | {ALL_LOW: all_low, ALL_HIGH: all_high}
 
 
 def choose(
@@ -131,7 +133,8 @@ def choose(
 
         def judged(p: Proposal, lengths: Lengths) -> tuple[Judged, ...]:
             course = judging.course_of(c, lengths, WITHIN_M)
-            return tuple(judge(judging.tasks(p.config, command_lsb_v, course, among=plants)))
+            cases = () if lengths == WHOLE else FIRST
+            return tuple(judge(judging.tasks(p.config, command_lsb_v, course, cases, plants)))
 
         def proposed(omega_rad_s: float) -> Proposal:
             return propose(c, law, omega_rad_s, error_m, alpha)
