@@ -90,7 +90,20 @@ WRITTEN = [
     Taken("bench --pairs 1 --rate-seconds 0 --turn 0.1 -o {}", ".html"),
     Taken("install-service --destdir {}"),
 ]
-ASKING = ["status", "arm", "disarm", "stop", "clear", "home", "hold", "goto 1", "jog 1", "mark x", "top"]
+ASKING = [
+    "status",
+    "arm",
+    "disarm",
+    "stop",
+    "clear",
+    "home",
+    "hold",
+    "restart",
+    "goto 1",
+    "jog 1",
+    "mark x",
+    "top",
+]
 ASKING += [
     "commission --yes",
     "track sine",
@@ -427,7 +440,14 @@ TELLING = ["status --json", "arm", "disarm", "stop", "clear", "home", "hold", "g
 TELLING += ["mark x", "track sine", "track steps 2 3", "tune get", "tune set k1=1", "tune diff", "tune save"]
 TELLING += ["tune reload", *(f"{words} --json" for words in ("arm", "tune get", "jog 1 --for 0.01"))]
 FULL = "standard output: No space left on device"
-MUTE = {"plant", "top", "view", "reproduce", "identify"}  # says nothing until its end; draw; take long
+MUTE = {
+    "plant",
+    "top",
+    "view",
+    "reproduce",
+    "identify",
+    "restart",
+}  # says nothing until its end; draw; take long
 
 
 class Console(Daemon):

@@ -37,7 +37,7 @@ GROUPS = {
     "Logs": ("logs", "replay", "report", "view", "export", "import", "recover", "learnt", "identify"),
     "A rig and its machine": ("new", "commission", "check", "design", "doctor", "install-service", "bench"),
     "Running daemon": (
-        *("status", "arm", "disarm", "stop", "clear", "home", "hold"),
+        *("status", "arm", "disarm", "stop", "clear", "home", "hold", "restart"),
         *("goto", "jog", "mark", "track", "top", "tune"),
     ),
 }

@@ -93,16 +93,27 @@ class Tally:
         return names(self.refused | (self.present & BLOCKS_ARM)) or ["the run was too short"]
 
 
-class Tracking:
-    """Sums over the ticks from AFTER_S past the join on; keeps no tick."""
+def deviation_m(tick: Tick, truth_m: float | None) -> float:
+    """Reference less position [m]: the true one at SYNC, or where nobody knows it that of the encoder."""
+    r, m = tick.reference, tick.measurement
+    if truth_m is None:
+        return r.position_m - m.position_m
+    # the reference of the sampling instant, taken back to the instant of SYNC
+    return r.position_m - r.velocity_m_s * m.encoder_offset_ns * 1e-9 - truth_m
 
-    def __init__(self, has_truth: bool) -> None:
+
+class Tracking:
+    """Sums over the ticks from a while past the join on; keeps no tick."""
+
+    def __init__(self, has_truth: bool, after_s: float = AFTER_S) -> None:
         """Sums of nothing.
 
         Args:
             has_truth: the error is taken against a software plant's true position, else against the encoder.
+            after_s: how long a while.
         """
         self.has_truth = has_truth
+        self._after_s = after_s
         self.count = 0
         self.saturated = 0
         self._square = 0.0
@@ -114,14 +125,9 @@ class Tracking:
 
     def add(self, tick: Tick, join_ns: int, truth_m: float) -> None:
         """One tick that follows the reference, whose t = 0 is at `join_ns`; no true position is NaN."""
-        if tick.t_ns - join_ns < AFTER_S * 1e9:
+        if tick.t_ns - join_ns < self._after_s * 1e9:
             return
-        r, m = tick.reference, tick.measurement
-        if self.has_truth:
-            # the reference of the sampling instant, taken back to the instant of SYNC
-            error = r.position_m - r.velocity_m_s * m.encoder_offset_ns * 1e-9 - truth_m
-        else:
-            error = r.position_m - m.position_m
+        error = deviation_m(tick, truth_m if self.has_truth else None)
         if math.isfinite(error):
             self.count += 1
             self._square += error * error
@@ -141,7 +147,7 @@ class Tracking:
         return {
             "rms": 1e3 * math.sqrt(self._square / self.count),
             "max": 1e3 * self._max_m,
-            "after_s": AFTER_S,
+            "after_s": self._after_s,
             "against": "plant" if self.has_truth else "encoder",
         }
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pneud.config.models import Config
 from pneud.config.reading import load_config
 from pneud.log.files.reader import read_log
 from pneud.rt.outputs import require_folder, write_whole
@@ -52,7 +51,7 @@ def identify(
     """
     if importlib.util.find_spec("scipy") is None:
         raise VerbError("identify needs scipy; install it with: pip install 'pneud[identify]'", 3)
-    from pneud.study.identification import comparing, estimating, explaining, table, words  # noqa: PLC0415
+    from pneud.study.identification import comparing, estimating, explaining, page, table, words  # noqa: PLC0415
 
     if output is not None:
         require_suffix(output, ".html", "the report is a page of HTML")
@@ -75,7 +74,8 @@ def identify(
         print("\n".join([*words.table(rows), *_said(found, unexplained, verdict)]))
     if output is not None:
         title = f"{c.name}: {', '.join(reader.path.name for reader in readers)}"
-        write_whole(output, _page(title, found, rows, _said(found, unexplained, verdict), c))
+        said = _said(found, unexplained, verdict)
+        write_whole(output, page.page(title, said, [page.parameters(rows)], page.maps(found, c)))
     return 0 if whole(*readers) and verdict in ("agrees", "unknown") else 1
 
 
@@ -109,16 +109,3 @@ def _as_json(
             "force_n": None if found.moved is None else found.moved.misfit_n,
         },
     }
-
-
-def _page(title: str, found: Identified, rows: Sequence[Row], lines: Sequence[str], c: Config) -> str:
-    from pneud.study.identification.explaining import flow_map, friction_map  # noqa: PLC0415
-    from pneud.study.identification.page import Picture, page  # noqa: PLC0415
-
-    pictures = []
-    if found.moved is not None:
-        pictures.append(Picture("Friction", "speed [m/s]", "friction [N]", friction_map(found.moved)))
-    if found.valved is not None:
-        bins = flow_map(found.valved, c)
-        pictures.append(Picture("Flow", "spool [V]", "opening, relative", bins))
-    return page(title, lines, rows, pictures)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from pneud.config.flow import gas_of
 from pneud.config.models import Config
-from pneud.study.identification import chambers
+from pneud.study.identification import chambers, heat
 from pneud.study.identification.estimating import Moved, Valved
 
 Floats = NDArray[np.float64]
@@ -119,24 +120,33 @@ def friction_map(moved: Moved) -> list[Bin]:
     return _binned(v, measured, measured - moved.left_n, _spans(2e-3, float(np.abs(v).max(initial=0.0)), 8))
 
 
-def flow_map(valved: Valved, c: Config) -> list[Bin]:
-    """Relative opening over the spool's position, by the rates of the pressures where it stands still."""
+def flow_map(valved: Valved, c: Config, spans: Sequence[tuple[float, float]] = ()) -> list[Bin]:
+    """Relative opening over the spool's position, by the rates of the pressures where it stands still.
+
+    Args:
+        valved: the fit.
+        c: the configuration.
+        spans: of the spool [V], from one point to the next; by default up to its end.
+    """
     w, g, rig, gas = valved.windows, valved.guess, valved.rig, gas_of(c)
     width = max(1, round(RATE_S / rig.h))
     inner = slice(width, w.p1_pa.shape[1] - width)
     y = chambers.spool(w, g, rig)
     still = _moved(y, max(width, round(STEADY_S / rig.h)))[:, inner] < STEADY * np.abs(y[:, inner])
     y, x = y[:, inner], w.x_m[:, w.warm + 1 :]
-    share = chambers.iso6358(g.critical) if valved.iso else chambers.orifice(gas)
+    share = chambers.iso6358(g.critical) if valved.structure.iso else chambers.orifice(gas)
     supply = w.supply_pa[:, w.warm + 1 :][:, inner]
+    warmth = heat.at(w.warmth, np.array([g.wall_1_s]))[0][:, :, inner]
     sums, weights = np.zeros_like(y), np.zeros_like(y)
-    for p, area, length, sign in (
-        (w.p1_pa, rig.area1_m2, x + g.dead1_m, 1.0),
-        (w.p2_pa, rig.area2_m2, rig.stroke_m + g.dead2_m - x, -1.0),
+    for p, area, length, sign, warm in (
+        (w.p1_pa, rig.area1_m2, x + g.dead1_m, 1.0, warmth[0]),
+        (w.p2_pa, rig.area2_m2, rig.stroke_m + g.dead2_m - x, -1.0, warmth[1]),
     ):
         here = p[:, inner]
+        cooled = -np.expm1(-warm) * g.wall_1_s * here
         flows = area * (
-            _rate(p, width, rig.h) * length[:, inner] / g.exponent + here * _rate(length, width, rig.h)
+            (_rate(p, width, rig.h) + cooled) * length[:, inner] / g.exponent
+            + here * _rate(length, width, rig.h)
         )
         other = np.where(sign * y > 0.0, supply, gas.atmosphere_pa)
         high = np.maximum(here, other)
@@ -146,7 +156,7 @@ def flow_map(valved: Valved, c: Config) -> list[Bin]:
         weights += most * most
     good = still & (weights > 0.1 * weights.max(initial=0.0))
     opening = np.where(good, np.sign(y) * sums / np.where(good, weights, 1.0), math.nan)
-    return _binned(y, opening, chambers.openings(y, g, rig.u_max_v), _spans(0.3, rig.u_max_v, 8))
+    return _binned(y, opening, chambers.openings(y, g, rig.u_max_v), spans or _spans(0.3, rig.u_max_v, 8))
 
 
 def _rate(values: Floats, width: int, h: float) -> Floats:
@@ -166,7 +176,7 @@ def _spans(least: float, most: float, count: int) -> list[tuple[float, float]]:
     return [(-b, -a) for a, b in pairwise(edges)][::-1] + list(pairwise(edges))
 
 
-def _binned(at: Floats, measured: Floats, model: Floats, spans: list[tuple[float, float]]) -> list[Bin]:
+def _binned(at: Floats, measured: Floats, model: Floats, spans: Sequence[tuple[float, float]]) -> list[Bin]:
     found = []
     for low, high in spans:
         inside = (at >= low) & (at < high) & np.isfinite(measured)
