@@ -447,7 +447,7 @@ MUTE = {
     "reproduce",
     "identify",
     "restart",
-}  # says nothing until its end; draw; take long
+}  # silent; they draw; take long
 
 
 class Console(Daemon):
