@@ -14,6 +14,7 @@ from pneud.config.sections import ConfigError, CriticalRatio, Damping, DeadZone,
 from pneud.config.toml import tables_of
 from pneud.physics import ratings
 
+AS_GIVEN = "as given"  # in place of a document
 RODLESS_FRICTION, ROD_FRICTION = 0.08, 0.06  # typical parts of the piston's force
 
 
@@ -93,7 +94,7 @@ def valve(text: str) -> ValveSheet:
     text = _plain(text)
     if (table := _tables(VALVES).get(text)) is not None:
         return ValveSheet.model_validate(table)
-    own: dict[str, Any] = {"title": f"valve of {text}", "source": "as given"}
+    own: dict[str, Any] = {"title": f"valve of {text}", "source": AS_GIVEN}
     parts = [part.partition("=")[::2] for part in text.split(",")]
     given = {key if value else "flow": _number(value or key) for key, value in parts}
     if given.keys() == {"flow"}:
@@ -121,7 +122,7 @@ def cylinder(text: str) -> CylinderSheet:
     bore, _, rod = text.partition("/")
     own = {
         "title": f"bore {bore} mm, {f'rod {rod} mm' if rod else 'rodless'}",
-        "source": "as given",
+        "source": AS_GIVEN,
         "bore_mm": _number(bore),
         "rod_mm": _number(rod) if rod else 0.0,
         "friction": ROD_FRICTION if rod else RODLESS_FRICTION,

@@ -7,7 +7,7 @@ from string import Template
 from typing import NamedTuple
 
 from pneud import resources
-from pneud.config.library import CylinderSheet, ValveSheet
+from pneud.config.library import AS_GIVEN, CylinderSheet, ValveSheet
 from pneud.config.models import Config
 from pneud.config.reading import parse
 from pneud.config.sections import GRAVITY_M_S2, ConfigError
@@ -92,6 +92,9 @@ def _words(a: Answers) -> dict[str, str]:
         "cylinder_source": a.cylinder.source,
         "valve": a.valve.title,
         "valve_source": a.valve.source,
+        "valve_hz_from": "typical: the limit frequency in the sheet of yours"
+        if a.valve.source == AS_GIVEN
+        else "of the spool: the limit frequency of its sheet",
         "encoder": a.encoder,
         "bus": a.bus,
         "rig": str(a.bus.startswith("socketcan")).lower(),
