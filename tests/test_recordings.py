@@ -619,7 +619,7 @@ def test_ticks_that_no_log_can_hold_are_not_counted(run: Recorded, tmp_path: Pat
 
 @pytest.mark.slow
 def test_a_recording_of_moves_tells_what_the_rig_is_like(tmp_path: Path) -> None:
-    """Frames say all that identification needs: what was asked of the axis, and what it thought, does not matter."""
+    """Frames say all that is needed: what was asked of the axis, and what it thought, does not matter."""
     known = resources.find("virtual.toml").read_text()
     (tmp_path / "rig.toml").write_text(known + "\n[plant.cylinder]\nmoving_mass_kg = 19.0\n")
     moves = ("--goto", "100@500,900@400,300,850@100,800@10,150", "-o", tmp_path / "run.mcap")
