@@ -320,6 +320,7 @@ def test_a_saturated_valve_freezes_the_force_too() -> None:
     assert force_says(saturated)[:VALUES] == MOVING[:VALUES]
 
 
+@pytest.mark.slow
 def test_noise_at_rest_changes_nothing() -> None:
     assert moved(PLANT._replace(pressure_noise_pa=1000.0), 10.0, at_rest=True)[:VALUES] == Learnt()[:VALUES]
 
