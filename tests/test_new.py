@@ -204,6 +204,7 @@ def test_a_newcomer_on_a_terminal(tmp_path: Path) -> None:
     os.close(secondary)
     assert done.returncode == 0, done.stderr
     assert "'x': none of dsnu-16" in done.stderr
+    assert "dsbc-32 (32/12)" in done.stderr and "mpye-5-1-8-lf (350 l/min)" in done.stderr
     assert json.loads(done.stdout)["name"] == "press"
     assert load(tmp_path / "press.toml").config.cylinder.inclination_deg == 90.0
 

@@ -14,7 +14,6 @@ from pneud.config.sections import ConfigError, CriticalRatio, Damping, DeadZone,
 from pneud.config.toml import tables_of
 from pneud.physics import ratings
 
-AS_GIVEN = "as given"  # in place of a document
 RODLESS_FRICTION, ROD_FRICTION = 0.08, 0.06  # typical parts of the piston's force
 
 
@@ -49,6 +48,11 @@ class ValveSheet(Section):
         """Nominal flow [l/min ANR]."""
         return ratings.nominal_flow(self.conductance, self.critical_ratio) / L_MIN
 
+    @property
+    def size(self) -> str:
+        """In words."""
+        return f"{self.flow_l_min:.4g} l/min"
+
 
 class CylinderSheet(Section):
     """A cylinder as its sheet has it."""
@@ -71,6 +75,11 @@ class CylinderSheet(Section):
         bore_m2 = 0.25e-6 * math.pi * self.bore_mm**2
         return bore_m2, bore_m2 - 0.25e-6 * math.pi * self.rod_mm**2
 
+    @property
+    def size(self) -> str:
+        """In words."""
+        return f"{self.bore_mm:g}/{self.rod_mm:g}" if self.rod_mm else f"{self.bore_mm:g} rodless"
+
 
 S = TypeVar("S", bound=Section)
 VALVES, CYLINDERS = "valves.toml", "cylinders.toml"
@@ -85,6 +94,13 @@ def names(file: str) -> list[str]:
     return list(_tables(file))
 
 
+def choices(file: str) -> str:
+    """The same, each with its size, and how to describe another; for somebody who has to choose."""
+    sheet: type[ValveSheet | CylinderSheet] = ValveSheet if file == VALVES else CylinderSheet
+    sizes = {name: sheet.model_validate(table).size for name, table in _tables(file).items()}
+    return f"{', '.join(f'{name} ({size})' for name, size in sizes.items())}; or {FORMS[file]}"
+
+
 def valve(text: str) -> ValveSheet:
     """A valve of the library by its name, or one by a rating of its sheet.
 
@@ -94,7 +110,7 @@ def valve(text: str) -> ValveSheet:
     text = _plain(text)
     if (table := _tables(VALVES).get(text)) is not None:
         return ValveSheet.model_validate(table)
-    own: dict[str, Any] = {"title": f"valve of {text}", "source": AS_GIVEN}
+    own: dict[str, Any] = {"title": f"valve of {text}", "source": "as given"}
     parts = [part.partition("=")[::2] for part in text.split(",")]
     given = {key if value else "flow": _number(value or key) for key, value in parts}
     if given.keys() == {"flow"}:
@@ -122,7 +138,7 @@ def cylinder(text: str) -> CylinderSheet:
     bore, _, rod = text.partition("/")
     own = {
         "title": f"bore {bore} mm, {f'rod {rod} mm' if rod else 'rodless'}",
-        "source": AS_GIVEN,
+        "source": "as given",
         "bore_mm": _number(bore),
         "rod_mm": _number(rod) if rod else 0.0,
         "friction": ROD_FRICTION if rod else RODLESS_FRICTION,
