@@ -149,3 +149,15 @@ def test_nothing_more_is_asked_for_before_a_slow_loop_has_come_to_it() -> None:
     for _ in range(round(3.1 / p.controller.h)):
         test.ask(State.DISARMED, 0)
     assert test.verdict is not None and test.verdict.findings == (Finding.BY_FAULT,)
+
+
+def test_what_is_blocked_for_a_moment_is_asked_for_again() -> None:
+    rig, loaded = ready(), load("virtual.toml")
+    p = conversions.axis_of(loaded.config, loaded.codecs.command_lsb_v)
+    test, quiet = MovementTest(p), round(0.31 / p.controller.h)
+    first = next(a for _ in range(quiet) if (a := test.ask(State.DISARMED, 0)) is not None)
+    rig.host = int(Host.LINK_DOWN)
+    test.see(rig.tick(first.kind, *first.values))
+    assert test.verdict is None
+    rig.host = 0
+    assert first in [test.ask(State.DISARMED, 0) for _ in range(quiet)]

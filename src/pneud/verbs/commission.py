@@ -120,7 +120,7 @@ def _ask(client: Client, values: tuple[float, ...]) -> None:
     try:
         client.ask("probe", voltage_v=voltage_v, rate_v_s=rate_v_s, **bounds, lease_s=LEASE_S)
     except RefusedError as e:
-        if e.kind != "wrong_state":  # it may have ended while it was renewed
+        if e.kind not in ("wrong_state", "blocked"):  # it may have ended while it was renewed; ticks tell
             raise
 
 
