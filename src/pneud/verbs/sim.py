@@ -36,7 +36,16 @@ from pneud.scenario.format import Scenario
 from pneud.signals import RequestKind, State
 from pneud.study.comparison import as_json, compare
 from pneud.study.comparison import in_words as compared
-from pneud.verbs import JsonOption, ScenarioOption, SeedOption, VerbError
+from pneud.verbs import (
+    JsonOption,
+    ProgressOption,
+    ScenarioOption,
+    SeedOption,
+    VerbError,
+    complete_config,
+    require_suffix,
+)
+from pneud.view.progress import Report, progress
 
 DURATION_S = 10.0
 MOVE_S = 20.0  # at most, of each
@@ -44,6 +53,7 @@ MOST_REST_S = 600.0
 NO_LOG = -1
 CHIRP_M, CHIRP_HZ, CHIRP_S = 0.01, (0.2, 2.0), 20.0
 DWELL_S = 1.0  # at each of the steps
+TOLD_TICKS = 100
 GotoOption = Annotated[
     str | None,
     typer.Option("--goto", metavar="MM[@MM_S],…", help="Go to positions in turn, in place of tracking."),
@@ -60,7 +70,10 @@ TrackOption = Annotated[
 
 def sim(
     config_file: Annotated[
-        str | None, typer.Argument(metavar="FILE", help="Configuration; default virtual.toml.")
+        str | None,
+        typer.Argument(
+            metavar="FILE", help="Configuration; default virtual.toml.", autocompletion=complete_config
+        ),
     ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="LOG", help="Write a log (.mcap).")
@@ -79,6 +92,7 @@ def sim(
         ),
     ] = False,
     json: JsonOption = False,
+    how: ProgressOption = "auto",
 ) -> int:
     """Simulate an axis, or compare its laws.
 
@@ -94,13 +108,16 @@ def sim(
         MovesError: the positions make no sense.
         VerbError: an option does not go with another.
     """
+    if output is not None and output.suffix and not output.is_dir():  # else it is a folder
+        require_suffix(output, ".mcap", "a log is an MCAP file")
     if laws:
         if output is not None or seed or any(given is not None for given in (scenario_file, goto, track)):
             raise VerbError(
                 "--compare writes no log and has its own seed; leave out -o, --seed, --scenario, --goto and"
                 " --track"
             )
-        return _compare(config_file or "virtual.toml", DURATION_S if duration_s is None else duration_s, json)
+        rest_s = DURATION_S if duration_s is None else duration_s
+        return _compare(config_file or "virtual.toml", rest_s, json, how)
     if [scenario_file, goto, track].count(None) < 2:
         raise VerbError("--goto, --track: a scenario's verdict is on tracking; give one of the three")
     scenario = _playable(scenario_file) if scenario_file is not None else None
@@ -110,13 +127,16 @@ def sim(
         duration_s = _usual_s(scenario, course)
     if not 0.0 < duration_s <= 1e6:
         raise ConfigError(f"--duration {duration_s:g}: must lie between 0 and 1,000,000 s")
-    how = backend_of(loaded)
+    law = backend_of(loaded)
     operator = course.ask if course is not None else None
-    run = Simulation(loaded, duration_s, seed, how, scenario=scenario, operator=operator)
+    run = Simulation(loaded, duration_s, seed, law, scenario=scenario, operator=operator)
     path = log_path(str(output), loaded.config.name) if output is not None else None
-    with new_log(path) if path is not None else nullcontext(NO_LOG) as descriptor:
-        writer = _writer(descriptor, loaded, seed, how.name) if path is not None else None
-        tally, seen = _run(run, loaded.config.loop.rate_hz, writer, course)
+    with (
+        new_log(path) if path is not None else nullcontext(NO_LOG) as descriptor,
+        progress(how) as report,
+    ):
+        writer = _writer(descriptor, loaded, seed, law.name) if path is not None else None
+        tally, seen = _run(run, duration_s, loaded.config.loop.rate_hz, writer, course, report)
         whole = writer is None or (writer.close() and not writer.unwritten)
     if writer is not None and not whole:
         why = os.strerror(writer.error) if writer.error > 0 else "some ticks fit into no log"
@@ -200,13 +220,20 @@ def _in_words(summary: dict[str, Any]) -> str:
 
 
 def _run(
-    run: Simulation, rate_hz: float, writer: LogWriter | None, course: Course | Following | None
+    run: Simulation,
+    duration_s: float,
+    rate_hz: float,
+    writer: LogWriter | None,
+    course: Course | Following | None,
+    report: Report,
 ) -> tuple[Tally, verdict.Observed]:
     """All ticks, counted and written down."""
     tally = Tally(truth=True, timed=False)
     seen = verdict.Observed()
     snapshot_ticks, written = max(1, round(SNAPSHOT_S * rate_hz)), 0
-    for record in run.records():
+    for number, record in enumerate(run.records()):
+        if number % TOLD_TICKS == 0:
+            report("simulating", number / rate_hz, duration_s, "s")
         tally.add(record, run.axis.plan, ending=run.shut)
         if course is not None:
             course.see(record)
@@ -244,13 +271,14 @@ def _writer(descriptor: int, loaded: Loaded, seed: int, law: str) -> LogWriter:
     )
 
 
-def _compare(config_file: str, rest_s: float, json: bool) -> int:
+def _compare(config_file: str, rest_s: float, json: bool, how: str) -> int:
     """Run every law through every case and print the tables."""
     if not 1.0 <= rest_s <= MOST_REST_S:
         raise ConfigError(f"--duration {rest_s:g}: with --compare, between 1 and {MOST_REST_S:g} s")
     compiled = importlib.util.find_spec("numba") is not None
     if not compiled:
         print("pneud: three cases only without numba; for all: pip install 'pneud[sim]'", file=sys.stderr)
-    found = compare(load(config_file), rest_s, compiled)
+    with progress(how) as report:
+        found = compare(load(config_file), rest_s, compiled, report=report)
     print(json_.dumps(as_json(found)) if json else compared(found))
     return 0
