@@ -153,11 +153,11 @@ def _run(
     run: Simulation, rate_hz: float, writer: LogWriter | None, course: Course | None
 ) -> tuple[Tally, verdict.Observed]:
     """All ticks, counted and written down."""
-    tally = Tally(truth=True, timed=False)
+    tally = Tally(truth=True, timed=False, sync=run.inbox.sync)
     seen = verdict.Observed()
     snapshot_ticks, written = max(1, round(SNAPSHOT_S * rate_hz)), 0
     for record in run.records():
-        tally.add(record, run.axis.plan, ending=run.shut)
+        tally.add(record, ending=run.shut)
         if course is not None:
             course.see(record)
         request = record.tick.request
