@@ -1,7 +1,8 @@
 """What a log says about its bus: frames by identifier, what was wrong with them, and when they came.
 
 It judges frames as the inbox does, a block at a time; a test holds the two together. Which SYNC a frame
-answers only the inbox knows: what came in time for a tick that had to go without its source is late, too.
+answers only the inbox knows: late is what was sampled before its tick's SYNC, what a tick found late, and what
+came before another one of its source.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from pneud.bus.dbc_layout import SignalField, shift
 from pneud.bus.wire import CAN_ERR_FLAG
 from pneud.log.files.columns import AFTER, BEFORE, SENT, Block, Floats, FrameColumns, Ints
 from pneud.report.spread import Spread
-from pneud.signals import Source
+from pneud.signals import Defect
 
 _TABLE = np.frombuffer(crc8.TABLE, dtype=np.uint8)
 _EMCY = range(0x081, 0x100)
@@ -54,9 +55,9 @@ def valid(codec: Codec, length: Ints, data: Words) -> NDArray[np.bool_]:
 class SourceHealth:
     """One of the three frames that answer SYNC."""
 
-    def __init__(self, name: str, bit: int, codec: Codec, older_s: float) -> None:
+    def __init__(self, name: str, role: str, codec: Codec, older_s: float) -> None:
         self.name = name
-        self._bit = bit
+        self._defects = f"measurement.{role}_defects"
         self.codec = codec
         self.frames = self.lost = self.corrupt = self.frozen = self.late = 0
         self.answer = Spread()  # SYNC handed to the kernel → received
@@ -93,7 +94,8 @@ class SourceHealth:
         if sync:
             sampled = stamp - np.rint(np.where(late, 0.0, age_s) * 1e9).astype(np.int64)
             late |= (part == BEFORE) | (sampled < ticks["t_ns"][tick])
-            late |= (ticks["measurement.fresh"] & self._bit == 0)[tick]
+            late |= (ticks[self._defects] & Defect.LATE != 0)[tick]
+            late[:-1] |= tick[1:] == tick[:-1]
         self.late += int(late.sum())
         in_time = ~late & (part == AFTER)
         tick, stamp = tick[in_time], stamp[in_time]
@@ -133,11 +135,11 @@ class Health:
 
     def __init__(self, codecs: Codecs, sync: bool, period_ns: int) -> None:
         self.sources = tuple(
-            SourceHealth(name, bit, codec, codecs.older_s if name == "encoder" else float("inf"))
-            for name, bit, codec in (
-                ("encoder", Source.ENCODER, codecs.encoder),
-                ("pressure", Source.PRESSURE, codecs.pressure),
-                ("valve_status", Source.VALVE, codecs.valve_status),
+            SourceHealth(name, role, codec, codecs.older_s if name == "encoder" else float("inf"))
+            for name, role, codec in (
+                ("encoder", "encoder", codecs.encoder),
+                ("pressure", "pressure", codecs.pressure),
+                ("valve_status", "valve", codecs.valve_status),
             )
         )
         self.sync_jitter = Spread()  # |interval between two SYNCs − what the ticks between them take|
