@@ -228,13 +228,13 @@ def _run(
     report: Report,
 ) -> tuple[Tally, verdict.Observed]:
     """All ticks, counted and written down."""
-    tally = Tally(truth=True, timed=False)
+    tally = Tally(truth=True, timed=False, sync=run.inbox.sync)
     seen = verdict.Observed()
     snapshot_ticks, written = max(1, round(SNAPSHOT_S * rate_hz)), 0
     for number, record in enumerate(run.records()):
         if number % TOLD_TICKS == 0:
             report("simulating", number / rate_hz, duration_s, "s")
-        tally.add(record, run.axis.plan, ending=run.shut)
+        tally.add(record, ending=run.shut)
         if course is not None:
             course.see(record)
         request = record.tick.request
