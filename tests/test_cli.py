@@ -225,6 +225,7 @@ def test_sim_object_is_the_documented_one() -> None:
         "command_v",
         "saturated_ticks",
         "frames",
+        "amiss",
         "odd_readings",
         "log",
         "log_dropped",
@@ -233,7 +234,9 @@ def test_sim_object_is_the_documented_one() -> None:
     assert summary["state"] == "tracking"
     assert summary["ticks"] == 1000
     assert summary["lateness_us"] is None
-    assert summary["tracking_mm"] is None  # too short
+    tracking = summary["tracking_mm"]
+    assert (tracking["rms"], tracking["max"], tracking["periods"]) == (None, None, 0)
+    assert "no whole period of the reference" in tracking["reason"]
     assert list(summary["frames"]) == ["rx", "tx", "lost", "crc", "stale", "late"]
 
 
