@@ -26,7 +26,7 @@ def export(
             "-o",
             "--output",
             metavar="FILE",
-            help="Frames as .log (candump), .asc or .blf; ticks as .csv or .parquet.",
+            help="Frames as .log (candump), .asc or .blf; ticks as .csv or .parquet; .mcap for viewers.",
         ),
     ],
 ) -> int:
@@ -36,8 +36,8 @@ def export(
         Exit status: 0, or 1 where the log could not be read to its end, or no frame is in its ticks.
     """
     suffix = output.suffix
-    if suffix not in (*to.TABLES, *FORMATS):
-        known = ", ".join((*to.TABLES, *FORMATS))
+    if suffix not in (formats := (*to.TABLES, *FORMATS, to.VIEWERS)):
+        known = ", ".join(formats)
         raise ConfigError(f"{output}: no such format; its name must end in one of {known}")
     require_folder(output)
     reader = read_log(log)
@@ -45,6 +45,8 @@ def export(
         raise LogError(f"{reader.path}: no tick in it{f'; {reader.damage}' if reader.truncated else ''}")
     if suffix in to.TABLES:
         done, what = to.table(reader, output), "ticks"
+    elif suffix == to.VIEWERS:
+        done, what = to.for_viewers(reader, output), "ticks"
     else:
         config = parse(reader.config_text, f"{reader.path}:{reader.config_name}")
         codecs = codecs_of(config.bus, reader.dbc_name, reader.dbc)
