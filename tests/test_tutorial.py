@@ -45,7 +45,7 @@ def test_a_newcomer_comes_to_its_end(tmp_path: Path) -> None:
                 env=env,
                 capture_output=True,
                 text=True,
-                timeout=300,
+                timeout=900,
                 check=False,
             )
             assert done.returncode == 0, (words, done.stdout, done.stderr)
