@@ -1,8 +1,8 @@
 """What a log says about its bus: frames by identifier, what was wrong with them, and when they came.
 
 It judges frames as the inbox does, a block at a time; a test holds the two together. Which SYNC a frame
-answers only the inbox knows: late is what was sampled before its tick's SYNC, what a tick found late, and what
-came before another one of its source.
+answers only the inbox knows: late is what was sampled before its tick's SYNC, what a tick found late, and
+what came before another one of its source.
 """
 
 from __future__ import annotations
