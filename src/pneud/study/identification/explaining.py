@@ -69,7 +69,7 @@ def unexplained(valved: Valved | None, moved: Moved | None, noise_pa: float, c: 
 
 
 def _explained_n(moved: Moved, coulomb_n: float, noise_pa: float, c: Config) -> float:
-    """RMS of forces that may be left: by the model, by the sensors, by an encoder's step that bends bristles."""
+    """RMS of forces that may be left: by the model, the sensors, an encoder's step that bends bristles."""
     stiffness = float(moved.fit.x[moved.fit.keys.index("stiffness")])
     by_step = min(STEP_SHARE * stiffness * moved.step_m, MOST_BY_STEP * coulomb_n)
     return math.hypot(max(FORCE_SHARE * coulomb_n, noise_pa * c.cylinder.piston_area_1_m2), by_step)

@@ -16,6 +16,7 @@ from pneud.study.identification.table import Piece, Table
 Floats = NDArray[np.float64]
 WINDOW_S = 0.4
 MOST = 80  # windows
+ENDS = 1e-3  # of the stroke, where a load bounces
 BEFORE_S = 4.0  # a window, that tells how warm the air is
 POSITION_S, START_S, SUPPLY_S = 0.002, 0.0015, 0.02  # widths of smoothing (standard deviations)
 
@@ -56,6 +57,10 @@ def chamber_windows(t: Table, c: Config, dead_m: tuple[float, float], most: int 
             smoothed(piece.supply_pa, SUPPLY_S / t.h),
         )
         found += [(s, begin) for begin in range(0, len(s.x_m) - warm - ticks - 1, ticks)]
+    ends = (ENDS * c.cylinder.stroke_m, (1.0 - ENDS) * c.cylinder.stroke_m)
+    found = [
+        (s, begin) for s, begin in found if _between(s.x_m[begin + warm : begin + warm + ticks], *ends)
+    ] or found
     kept = chosen([_told(s, begin + warm, ticks) for s, begin in found], most)
 
     def cut(name: str, smooth: bool) -> Floats:
@@ -92,6 +97,10 @@ def _warmth(
     inside = np.clip(x, 0.0, stroke_m)
     lengths = np.array([inside + dead_m[0], stroke_m - inside + dead_m[1]])
     return heat.warmth(np.array([p1, p2]), lengths, c.gas.heat_capacity_ratio, h, ticks)
+
+
+def _between(x_m: Floats, low_m: float, high_m: float) -> bool:
+    return bool(low_m < x_m.min() and x_m.max() < high_m)
 
 
 def _told(s: Smooth, at: int, ticks: int) -> float:
