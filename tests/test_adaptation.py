@@ -55,7 +55,7 @@ VALUES = 8  # of Learnt that are learnt; what follows is memory
 def compiled_trial() -> Any:
     if shutil.which("cc") is None:
         pytest.skip("there is no C compiler")
-    (run,), _ = compile_functions([trial.trial], cache=cache_folder("compiled"))
+    (run,) = compile_functions([trial.trial], cache=cache_folder("compiled")).functions
     return run
 
 
@@ -320,6 +320,7 @@ def test_a_saturated_valve_freezes_the_force_too() -> None:
     assert force_says(saturated)[:VALUES] == MOVING[:VALUES]
 
 
+@pytest.mark.slow
 def test_noise_at_rest_changes_nothing() -> None:
     assert moved(PLANT._replace(pressure_noise_pa=1000.0), 10.0, at_rest=True)[:VALUES] == Learnt()[:VALUES]
 

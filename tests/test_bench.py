@@ -278,6 +278,7 @@ def measurements(p: Law) -> list[tuple[float, ...]]:
     return rows
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["virtual.toml", "paper-case1.toml"])
 def test_the_c_program_computes_the_laws_commands_to_the_bit(name: str, tmp_path: Path) -> None:
     needs_compiler()
@@ -476,6 +477,7 @@ def measured(field: Mapping[str, Contestant] | None = None, **options: Any) -> i
         return bench(**all_options)
 
 
+@pytest.mark.slow
 def test_whoever_cannot_go_on_is_missing_and_the_rest_works(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -513,6 +515,7 @@ def test_what_cannot_be_measured_is_refused_at_once(changes: dict[str, object], 
         measured({"pneud": turns_of()}, **changes)
 
 
+@pytest.mark.slow
 def test_disturbances_are_compared_with_quiet_turns(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -131,7 +131,7 @@ def test_a_plant_with_all_details_is_the_same_to_the_last_bit(slips: bool, place
     p = conversions.plant_of(loaded().config)
     p = p._replace(
         gas=iso6358(p.gas, 0.3, 0.55),
-        cylinder=p.cylinder._replace(exhaust=0.9),
+        cylinder=p.cylinder._replace(exhaust=0.9, vent=iso6358(p.gas, 0.2, 0.5)),
         valve=with_map(p.valve, places),
         detail=DETAIL._replace(slips=slips),
     )
@@ -311,9 +311,38 @@ def test_a_law_that_computes_something_else_is_not_used(monkeypatch: pytest.Monk
         e = tick.estimate
         return state, tick._replace(estimate=e._replace(x3_n=math.nextafter(e.x3_n, math.inf)))
 
-    built = Built((off_by_one_bit, dynamics.advance), tuple)
+    built = Built((off_by_one_bit, dynamics.advance), tuple, b"another")
     monkeypatch.setattr(backend_module, "compile_functions", lambda *_, **__: built)
     assert backend("auto", PARAMETERS).reason == "the compiled law does not compute what Python does"
+
+
+def test_what_has_been_compared_is_compared_again_only_where_something_differs(
+    monkeypatch: pytest.MonkeyPatch, elsewhere: Path
+) -> None:
+    made, compared = compiled(), []
+    monkeypatch.setattr(backend_module, "compiled", lambda: made)
+    monkeypatch.setattr(backend_module, "sample", lambda one, _: compared.append(one.name))
+    for _ in range(2):
+        assert backend("required", PARAMETERS) is made
+    assert compared == ["compiled", "python"]
+    other = PARAMETERS._replace(limits=PARAMETERS.limits._replace(travel_max_m=0.5))
+    backend("required", other)
+    made = made._replace(identity=b"another")
+    backend("required", PARAMETERS)
+    assert len(compared) == 6
+    for note in elsewhere.with_name("compared").iterdir():
+        note.write_bytes(b"")
+    backend("required", PARAMETERS)
+    assert len(compared) == 8, "a note that is not as it was written is none"
+
+
+def test_a_law_that_differs_is_not_noted(monkeypatch: pytest.MonkeyPatch, elsewhere: Path) -> None:
+    made = compiled()._replace(identity=b"another")
+    monkeypatch.setattr(backend_module, "compiled", lambda: made)
+    monkeypatch.setattr(backend_module, "sample", lambda one, _: one.name)
+    for _ in range(2):
+        assert backend("auto", PARAMETERS).reason == "the compiled law does not compute what Python does"
+    assert not list(elsewhere.with_name("compared").iterdir())
 
 
 @pytest.mark.slow

@@ -179,6 +179,7 @@ def test_a_keeper_and_a_console_that_have_nothing_to_do_wake_a_few_times_a_secon
     assert console <= 40
 
 
+@pytest.mark.slow
 def test_half_of_an_upload_goes_with_its_console_and_a_whole_one_stays(hasty: None, kept: Kept) -> None:
     eventually(kept.lives)
     piece = [0.5, 0.1, *[0.0] * 7]

@@ -123,6 +123,7 @@ def test_a_console_whose_disk_stalls_lives(tmp_path: Path, monkeypatch: pytest.M
     assert not any(tick.present & 1 << F.CONSOLE_LOST for tick in read_log(run.log))
 
 
+@pytest.mark.slow
 def test_a_disarmed_axis_stays_as_it_is(tmp_path: Path) -> None:
     with running(tmp_path) as run:
         lost(run, signal.SIGKILL)

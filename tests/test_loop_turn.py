@@ -54,6 +54,7 @@ def test_the_same_frames_make_the_same_records_however_they_come(records: list[R
     assert [repr(take(turn, record, at_once)) for record in records] == [repr(record) for record in records]
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(st.integers(1, 399))
 def test_a_frozen_exchange_goes_on_the_same(records: list[Record], at: int) -> None:

@@ -60,6 +60,7 @@ OF_A_CHUNK = 1024  # bytes kept until the part is closed: its line in the index
 REST = 128 * 1024  # whatever the index holds
 
 
+@pytest.mark.slow
 def test_the_recorder_keeps_the_index_of_one_part_and_no_more(tmp_path: Path, figures: Figures) -> None:
     path = tmp_path / "run.mcap"
     log = LogWriter(create_log(path), header(), Rotation(path, CHUNKS * 10**9, 0, 0, True, 0, 0))

@@ -44,6 +44,7 @@ class Built(NamedTuple):
 
     functions: tuple[Callable[..., Any], ...]  # in the order of the originals
     left: Callable[[], tuple[int, ...]]  # how often each has been left to its original
+    identity: bytes  # of all that they depend on, and of the library itself
 
 
 def compile_functions(
@@ -79,11 +80,13 @@ def compile_functions(
         except Exception as e:  # whatever a source that is not there, or a hint that means nothing, leads to
             raise TranslationError(f"{type(e).__name__}: {e}") from None
 
-    module = _module(MODULE, (reach.digest(), *own), translated, cache)
+    depends_on = reach.digest(), *own
+    module = _module(MODULE, depends_on, translated, cache)
     module.bind(tuple(functions), tuple(reach.classes[name] for name in module.CLASSES.split()))
     plain = [getattr(module, f"f{i}") for i in range(len(functions))]
     made = [getattr(module, f"h{i}", f) for i, f in enumerate(plain)] if holding else plain
-    return Built(tuple(made), module.left)
+    identity = hashlib.sha256(b"".join(depends_on) + Path(module.__file__).read_bytes()).digest()
+    return Built(tuple(made), module.left, identity)
 
 
 def load_source(source: Path, *, cache: Path) -> Any:

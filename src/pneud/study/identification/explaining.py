@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -130,8 +131,14 @@ def friction_map(moved: Moved) -> list[Bin]:
     return _binned(v, measured, measured - moved.left_n, _spans(2e-3, float(np.abs(v).max(initial=0.0)), 8))
 
 
-def flow_map(valved: Valved, c: Config) -> list[Bin]:
-    """Relative opening over the spool's position, by the rates of the pressures where it stands still."""
+def flow_map(valved: Valved, c: Config, spans: Sequence[tuple[float, float]] = ()) -> list[Bin]:
+    """Relative opening over the spool's position, by the rates of the pressures where it stands still.
+
+    Args:
+        valved: the fit.
+        c: the configuration.
+        spans: of the spool [V], from one point to the next; by default up to its end.
+    """
     w, g, rig, gas = valved.windows, valved.guess, valved.rig, gas_of(c)
     width = max(1, round(RATE_S / rig.h))
     inner = slice(width, w.p1_pa.shape[1] - width)
@@ -160,7 +167,7 @@ def flow_map(valved: Valved, c: Config) -> list[Bin]:
         weights += most * most
     good = still & (weights > 0.1 * weights.max(initial=0.0))
     opening = np.where(good, np.sign(y) * sums / np.where(good, weights, 1.0), math.nan)
-    return _binned(y, opening, chambers.openings(y, g, rig.u_max_v), _spans(0.3, rig.u_max_v, 8))
+    return _binned(y, opening, chambers.openings(y, g, rig.u_max_v), spans or _spans(0.3, rig.u_max_v, 8))
 
 
 def _rate(values: Floats, width: int, h: float) -> Floats:
@@ -180,7 +187,7 @@ def _spans(least: float, most: float, count: int) -> list[tuple[float, float]]:
     return [(-b, -a) for a, b in pairwise(edges)][::-1] + list(pairwise(edges))
 
 
-def _binned(at: Floats, measured: Floats, model: Floats, spans: list[tuple[float, float]]) -> list[Bin]:
+def _binned(at: Floats, measured: Floats, model: Floats, spans: Sequence[tuple[float, float]]) -> list[Bin]:
     found = []
     for low, high in spans:
         inside = (at >= low) & (at < high) & np.isfinite(measured)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from pneud.config.conversions import command_delay_s
+from pneud.config.conversions import command_delay_s, valve_of
 from pneud.config.flow import L_S_BAR, area_of, conductance_of, gas_of
 from pneud.config.models import Config
 from pneud.config.sections import GRAVITY_M_S2
@@ -134,7 +134,8 @@ def chamber_unknowns(
 
 def configured_edges_v(c: Config) -> tuple[float, float]:
     """Commands at which the configured valve begins to open either way [V]."""
-    return c.valve.dead_zone_v, -c.valve.dead_zone_v
+    v = valve_of(c)
+    return v.centre_v + v.dead_zone_v, v.centre_v - v.dead_zone_v
 
 
 def slide_unknowns(c: Config, first: tuple[float, float, float, float]) -> list[Unknown]:
