@@ -95,12 +95,13 @@ def rig(found: Mapping[str, Estimate], step_m: float, noise_pa: float, c: Config
         "centre_v": c.valve.centre_v,
         "hysteresis_v": v.get(key.PLAY, 0.0),
         "leakage": v.get(key.SEEP, 0.0),
+        "leakage_exhaust": v.get(key.SEEP_OUT, 0.0),
         "dac_bits": c.plant.valve.dac_bits,
     }
     exponent = min(max(v.get(key.EXPONENT, 1.0), 1.0), c.gas.heat_capacity_ratio)
     values: Values = {
         "plant.polytropic_exponent": exponent if key.EXPONENT in v else None,
-        "plant.wall_time_s": 0.0,
+        "plant.wall_time_s": _rounded(v.get(key.WALL, 0.0)),
         "plant.valve": {name: _rounded(value) for name, value in valve.items()},
         "plant.friction": c.control.friction.model_dump(),
         "plant.sensors": {"encoder_resolution_m": step_m, "pressure_noise_pa": _rounded(noise_pa)},
