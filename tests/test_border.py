@@ -89,7 +89,20 @@ WRITTEN = [
     Taken("bench --pairs 1 --rate-seconds 0 --turn 0.1 -o {}", ".html"),
     Taken("install-service --destdir {}"),
 ]
-ASKING = ["status", "arm", "disarm", "stop", "clear", "home", "hold", "goto 1", "jog 1", "mark x", "top"]
+ASKING = [
+    "status",
+    "arm",
+    "disarm",
+    "stop",
+    "clear",
+    "home",
+    "hold",
+    "restart",
+    "goto 1",
+    "jog 1",
+    "mark x",
+    "top",
+]
 ASKING += [
     "commission --yes",
     "track sine",
@@ -424,7 +437,7 @@ WORKING += ["design virtual.toml --bandwidth 50 --error-mm 1", "bench --pairs 1 
 TELLING = ["status --json", "arm", "disarm", "stop", "clear", "home", "hold", "goto 1", "jog 1 --for 0.01"]
 TELLING += ["mark x", "track sine", "track steps 2 3", "tune get", "tune set k1=1", "tune diff", "tune save"]
 TELLING += ["tune reload", *(f"{words} --json" for words in ("arm", "tune get", "jog 1 --for 0.01"))]
-MUTE = {"plant", "top", "reproduce", "identify"}  # says nothing before it is told to end; draws; take long
+MUTE = {"plant", "top", "reproduce", "identify", "restart"}  # silent to their end; draws; take long
 
 
 class Console(Daemon):

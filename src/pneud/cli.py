@@ -33,7 +33,7 @@ FOLDER = Path(__file__).parent / "verbs"
 ORDER = (
     *("plant", "sim", "reproduce", "replay", "report", "export", "import", "recover", "learnt", "identify"),
     *("new", "commission", "check", "design", "doctor", "install-service", "bench"),
-    *("status", "arm", "disarm", "stop", "clear", "home", "hold"),
+    *("status", "arm", "disarm", "stop", "clear", "home", "hold", "restart"),
     *("goto", "jog", "mark", "track", "top", "tune"),
 )
 
