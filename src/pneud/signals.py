@@ -8,7 +8,7 @@ says otherwise; times are CLOCK_MONOTONIC nanoseconds.
 from __future__ import annotations
 
 from enum import IntEnum, IntFlag
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class Source(IntFlag):
@@ -213,6 +213,29 @@ class Reference(NamedTuple):
     jerk_m_s3: float
 
 
+def error_m(reference: Reference, position_m: Any) -> Any:
+    """How far the load is from where it should be, at the instant at which its position was sampled [m].
+
+    Args:
+        reference: of that instant; its fields and the result may be arrays, as in `true_error_m`.
+        position_m: as estimated for that instant; it is there where a reading is missing, too.
+    """
+    return reference.position_m - position_m
+
+
+def true_error_m(reference: Reference, offset_ns: Any, truth_m: Any) -> Any:
+    """The same for the true position, known at SYNC: the reference is taken back to that instant [m].
+
+    Args:
+        reference: of the instant at which the position was sampled.
+        offset_ns: from SYNC to that instant, `Measurement.encoder_offset_ns`.
+        truth_m: true position at SYNC; NaN where nobody tells.
+    """
+    position_m, velocity_m_s, acceleration_m_s2, jerk_m_s3 = reference
+    t = offset_ns * -1e-9
+    return position_m + t * (velocity_m_s + t * (acceleration_m_s2 / 2.0 + t * jerk_m_s3 / 6.0)) - truth_m
+
+
 class Command(NamedTuple):
     """What leaves for the valve."""
 
@@ -239,6 +262,16 @@ class Tick(NamedTuple):
     answer: int = 0  # an `Answer`: what became of the request
     in_position: int = 0  # 1 where the load has come to rest at the end of the reference
     hunting: int = 0  # a `Hunting`: why it does not
+
+    @property
+    def error_m(self) -> float:
+        """Reference − estimated position [m]; NaN without a reference."""
+        return float(error_m(self.reference, self.estimate.position_m))
+
+    @property
+    def state_name(self) -> str:
+        """The state as people and scripts read it."""
+        return State(self.state).label
 
 
 class Frame(NamedTuple):
@@ -274,3 +307,9 @@ class Record(NamedTuple):
     before: int
     sent: tuple[Frame, ...]
     truth_m: float
+
+    @property
+    def true_error_m(self) -> float:
+        """Reference − true position, both at SYNC [m]; NaN where nobody tells."""
+        tick = self.tick
+        return float(true_error_m(tick.reference, tick.measurement.encoder_offset_ns, self.truth_m))

@@ -52,7 +52,7 @@ class Lane:
         self.turn = turn
         self.conditions = Conditions(turn.inbox, link)
         self.recorder = recorder
-        self.tally = Tally(truth=truth is not None, timed=True)
+        self.tally = Tally(truth=truth is not None, timed=True, sync=turn.inbox.sync)
         self.request: Request | None = None
         self.operated = self.again = False
         self.decided_ns = self.done_ns = 0
@@ -131,7 +131,7 @@ class Lane:
         self._record_ns = time.monotonic_ns() - begun_ns
         if self._asked and self._console is not None:
             self._console.answer(turn.tick)
-        self.tally.add(record, turn.axis.plan, ending=self._shut)
+        self.tally.add(record, ending=self._shut)
 
     def over(self) -> bool:
         """Whether nothing is left to do for the axis after this tick; to be asked once in each."""
