@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 
 from axis_rig import loaded
 from pneud.bus.inbox import Counts
-from pneud.control.plan import FOLLOWING, IDLE
 from pneud.loop.summary import summarise
-from pneud.loop.tally import AFTER_S, Tally
+from pneud.loop.tally import Tally
 from pneud.replay.lockstep import Simulation
 from pneud.signals import Record, State, Timing
 
@@ -40,7 +39,7 @@ def test_all_is_counted_until_the_end_and_faults_beyond(
 ) -> None:
     tally, present, latched = Tally(truth=True, timed=True), 0, 0
     for number, one in enumerate(ticks):
-        tally.add(altered(record, *one), IDLE, ending=number >= end)
+        tally.add(altered(record, *one), ending=number >= end)
         present, latched = present | one[1], latched | one[2]
     counted = ticks[:end]
     assert (tally.ever_present, tally.ever_latched) == (present, latched)
@@ -52,7 +51,7 @@ def test_all_is_counted_until_the_end_and_faults_beyond(
 
 def test_simulated_time_is_never_late(record: Record) -> None:
     tally = Tally(truth=True, timed=False)
-    tally.add(altered(record, State.TRACKING, 0, 0, 3, 1000), IDLE, ending=False)
+    tally.add(altered(record, State.TRACKING, 0, 0, 3, 1000), ending=False)
     assert (tally.ticks, tally.skipped, tally.lateness.count, tally.latency.count) == (1, 0, 0, 0)
     s = summarise(
         tally,
@@ -65,14 +64,3 @@ def test_simulated_time_is_never_late(record: Record) -> None:
         log_dropped=0,
     )
     assert (s["state"], s["lateness_us"], s["sensor_to_command_us"]) == ("tracking", None, None)
-
-
-@pytest.mark.parametrize("plan", [IDLE, IDLE._replace(phase=FOLLOWING)])
-@pytest.mark.parametrize("after_s", [AFTER_S - 1e-9, AFTER_S])
-def test_tracking_counts_while_the_reference_is_followed(
-    record: Record, plan: object, after_s: float
-) -> None:
-    plan = IDLE._replace(phase=plan.phase, since_ns=record.tick.t_ns - round(after_s * 1e9))  # type: ignore[attr-defined]
-    tally = Tally(truth=True, timed=True)
-    tally.add(record, plan, ending=False)
-    assert tally.tracking.count == (plan.phase == FOLLOWING and after_s == AFTER_S)

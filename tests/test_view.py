@@ -109,8 +109,8 @@ def test_everything_an_operator_needs_stands_on_80_by_24() -> None:
     history.log_written, history.log_dropped = 12_345, 7
     page = "\n".join(drawn(history))
     wanted = """virtual|unixcan:x1|1000 Hz|tracking|no vcan0 here|none|20 ├|┤ 980 mm|436.801 mm|436.790 mm
-        |-11.0 µm|+157.1 mm/s|-5.0 µm|3.121 bar|2.983 bar|6.004 bar|-43.7 N|+1546 N/s|enabled|-0.312 V
-        |27.5 µs|84.0 µs|run 101|skipped 2|saturated 0|rx 303|missing 0|crc 0|frozen 0|late 0
+        |-11.0 µm|+157.1 mm/s|-14.6 µm|3.121 bar|2.983 bar|6.004 bar|-43.7 N|+1546 N/s|enabled|-0.312 V
+        |27.5 µs|84.0 µs|run 101|skipped 2|saturated 0|frames in 303|missing 0|corrupt 0|frozen 0|late 0
         |written 12,345|dropped 7|Ctrl-C stops|virtual-1.mcap"""
     for text in re.split(r"\s*\|", wanted):
         assert text in page
@@ -151,8 +151,8 @@ def test_what_is_learnt_and_what_is_amiss_fit_into_80_columns_and_what_is_at_its
             "N",
         ]
     )
-    (frames,) = [line for line in drawn(history, info=info) if line.startswith("frames")]
-    assert "missing 1  late 1  odd 0  per min 2  crc 0  frozen 0" in frames
+    (frames,) = [line for line in drawn(history, info=info) if line.startswith("amiss")]
+    assert "missing 1  late 1  odd 0  per min 2  corrupt 0  frozen 0" in frames
     (none,) = [line for line in drawn(history) if line.startswith("learnt")]
     assert none.split() == ["learnt", "-"]
     console = Console(file=io.StringIO(), width=80, force_terminal=True, color_system="standard")
@@ -347,13 +347,13 @@ def test_frames_that_were_not_used_are_counted_by_their_defect() -> None:
         at(4, fresh=0),
         at(5, fresh=0, encoder_age_ns=NEVER_NS, pressure_age_ns=NEVER_NS, valve_age_ns=NEVER_NS),
     )
-    assert (history.corrupt, history.frozen, history.amiss.all) == (1, 1, Counts(3, 1, 0))
+    assert (history.amiss.corrupt, history.amiss.frozen, history.amiss.all) == (1, 1, Counts(3, 1, 0))
 
 
 def test_free_running_sensors_owe_no_frame_in_every_tick() -> None:
     history = History(sync=False)
     history.add([at(0), at(1, fresh=0), at(2, fresh=6, encoder_defects=int(Defect.CORRUPT))])
-    assert (history.amiss.all.missing, history.corrupt) == (0, 1)
+    assert (history.amiss.all.missing, history.amiss.corrupt) == (0, 1)
 
 
 def test_times_that_were_not_taken_are_in_no_histogram() -> None:

@@ -8,7 +8,7 @@ says otherwise; times are CLOCK_MONOTONIC nanoseconds.
 from __future__ import annotations
 
 from enum import IntEnum, IntFlag
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class Source(IntFlag):
@@ -97,7 +97,9 @@ ENGAGED = (State.TRACKING, State.MOVING, State.HOLDING, State.HOMING, State.STOP
 class RequestKind(IntEnum):
     """What may be asked of an axis, and with which values; metres and seconds, stroke coordinate."""
 
-    ARM = 1  # (): engage and hold still; (1.0,): engage and track the configured reference
+    # (): engage and hold still; (1.0,): engage and track the configured reference; (2.0,): as (), and from
+    # now on in this run it is no obstacle that no movement test was passed
+    ARM = 1
     DISARM = 2  # controlled stop, then centre
     CLEAR = 3
     SHUTDOWN = 4  # controlled stop, then centre for good
@@ -111,6 +113,7 @@ class RequestKind(IntEnum):
     PIECE = 12  # (T, c0 … c7): one more piece of the profile; (): empty it
     GAINS = 13  # a law's code and its gains; behind them the configured reference, where it changes
     PROBE = 14  # (voltage, rate, travel, speed, force, lease in ticks): a bounded opening without a loop
+    RESTART = 15  # centre for good, and let the daemon begin anew with what its file says; not while engaged
 
 
 class Hunting(IntEnum):
@@ -210,6 +213,29 @@ class Reference(NamedTuple):
     jerk_m_s3: float
 
 
+def error_m(reference: Reference, position_m: Any) -> Any:
+    """How far the load is from where it should be, at the instant at which its position was sampled [m].
+
+    Args:
+        reference: of that instant; its fields and the result may be arrays, as in `true_error_m`.
+        position_m: as estimated for that instant; it is there where a reading is missing, too.
+    """
+    return reference.position_m - position_m
+
+
+def true_error_m(reference: Reference, offset_ns: Any, truth_m: Any) -> Any:
+    """The same for the true position, known at SYNC: the reference is taken back to that instant [m].
+
+    Args:
+        reference: of the instant at which the position was sampled.
+        offset_ns: from SYNC to that instant, `Measurement.encoder_offset_ns`.
+        truth_m: true position at SYNC; NaN where nobody tells.
+    """
+    position_m, velocity_m_s, acceleration_m_s2, jerk_m_s3 = reference
+    t = offset_ns * -1e-9
+    return position_m + t * (velocity_m_s + t * (acceleration_m_s2 / 2.0 + t * jerk_m_s3 / 6.0)) - truth_m
+
+
 class Command(NamedTuple):
     """What leaves for the valve."""
 
@@ -236,6 +262,16 @@ class Tick(NamedTuple):
     answer: int = 0  # an `Answer`: what became of the request
     in_position: int = 0  # 1 where the load has come to rest at the end of the reference
     hunting: int = 0  # a `Hunting`: why it does not
+
+    @property
+    def error_m(self) -> float:
+        """Reference − estimated position [m]; NaN without a reference."""
+        return float(error_m(self.reference, self.estimate.position_m))
+
+    @property
+    def state_name(self) -> str:
+        """The state as people and scripts read it."""
+        return State(self.state).label
 
 
 class Frame(NamedTuple):
@@ -271,3 +307,9 @@ class Record(NamedTuple):
     before: int
     sent: tuple[Frame, ...]
     truth_m: float
+
+    @property
+    def true_error_m(self) -> float:
+        """Reference − true position, both at SYNC [m]; NaN where nobody tells."""
+        tick = self.tick
+        return float(true_error_m(tick.reference, tick.measurement.encoder_offset_ns, self.truth_m))

@@ -69,6 +69,7 @@ def cylinder_of(c: Config) -> cyl.Cylinder:
         orifice_m2=flow.area_of(c),
         u_max_v=c.valve.u_max_v,
         g=flow.gas_of(c),
+        vent=flow.vent_of(c),
         exhaust=c.valve.exhaust_ratio,
     )
 

@@ -98,6 +98,7 @@ class ValveConfig(Section):
     critical_ratio: CriticalRatio = TYPICAL_CRITICAL_RATIO  # b; an orifice has its own, 0.53
     exponent: Exponent = 0.5  # m, the subsonic index
     exhaust_ratio: ExhaustRatio = 1.0  # flow to the atmosphere over that from the supply
+    exhaust_critical_ratio: CriticalRatio | None = None  # b of the edges to the atmosphere; none: as above
     u_max_v: Command = 5.0  # signed about the centre; the DAC saturates here
     bandwidth_hz: NonNegative = 0.0  # natural frequency of the spool; 0: none
     damping: Damping = 0.7  # of the spool

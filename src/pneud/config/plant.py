@@ -117,6 +117,7 @@ class PlantValveConfig(Section):
     critical_ratio: CriticalRatio | None = None
     exponent: Exponent | None = None
     exhaust_ratio: ExhaustRatio | None = None
+    exhaust_critical_ratio: CriticalRatio | None = None
     u_max_v: Command | None = None
     bandwidth_hz: NonNegative = 0.0  # 0: none
     damping: Damping = 0.7

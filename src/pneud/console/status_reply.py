@@ -79,14 +79,14 @@ class StatusWatch:
         if last is None:
             return fields
         tick = last.tick
-        m, position_m, reference_m = tick.measurement, tick.estimate.position_m, tick.reference.position_m
+        m, position_m = tick.measurement, tick.estimate.position_m
         fields["state"] = State(tick.state).label
         fields["silent_s"] = round(max(0, time.monotonic_ns() - tick.t_ns) * 1e-9, 3)
         fields["faults"] = faults(tick.present, tick.latched)
         fields["position_mm"] = _scaled(position_m if math.isfinite(position_m) else m.position_m, 1e3)
         fields["velocity_mm_s"] = _scaled(tick.estimate.velocity_m_s, 1e3)
-        fields["reference_mm"] = _scaled(reference_m, 1e3)
-        fields["error_mm"] = _scaled(reference_m - position_m, 1e3)
+        fields["reference_mm"] = _scaled(tick.reference.position_m, 1e3)
+        fields["error_mm"] = _scaled(tick.error_m, 1e3)
         fields["in_position"] = bool(tick.in_position)
         if tick.hunting:
             fields["hunting"] = {"cause": Hunting(tick.hunting).label, "cure": HUNTING_CURES[tick.hunting]}

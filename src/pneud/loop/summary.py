@@ -7,6 +7,7 @@ from typing import Any
 
 from pneud.bus.inbox import Counts
 from pneud.loop.tally import Tally
+from pneud.loop.tracking import in_words as tracking_in_words
 from pneud.rt.histogram import Histogram
 from pneud.safety.faults import names
 from pneud.signals import State
@@ -54,7 +55,7 @@ def summarise(
         "sensor_to_command_us": percentiles_us(tally.latency),
         "tracking_mm": tally.tracking.tracking_mm(),
         "command_v": tally.tracking.command_v(),
-        "saturated_ticks": tally.tracking.saturated,
+        "saturated_ticks": tally.saturated,
         "frames": {
             "rx": counts.rx,
             "tx": tx,
@@ -63,6 +64,7 @@ def summarise(
             "stale": counts.stale,
             "late": counts.late,
         },
+        "amiss": tally.amiss.all._asdict() | {"corrupt": tally.amiss.corrupt, "frozen": tally.amiss.frozen},
         "odd_readings": {
             "held": tally.odd,
             "confirmed": tally.confirmed,
@@ -79,21 +81,17 @@ def summarise(
 def in_words(s: dict[str, Any]) -> str:
     """The same for people, a few lines."""
     lines = [f"{s['state']} on {s['bus']}: {s['ticks']} ticks at {s['rate_hz']:g} Hz, {s['skipped']} skipped"]
-    if s["tracking_mm"]:
-        t, c = s["tracking_mm"], s["command_v"]
-        lines.append(
-            f"tracking error {t['rms']:.3f} mm RMS, {t['max']:.3f} mm max (from {t['after_s']:g} s,"
-            f" against the {t['against']}); command {c['max']:.2f} V max, {c['mean_step']:.3f} V mean step"
-        )
+    lines.append(tracking_in_words(s["tracking_mm"]))
+    if c := s["command_v"]:
+        lines[-1] += f"; command {c['max']:.2f} V max, {c['mean_step']:.3f} V mean step"
+    lines.append(f"saturated {s['saturated_ticks']} ticks")
     for key, label in (("lateness_us", "wake-up lateness"), ("sensor_to_command_us", "sensor to command")):
         if s[key]:
             p = s[key]
             lines.append(f"{label} {p['p50']:.0f} µs p50, {p['p99']:.0f} p99, {p['max']:.0f} max")
     f = s["frames"]
-    lines.append(
-        f"frames {f['rx']} in, {f['tx']} out, {f['lost']} lost, {f['crc']} corrupt, {f['stale']} frozen,"
-        f" {f['late']} late"
-    )
+    lines.append(f"frames {f['rx']} in, {f['tx']} out, {f['lost']} lost")
+    lines.append("readings amiss: " + ", ".join(f"{count} {kind}" for kind, count in s["amiss"].items()))
     odd = s["odd_readings"]
     if odd["held"]:
         lines.append(

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
-from pneud.control.plan import FOLLOWING, Plan
+from pneud.log.live.amiss import Amiss
+from pneud.loop.tracking import Tracking
 from pneud.rt.histogram import Histogram
 from pneud.safety.faults import BLOCKS_ARM, names
 from pneud.safety.supervisor import is_engaged
-from pneud.signals import Defect, Record, State, Tick
+from pneud.signals import Answer, Defect, Record, State, Tick
 
-AFTER_S = 5.0
+_TAKEN = int(Answer.TAKEN)
 _ODD, _CONFIRMED = int(Defect.ODD), int(Defect.CONFIRMED)
 
 
@@ -25,27 +23,32 @@ class Tally:
         present: bits of the faults that were present last.
         ever_present: bits of the faults that have ever been present, to the very end.
         ever_latched: bits of the faults that have ever been latched, to the very end.
+        saturated: ticks in which the law asked for more than it got.
+        amiss: readings that ticks had to go without, to the very end.
         odd: readings that were held back.
         confirmed: those among them that the next one confirmed.
         refused: bits of the faults that showed only when the axis was asked to arm.
         lateness: of the wake-ups [ns].
         latency: from the newest sensor frame to the command [ns].
-        tracking: error and command while the reference is followed.
+        tracking: error and command while the axis is led.
     """
 
     __slots__ = (
-        *("_timed", "confirmed", "ever_latched", "ever_present", "lateness", "latency", "odd", "present"),
-        *("refused", "skipped", "state", "ticks", "tracking"),
+        *("_timed", "amiss", "confirmed", "ever_latched", "ever_present", "lateness", "latency", "odd"),
+        *("present", "refused", "saturated", "skipped", "state", "ticks", "tracking"),
     )
 
-    def __init__(self, *, truth: bool, timed: bool) -> None:
+    def __init__(self, *, truth: bool, timed: bool, sync: bool = True) -> None:
         """Nothing has happened.
 
         Args:
             truth: a software plant tells true positions.
             timed: by a clock; simulated time is never late.
+            sync: as for `Amiss`.
         """
         self.ticks = 0
+        self.saturated = 0
+        self.amiss = Amiss(sync)
         self.skipped = 0
         self.state = int(State.STARTING)
         self.present = 0
@@ -59,16 +62,18 @@ class Tally:
         self.tracking = Tracking(truth)
         self._timed = timed
 
-    def add(self, record: Record, plan: Plan, *, ending: bool) -> None:
+    def add(self, record: Record, *, ending: bool) -> None:
         """One tick more."""
         tick = record.tick
         self.ever_present |= tick.present
         self.ever_latched |= tick.latched
+        self.amiss.add(tick.measurement)
         if ending:
             return
         self.ticks += 1
         self.state = tick.state
         self.present = tick.present
+        self.saturated += tick.command.saturated
         for defects in (tick.measurement.encoder_defects, tick.measurement.pressure_defects):
             if defects:
                 self.odd += defects & _ODD != 0
@@ -79,8 +84,15 @@ class Tally:
             self.lateness.add(timing.lateness_ns)
             if timing.latency_ns >= 0:
                 self.latency.add(timing.latency_ns)
-        if plan.phase == FOLLOWING:
-            self.tracking.add(tick, plan.since_ns, record.truth_m)
+        tracking = self.tracking
+        tracking.add(
+            tick.t_ns,
+            tick.state,
+            tick.request if tick.answer == _TAKEN else None,
+            record.true_error_m if tracking.has_truth else tick.error_m,
+            tick.reference,
+            tick.command.voltage_v,
+        )
 
     def asked_to_arm(self, tick: Tick) -> None:
         """See what an axis makes of being asked to arm by the run; what shows only then shows again."""
@@ -91,68 +103,3 @@ class Tally:
         if self.ever_latched or self.state == State.TRACKING:
             return None
         return names(self.refused | (self.present & BLOCKS_ARM)) or ["the run was too short"]
-
-
-def deviation_m(tick: Tick, truth_m: float | None) -> float:
-    """Reference less position [m]: the true one at SYNC, or where nobody knows it that of the encoder."""
-    r, m = tick.reference, tick.measurement
-    if truth_m is None:
-        return r.position_m - m.position_m
-    # the reference of the sampling instant, taken back to the instant of SYNC
-    return r.position_m - r.velocity_m_s * m.encoder_offset_ns * 1e-9 - truth_m
-
-
-class Tracking:
-    """Sums over the ticks from a while past the join on; keeps no tick."""
-
-    def __init__(self, has_truth: bool, after_s: float = AFTER_S) -> None:
-        """Sums of nothing.
-
-        Args:
-            has_truth: the error is taken against a software plant's true position, else against the encoder.
-            after_s: how long a while.
-        """
-        self.has_truth = has_truth
-        self._after_s = after_s
-        self.count = 0
-        self.saturated = 0
-        self._square = 0.0
-        self._max_m = 0.0
-        self._max_v = 0.0
-        self._step_v = 0.0
-        self._steps = 0
-        self._last_v = math.nan
-
-    def add(self, tick: Tick, join_ns: int, truth_m: float) -> None:
-        """One tick that follows the reference, whose t = 0 is at `join_ns`; no true position is NaN."""
-        if tick.t_ns - join_ns < self._after_s * 1e9:
-            return
-        error = deviation_m(tick, truth_m if self.has_truth else None)
-        if math.isfinite(error):
-            self.count += 1
-            self._square += error * error
-            self._max_m = max(self._max_m, abs(error))
-        v = tick.command.voltage_v
-        self.saturated += tick.command.saturated
-        self._max_v = max(self._max_v, abs(v))
-        if math.isfinite(self._last_v):
-            self._step_v += abs(v - self._last_v)
-            self._steps += 1
-        self._last_v = v
-
-    def tracking_mm(self) -> dict[str, Any] | None:
-        """RMS and greatest error; None if the run was too short."""
-        if self.count == 0:
-            return None
-        return {
-            "rms": 1e3 * math.sqrt(self._square / self.count),
-            "max": 1e3 * self._max_m,
-            "after_s": self._after_s,
-            "against": "plant" if self.has_truth else "encoder",
-        }
-
-    def command_v(self) -> dict[str, Any] | None:
-        """Greatest command and mean step from tick to tick; None if the run was too short."""
-        if self._steps == 0:
-            return None
-        return {"max": self._max_v, "mean_step": self._step_v / self._steps}

@@ -18,6 +18,7 @@ from pneud.log.files.columns import Block, blocks
 from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LogReader
 from pneud.log.format.records import LoggedEvent
+from pneud.loop.tracking import AGAINST, Tracking
 from pneud.report.decimate import Envelope, Path, Points
 from pneud.report.health import Health
 from pneud.report.learning import Learning
@@ -25,9 +26,8 @@ from pneud.report.readings import Readings
 from pneud.report.spans import Span, Spans
 from pneud.report.spread import Spread
 from pneud.safety.supervisor import is_engaged
-from pneud.signals import Request, RequestKind, State, Timing
+from pneud.signals import Answer, Reference, Request, RequestKind, State, Timing, error_m, true_error_m
 
-AFTER_S = 5.0  # from when on after it began to track an axis is judged
 EVENTS = 1000  # kept of the first ones, the rest is counted
 MARKS = 400
 
@@ -50,6 +50,15 @@ class Window(NamedTuple):
     end_s: float = math.inf
 
 
+class Counted(NamedTuple):
+    """What the summary of the run counts, too: until it was told to end."""
+
+    state: int  # the last one; −1 where there was none
+    ticks: int
+    skipped: int
+    saturated: int
+
+
 class LoggedRun(NamedTuple):
     """A log as a report shows it."""
 
@@ -60,8 +69,8 @@ class LoggedRun(NamedTuple):
     first_engaged_s: float  # NaN if never
     last_s: float
     ticks: int
-    skipped: int
     missing: int
+    counted: Counted
     columns: dict[str, int]  # name → index in `series.values`
     series: Points
     phase: Points  # position error [mm], velocity error [mm/s]
@@ -81,7 +90,8 @@ class LoggedRun(NamedTuple):
     readings: Readings
     learning: Learning
     error_against: str
-    figures: dict[str, float]  # of tracking and command; empty where the axis did not track for long enough
+    tracking_mm: dict[str, Any]  # as in the summary of the run, like the next one
+    command_v: dict[str, float] | None
 
     @property
     def simulated(self) -> bool:
@@ -92,50 +102,6 @@ class LoggedRun(NamedTuple):
         """The name of a fault in this log."""
         names = self.log.fault_names
         return names[bit] if bit < len(names) else f"fault {bit}"
-
-
-class _Judge:
-    """Error and command while the axis tracks, from `AFTER_S` after it began to."""
-
-    def __init__(self) -> None:
-        self._since_s = math.nan  # when tracking began
-        self._last_v = math.nan
-        self.count = self.saturated = self.steps = 0
-        self.square = self.max_mm = self.max_v = self.step_v = 0.0
-
-    def add(self, t_s: Any, state: Any, error_mm: Any, volts: Any, saturated: Any) -> None:
-        tracking = state == State.TRACKING
-        before = np.concatenate(([not math.isnan(self._since_s)], tracking[:-1]))
-        began = np.where(tracking & ~before, t_s, -np.inf)
-        if not math.isnan(self._since_s):
-            began[0] = max(began[0], self._since_s)
-        since = np.maximum.accumulate(began)
-        self._since_s = float(since[-1]) if tracking[-1] else math.nan
-        judged = tracking & (t_s - since >= AFTER_S)
-        errors = error_mm[judged & np.isfinite(error_mm)]
-        self.count += len(errors)
-        if len(errors):
-            self.square += float(errors @ errors)
-            self.max_mm = max(self.max_mm, float(np.abs(errors).max()))
-        self.saturated += int(saturated[judged].sum())
-        if judged.any():
-            v = volts[judged]
-            self.max_v = max(self.max_v, float(np.abs(v).max()))
-            steps = np.abs(np.diff(v, prepend=self._last_v))
-            self.step_v += float(np.nansum(steps))
-            self.steps += int(np.isfinite(steps).sum())
-            self._last_v = float(v[-1])
-
-    def figures(self) -> dict[str, float]:
-        if not self.count:
-            return {}
-        return {
-            "rms_mm": math.sqrt(self.square / self.count),
-            "max_mm": self.max_mm,
-            "max_v": self.max_v,
-            "mean_step_v": self.step_v / self.steps if self.steps else math.nan,
-            "saturated_ticks": self.saturated,
-        }
 
 
 COLUMNS = (
@@ -175,17 +141,18 @@ class _Gatherer:
         self.present: dict[int, Spans] = {}
         self.latched: dict[int, Spans] = {}
         self.timing = {name: Spread() for name in Timing._fields}
-        self.judge = _Judge()
+        self.tracking = Tracking(False)
+        self.counted = Counted(-1, 0, 0, 0)
         self.marks: list[RunMark] = []
         self.events: list[LoggedEvent] = []
         self.more_marks = self.more_events = 0
-        self.ticks = self.skipped = 0
+        self.ticks = 0
+        self.told_to_end = False
         self.t0_ns: int | None = None
         self.start_unix_s = math.nan
         self.first_engaged_s = math.nan
         self.last_s = 0.0
         self.number = 0
-        self.has_truth = False
 
     def run(self, window: Window) -> LoggedRun:
         for block, t_s in self._windowed(window):
@@ -207,8 +174,9 @@ class _Gatherer:
                 "columns": {name: i for i, name in enumerate(COLUMNS)},
                 "series": self.series.points(),
                 "phase": self.phase.points(),
-                "error_against": "true position" if self.has_truth else "encoder",
-                "figures": self.judge.figures(),
+                "error_against": AGAINST["plant" if self.tracking.has_truth else "encoder"],
+                "tracking_mm": self.tracking.tracking_mm(),
+                "command_v": self.tracking.command_v(),
             }
         )
 
@@ -269,15 +237,51 @@ class _Gatherer:
 
         for name, spread in self.timing.items():
             spread.add(ticks[f"timing.{name}"])
-        self.judge.add(t_s, state, columns["error_mm"], columns["voltage_v"], ticks["command.saturated"])
+        self._count(block, columns["error_mm"] * 1e-3)
         for index, request in block.requests:
             self._mark(float(t_s[index]), request)
         engaged = np.flatnonzero(_ENGAGED[np.minimum(state, len(_ENGAGED) - 1)])
         if math.isnan(self.first_engaged_s) and len(engaged):
             self.first_engaged_s = float(t_s[engaged[0]])
         self.ticks += len(t_s)
-        self.skipped += int(skipped.sum())
         self.last_s = float(t_s[-1])
+
+    def _count(self, block: Block, error_m: NDArray[np.float64]) -> None:
+        """What the summary of the run counts, too."""
+        if self.told_to_end:
+            return
+        ends = [index for index, request in block.requests if request.kind == RequestKind.SHUTDOWN]
+        self.told_to_end = bool(ends)
+        if ends:
+            end = ends[0]
+            block, error_m = block.part(0, end), error_m[:end]
+        if not len(error_m):
+            return
+        self._track(block, error_m)
+        ticks, was = block.ticks, self.counted
+        self.counted = Counted(
+            int(ticks["state"][-1]),
+            was.ticks + len(ticks),
+            was.skipped + int(ticks["measurement.skipped"].sum()),
+            was.saturated + int(ticks["command.saturated"].sum()),
+        )
+
+    def _track(self, block: Block, error_m: NDArray[np.float64]) -> None:
+        ticks, taken = block.ticks, dict(block.requests)
+        states = ticks["state"]
+        led = np.isin(states, (State.TRACKING, State.MOVING))
+        led[1:] |= led[:-1].copy()  # with the tick behind, which ends it
+        led[0] = True
+        kept = np.flatnonzero(led)
+        reference = zip(
+            *(ticks[f"reference.{name}"][kept].tolist() for name in Reference._fields), strict=True
+        )
+        columns = (ticks["t_ns"], states, ticks["answer"], error_m, ticks["command.voltage_v"])
+        for i, r, t_ns, state, answer, error, volts in zip(
+            kept.tolist(), reference, *(column[kept].tolist() for column in columns), strict=True
+        ):
+            request = taken.get(i) if answer == Answer.TAKEN else None
+            self.tracking.add(t_ns, state, request, error, r, volts)
 
     def _gaps(self, t_s: NDArray[np.float64], dropped: Any, skipped: Any) -> None:
         """Stretches without a tick: 1 where ticks were skipped, 2 where records are missing."""
@@ -310,19 +314,20 @@ class _Gatherer:
 
     def _columns(self, block: Block, jitter_ns: Any) -> dict[str, NDArray[np.float64]]:
         real = block.real
-        reference = real("reference.position_m")
-        speed = real("reference.velocity_m_s")
-        position, truth = real("measurement.position_m"), real("truth_m")
-        # at the instant of SYNC, from which the reference is some frame times away
-        at_sync = reference - speed * block.ticks["measurement.encoder_offset_ns"] * 1e-9
-        self.has_truth = self.has_truth or bool(np.isfinite(truth).any())
-        error = at_sync - truth if self.has_truth else reference - position
+        reference = Reference._make(real(f"reference.{name}") for name in Reference._fields)
+        truth = real("truth_m")
+        tracking = self.tracking
+        tracking.has_truth = tracking.has_truth or bool(np.isfinite(truth).any())
+        if tracking.has_truth:
+            error = true_error_m(reference, block.ticks["measurement.encoder_offset_ns"], truth)
+        else:
+            error = error_m(reference, real("estimate.position_m"))
         return {
-            "reference_mm": reference * _MM,
-            "position_mm": position * _MM,
+            "reference_mm": reference.position_m * _MM,
+            "position_mm": real("measurement.position_m") * _MM,
             "truth_mm": truth * _MM,
             "error_mm": error * _MM,
-            "reference_mm_s": speed * _MM,
+            "reference_mm_s": reference.velocity_m_s * _MM,
             "velocity_mm_s": real("estimate.velocity_m_s") * _MM,
             "p1_bar": real("measurement.p1_pa") * _BAR,
             "p2_bar": real("measurement.p2_pa") * _BAR,

@@ -1,13 +1,14 @@
 """What a log says about its bus: frames by identifier, what was wrong with them, and when they came.
 
-It judges frames as the inbox does, a block at a time; a test holds the two together. Only what the inbox
-knows of the SYNC that a frame answers is not known here: late is what was sampled before its tick's SYNC.
+It judges frames as the inbox does, a block at a time; a test holds the two together. Which SYNC a frame
+answers only the inbox knows: late is what was sampled before its tick's SYNC, what a tick found late, and
+what came before another one of its source.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from pneud.bus.dbc_layout import SignalField, shift
 from pneud.bus.wire import CAN_ERR_FLAG
 from pneud.log.files.columns import AFTER, BEFORE, SENT, Block, Floats, FrameColumns, Ints
 from pneud.report.spread import Spread
+from pneud.signals import Defect
 
 _TABLE = np.frombuffer(crc8.TABLE, dtype=np.uint8)
 _EMCY = range(0x081, 0x100)
@@ -53,8 +55,9 @@ def valid(codec: Codec, length: Ints, data: Words) -> NDArray[np.bool_]:
 class SourceHealth:
     """One of the three frames that answer SYNC."""
 
-    def __init__(self, name: str, codec: Codec, older_s: float) -> None:
+    def __init__(self, name: str, role: str, codec: Codec, older_s: float) -> None:
         self.name = name
+        self._defects = f"measurement.{role}_defects"
         self.codec = codec
         self.frames = self.lost = self.corrupt = self.frozen = self.late = 0
         self.answer = Spread()  # SYNC handed to the kernel → received
@@ -64,9 +67,9 @@ class SourceHealth:
         self._corrupt_since = 0
 
     def add(
-        self, t_ns: Ints, frames: FrameColumns, sync_sent_ns: Ints, command_sent_ns: Ints, sync: bool
+        self, ticks: Any, frames: FrameColumns, sync_sent_ns: Ints, command_sent_ns: Ints, sync: bool
     ) -> None:
-        """Take the frames of a block."""
+        """Take the frames of a block, whose ticks they belong to."""
         codec = self.codec
         mine = (frames.can_id == codec.can_id) & (frames.part != SENT)
         kept = np.flatnonzero(mine)
@@ -90,7 +93,9 @@ class SourceHealth:
         late = age_s >= self._older_s
         if sync:
             sampled = stamp - np.rint(np.where(late, 0.0, age_s) * 1e9).astype(np.int64)
-            late |= (part == BEFORE) | (sampled < t_ns[tick])
+            late |= (part == BEFORE) | (sampled < ticks["t_ns"][tick])
+            late |= (ticks[self._defects] & Defect.LATE != 0)[tick]
+            late[:-1] |= tick[1:] == tick[:-1]
         self.late += int(late.sum())
         in_time = ~late & (part == AFTER)
         tick, stamp = tick[in_time], stamp[in_time]
@@ -130,11 +135,11 @@ class Health:
 
     def __init__(self, codecs: Codecs, sync: bool, period_ns: int) -> None:
         self.sources = tuple(
-            SourceHealth(name, codec, codecs.older_s if name == "encoder" else float("inf"))
-            for name, codec in (
-                ("encoder", codecs.encoder),
-                ("pressure", codecs.pressure),
-                ("valve_status", codecs.valve_status),
+            SourceHealth(name, role, codec, codecs.older_s if name == "encoder" else float("inf"))
+            for name, role, codec in (
+                ("encoder", "encoder", codecs.encoder),
+                ("pressure", "pressure", codecs.pressure),
+                ("valve_status", "valve", codecs.valve_status),
             )
         )
         self.sync_jitter = Spread()  # |interval between two SYNCs − what the ticks between them take|
@@ -175,7 +180,7 @@ class Health:
         self.error_frames += int(errors.sum())
         self.foreign += int(np.isin(received[~errors], (sync_id, command_id)).sum())
         for source in self.sources:
-            source.add(block.ticks["t_ns"], frames, sync_ns, command_ns, self._sync)
+            source.add(block.ticks, frames, sync_ns, command_ns, self._sync)
         self._emergencies(frames)
         return self._jitter(block, sync_ns)
 

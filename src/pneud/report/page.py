@@ -16,10 +16,10 @@ import numpy as np
 from pneud import __version__
 from pneud.bench.chart import svg
 from pneud.log.format.schema import Level
-from pneud.log.live.amiss import Counts
+from pneud.loop.tracking import over_in_words
 from pneud.report.figures import COLOURS, FIGURES, STATE_COLOURS, line, offsets_s
-from pneud.report.gather import AFTER_S, LoggedRun
-from pneud.report.readings import SOURCES
+from pneud.report.gather import LoggedRun
+from pneud.report.readings import KINDS, SOURCES
 from pneud.report.spans import Span
 from pneud.report.spread import Spread
 from pneud.signals import HUNTING_CURES, State, Timing
@@ -214,22 +214,24 @@ def _warnings(runs: Sequence[LoggedRun], names: Sequence[str]) -> str:
 
 
 def _summary(runs: Sequence[LoggedRun], names: Sequence[str]) -> str:
-    def figure(run: LoggedRun, name: str, form: str) -> str:
-        return format(run.figures[name], form) if name in run.figures else "–"
+    def figure(found: dict[str, Any] | None, name: str, form: str) -> str:
+        return "–" if found is None or found[name] is None else format(found[name], form)
 
     rows: list[tuple[str, list[str]]] = [
-        ("state at the end", [_state(run.states[-1].value) if run.states else "–" for run in runs]),
+        ("state", [_state(run.counted.state + 1) if run.counted.ticks else "–" for run in runs]),
         ("faults latched", [", ".join(map(run.fault_name, run.latched)) or "none" for run in runs]),
         ("hunting", [_hunting(run) for run in runs]),
         ("in position [s]", [f"{_seconds_of(run.in_position):.1f}" for run in runs]),
-        ("ticks", [f"{run.ticks:,}" for run in runs]),
-        ("ticks skipped", [f"{run.skipped:,}" for run in runs]),
-        (f"error RMS from {AFTER_S:g} s of tracking [mm]", [figure(run, "rms_mm", ".4f") for run in runs]),
-        ("error max [mm]", [figure(run, "max_mm", ".4f") for run in runs]),
+        ("ticks", [f"{run.counted.ticks:,}" for run in runs]),
+        ("skipped", [f"{run.counted.skipped:,}" for run in runs]),
+        ("saturated", [f"{run.counted.saturated:,}" for run in runs]),
+        ("readings amiss", [run.readings.total_in_words() for run in runs]),
+        ("tracking error RMS [mm]", [figure(run.tracking_mm, "rms", ".4f") for run in runs]),
+        ("tracking error max [mm]", [figure(run.tracking_mm, "max", ".4f") for run in runs]),
+        ("tracking error over", [over_in_words(run.tracking_mm) for run in runs]),
         ("error against", [run.error_against for run in runs]),
-        ("command max [V]", [figure(run, "max_v", ".3f") for run in runs]),
-        ("command mean step [V]", [figure(run, "mean_step_v", ".4f") for run in runs]),
-        ("saturated ticks", [figure(run, "saturated_ticks", ".0f") for run in runs]),
+        ("command max [V]", [figure(run.command_v, "max", ".3f") for run in runs]),
+        ("command mean step [V]", [figure(run.command_v, "mean_step", ".4f") for run in runs]),
         ("wake-up lateness p50 / p99 / max [µs]", [_three(run, "lateness_ns") for run in runs]),
         ("sensor to command p50 / p99 / max [µs]", [_three(run, "latency_ns") for run in runs]),
     ]
@@ -333,13 +335,13 @@ def _bus(run: LoggedRun, name: str) -> str:
 
 def _readings(run: LoggedRun) -> str:
     """Ticks without a reading in time that is believed."""
-    length_s = run.ticks / run.log.rate_hz
+    length_s = run.counted.ticks / run.log.rate_hz
     head = (
         "ticks without",
-        *(cell for kind in Counts._fields for cell in (kind, "a minute", "worst second")),
+        *(cell for kind in KINDS for cell in (kind, "a minute", "worst second")),
     )
     rows = (
-        (source, *(cell for kind in Counts._fields for cell in run.readings.in_words(source, kind, length_s)))
+        (source, *(cell for kind in KINDS for cell in run.readings.in_words(source, kind, length_s)))
         for source in SOURCES
     )
     return _table(head, rows)

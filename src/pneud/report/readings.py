@@ -12,6 +12,7 @@ from pneud.log.files.columns import Block
 from pneud.log.live.amiss import NEVER_NS, Counts
 from pneud.signals import Defect, Source
 
+KINDS = (*Counts._fields, "corrupt", "frozen")
 SOURCES = {"encoder": Source.ENCODER, "pressure": Source.PRESSURE, "valve": Source.VALVE}
 
 
@@ -20,7 +21,7 @@ class Readings:
 
     def __init__(self, sync: bool) -> None:
         self.by_second: dict[tuple[str, str], Counter[int]] = {
-            (source, kind): Counter() for source in SOURCES for kind in Counts._fields
+            (source, kind): Counter() for source in SOURCES for kind in KINDS
         }
         self._sync = sync
 
@@ -32,7 +33,12 @@ class Readings:
             without = (ticks["measurement.fresh"] & bit == 0) & (age_ns <= NEVER_NS)
             if self._sync:
                 self._count(source, "missing", second[without & (defects == 0)])
-            self._count(source, "late", second[without & (defects & Defect.LATE != 0)])
+            for kind, defect in (
+                ("late", Defect.LATE),
+                ("corrupt", Defect.CORRUPT),
+                ("frozen", Defect.FROZEN),
+            ):
+                self._count(source, kind, second[without & (defects & defect != 0)])
             self._count(source, "odd", second[defects & Defect.ODD != 0])
             self._count(source, "odd", second[defects & Defect.CONFIRMED != 0], -1)
 
@@ -48,3 +54,8 @@ class Readings:
             return "0", "", ""
         worst_s, most = found.most_common(1)[0]
         return f"{count:,}", f"{60.0 * count / max(length_s, 1e-9):.3g}", f"{most} at {worst_s} s"
+
+    def total_in_words(self) -> str:
+        """Those of all sources, as in the summary of the run."""
+        counts = ((sum(self.by_second[source, kind].total() for source in SOURCES), kind) for kind in KINDS)
+        return ", ".join(f"{max(0, count)} {kind}" for count, kind in counts)

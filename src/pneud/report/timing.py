@@ -13,6 +13,6 @@ def in_words(run: LoggedRun) -> list[str]:
     return [
         f"recorded timing, µs p50/p99/max: wake-up lateness {run.timing['lateness_ns'].in_words('/')},"
         f" sensor to command {run.timing['latency_ns'].in_words('/')},"
-        f" jitter of SYNC {run.health.sync_jitter.in_words('/')}; {run.skipped} ticks skipped",
+        f" jitter of SYNC {run.health.sync_jitter.in_words('/')}; {run.counted.skipped} ticks skipped",
         f"age of frames when the command was sent: {ages}",
     ]

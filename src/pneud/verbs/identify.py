@@ -13,7 +13,8 @@ import typer
 from pneud.config.reading import load_config
 from pneud.log.files.reader import read_log
 from pneud.rt.outputs import require_folder, write_whole
-from pneud.verbs import JsonOption, VerbError, whole
+from pneud.verbs import JsonOption, LogsArgument, ProgressOption, VerbError, require_suffix, watch, whole
+from pneud.view.progress import progress
 
 if TYPE_CHECKING:
     from pneud.study.identification.comparing import Row
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def identify(
-    logs: Annotated[list[str], typer.Argument(metavar="LOG…", help="Logs of one rig.")],
+    logs: LogsArgument,
     config: Annotated[
         Path | None,
         typer.Option("--config", metavar="FILE", help="Compare with this one, not with that in the log."),
@@ -34,6 +35,7 @@ def identify(
         Path | None, typer.Option("-o", "--output", metavar="FILE", help="A page with pictures (.html).")
     ] = None,
     json: JsonOption = False,
+    how: ProgressOption = "auto",
 ) -> int:
     """Estimate what a rig is like, and compare that with its configuration and with an earlier estimate.
 
@@ -52,13 +54,17 @@ def identify(
     from pneud.study.identification import comparing, estimating, explaining, page, table, words  # noqa: PLC0415
 
     if output is not None:
+        require_suffix(output, ".html", "the report is a page of HTML")
         require_folder(output)
     before = comparing.earlier(against) if against is not None else {}
     given = load_config(config) if config is not None else None
     readers = [read_log(log) for log in logs]
-    measured, own = table.read(readers)
-    c = given or own
-    found = estimating.identify(measured, c)
+    with progress(how) as report:
+        watch(report, *readers)
+        measured, own = table.read(readers)
+        c = given or own
+        report("estimating", 0, 0, "")
+        found = estimating.identify(measured, c)
     rows = comparing.rows(found.parameters, before)
     unexplained = explaining.unexplained(found.valved, found.moved, found.noise_pa, c)
     verdict = words.verdict(rows, unexplained)

@@ -51,7 +51,10 @@ def import_(
     recording: Annotated[
         Path, typer.Argument(metavar="FILE", help="Recording: .log (candump -l), .asc or .blf.")
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="LOG", help="The log (.mcap).")],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="LOG", help="The log; default FILE's name with .mcap."),
+    ] = None,
     dbc: Annotated[
         Path | None, typer.Option("--dbc", metavar="FILE", help="Its messages; an exported log has them.")
     ] = None,
@@ -67,6 +70,7 @@ def import_(
     """
     if recording.suffix.lower() not in FORMATS:
         raise ConfigError(f"{recording}: no such format; its name must end in one of {', '.join(FORMATS)}")
+    output = output or Path(f"{recording.stem}.mcap")
     if output.suffix != ".mcap":
         raise ConfigError(f"{output}: a log's name ends in .mcap")
     source = _source(recording, dbc, config_file)

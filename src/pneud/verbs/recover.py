@@ -8,17 +8,23 @@ from typing import Annotated
 import typer
 
 from pneud.log.files.recovery import recover as mend
+from pneud.verbs import LogArgument, require_suffix
 
 
 def recover(
-    log: Annotated[str, typer.Argument(metavar="LOG", help="Log that was cut short.")],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help="The mended log.")],
+    log: LogArgument,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="OUT", help="The mended log; default LOG-recovered.mcap."),
+    ] = None,
 ) -> int:
     """Write what can be read of a log into another one.
 
     Returns:
         Exit status: 0, or 1 where not a tick could be saved of a source that is not whole.
     """
+    output = output or Path(f"{Path(log).stem}-recovered.mcap")
+    require_suffix(output, ".mcap", "a log is an MCAP file")
     report = mend(Path(log), output)
     chunks = f" from {report.chunks} chunks" if report.chunks else ""
     print(f"{output}: {report.messages} messages{chunks}")

@@ -7,9 +7,9 @@ from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from pneud.log.live.amiss import NEVER_NS, Amiss
+from pneud.log.live.amiss import Amiss
 from pneud.rt.histogram import Histogram
-from pneud.signals import ALL_SOURCES, Defect, Measurement, Record, RequestKind, Tick
+from pneud.signals import Record, RequestKind, Tick
 
 BUCKET_NS = 20_000_000
 SPAN_S = 10.0
@@ -148,8 +148,6 @@ class History:
         self.saturated = 0
         self.received = 0
         self.amiss = Amiss(sync)
-        self.corrupt = 0  # ticks times sources, as is the next one
-        self.frozen = 0
         self.log_written: int | None = None
         self.log_dropped: int | None = None
         self.silent_s = 0.0  # since the newest record came
@@ -189,10 +187,8 @@ class History:
             self.lateness.add(timing.lateness_ns)
         if timing.latency_ns >= 0:
             self.latency.add(timing.latency_ns)
-        if m.fresh != ALL_SOURCES:
-            self._count_defects(m)
         self.amiss.add(m)
-        self.error.add(t_ns, tick.reference.position_m - tick.estimate.position_m)
+        self.error.add(t_ns, tick.error_m)
         self.command.add(t_ns, tick.command.voltage_v)
         self.p1.add(t_ns, m.p1_pa)
         self.p2.add(t_ns, m.p2_pa)
@@ -216,15 +212,3 @@ class History:
             and now.request.kind in (RequestKind.JOG, RequestKind.PIECE)
             and (last.what, last.then) == (now.request.kind, now.answer)
         )
-
-    def _count_defects(self, m: Measurement) -> None:
-        sources = (
-            (1, m.encoder_age_ns, m.encoder_defects),
-            (2, m.pressure_age_ns, m.pressure_defects),
-            (4, m.valve_age_ns, m.valve_defects),
-        )
-        for bit, age_ns, defects in sources:
-            if m.fresh & bit or age_ns > NEVER_NS:
-                continue
-            self.corrupt += bool(defects & Defect.CORRUPT)
-            self.frozen += bool(defects & Defect.FROZEN)

@@ -201,9 +201,9 @@ def _motion(rows: Rows, record: Record, info: ScreenInfo, history: History, heig
         rows,
         ("position", number(position * 1e3, "9.3f", "mm"), _BOLD),
         ("reference", number(reference * 1e3, "9.3f", "mm"), PLAIN),
-        ("error", length(reference - position), _ERROR),
+        ("error", length(tick.error_m), _ERROR),
     )
-    truth = length(reference - record.truth_m) if math.isfinite(record.truth_m) else ""
+    truth = length(record.true_error_m) if math.isfinite(record.truth_m) else ""
     _cells(
         rows,
         ("velocity", number(tick.estimate.velocity_m_s * 1e3, "+9.1f", "mm/s"), PLAIN),
@@ -276,18 +276,22 @@ def _loop(rows: Rows, history: History) -> None:
     h = history
     amiss = h.amiss.all
     _counts(
-        rows, "ticks", ("run", h.ticks, False), ("skipped", h.skipped, True), ("saturated", h.saturated, True)
+        rows,
+        "ticks",
+        ("run", h.ticks, False),
+        ("skipped", h.skipped, True),
+        ("saturated", h.saturated, True),
+        ("frames in", h.received, False),
     )
     _counts(
         rows,
-        "frames",
-        ("rx", h.received, False),
+        "amiss",
         ("missing", amiss.missing, True),
         ("late", amiss.late, True),
         ("odd", amiss.odd, True),
         ("per min", sum(h.amiss.lately()), True),
-        ("crc", h.corrupt, True),
-        ("frozen", h.frozen, True),
+        ("corrupt", h.amiss.corrupt, True),
+        ("frozen", h.amiss.frozen, True),
     )
     if h.log_written is None or h.log_dropped is None:
         rows.row("log")
@@ -399,13 +403,12 @@ def status_line(snapshot: ScreenState, history: History) -> str:
         return clean(f"{info.name}: waiting for the first tick")
     tick = record.tick
     faults = bit_names(tick.latched | tick.present, info.fault_names)
-    error = tick.reference.position_m - tick.estimate.position_m
     late = history.lateness.percentiles((99, 100))
     return "  ".join(
         (
             f"{clean(info.name)} {clock(history.elapsed_s)} {name_of(State, tick.state)}{_standing(record)}",
             f"x {number(tick.estimate.position_m * 1e3, '.3f', 'mm')}",
-            f"error {length(error).strip()}",
+            f"error {length(tick.error_m).strip()}",
             f"command {number(tick.command.voltage_v, '+.3f', 'V')}",
             f"late p99 {duration(late[0])} max {duration(late[1])}",
             f"skipped {history.skipped}",

@@ -13,7 +13,8 @@ from pneud.signals import ALL_SOURCES, Defect, Measurement, Source
 LATELY_S = 60
 NEVER_NS = 2**61  # a source's age above this means that it has never been heard
 
-_LATE, _ODD, _CONFIRMED = int(Defect.LATE), int(Defect.ODD), int(Defect.CONFIRMED)
+_CORRUPT, _FROZEN, _LATE = int(Defect.CORRUPT), int(Defect.FROZEN), int(Defect.LATE)
+_ODD, _CONFIRMED = int(Defect.ODD), int(Defect.CONFIRMED)
 _MARKED = _ODD | _CONFIRMED
 _ENCODER, _PRESSURE, _VALVE = int(Source.ENCODER), int(Source.PRESSURE), int(Source.VALVE)
 
@@ -27,7 +28,13 @@ class Counts(NamedTuple):
 
 
 class Amiss:
-    """Counts them, tick by tick."""
+    """Counts them, tick by tick.
+
+    Attributes:
+        all: since the start.
+        corrupt: readings that were not there because frames were corrupt.
+        frozen: likewise because their counter stood still.
+    """
 
     def __init__(self, sync: bool = True) -> None:
         """None so far.
@@ -39,18 +46,19 @@ class Amiss:
         self._now_s = 0
         self._seconds: deque[tuple[int, Counts]] = deque(maxlen=LATELY_S)  # of those that had any
         self.all = Counts()
+        self.corrupt = self.frozen = 0
 
     def add(self, m: Measurement) -> None:
         """Take the measurement of the next tick."""
         self._now_s = m.t_ns // 1_000_000_000
         if m.fresh == ALL_SOURCES and not (m.encoder_defects | m.pressure_defects) & _MARKED:
             return
-        found = self.of(m)
+        found = self._of(m)
         self.all = _counted(_sum(self.all, found))
         last = self._seconds.pop() if self._seconds and self._seconds[-1][0] == self._now_s else (0, Counts())
         self._seconds.append((self._now_s, _sum(last[1], found)))
 
-    def of(self, m: Measurement) -> Counts:
+    def _of(self, m: Measurement) -> Counts:
         """Those of one tick; an odd one that is confirmed takes back that it was."""
         missing = late = odd = 0
         for bit, age_ns, defects in (
@@ -61,6 +69,8 @@ class Amiss:
             odd += (defects & _ODD != 0) - (defects & _CONFIRMED != 0)
             if not m.fresh & bit and age_ns <= NEVER_NS:
                 late += defects & _LATE != 0
+                self.corrupt += defects & _CORRUPT != 0
+                self.frozen += defects & _FROZEN != 0
                 missing += self._sync and not defects
         return Counts(missing, late, odd)
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from statistics import fmean
 from typing import Any, NamedTuple
 
 from pneud.axis.state import AxisParameters
@@ -16,9 +18,9 @@ from pneud.console import profiles
 from pneud.control.profile import extent
 from pneud.control.reference import Bounds, Septic
 from pneud.loop.summary import finite
-from pneud.loop.tally import AFTER_S, Tracking
+from pneud.loop.tracking import AFTER_S
 from pneud.safety.faults import BLOCKS_ARM, names
-from pneud.signals import Answer, Record, Request, RequestKind, State, Tick
+from pneud.signals import Answer, Record, Request, RequestKind, State, Tick, true_error_m
 from pneud.study.judging import (
     ARRIVED_S,
     LONG_M,
@@ -105,6 +107,13 @@ class Seen(NamedTuple):
     tick: Tick
     truth_m: float
 
+    def error_m(self, known: bool) -> float:
+        """How far the load is from where it should be [m]: truly where that is known, else as estimated."""
+        tick = self.tick
+        if not known:
+            return tick.error_m
+        return float(true_error_m(tick.reference, tick.measurement.encoder_offset_ns, self.truth_m))
+
 
 class Verified(NamedTuple):
     """What an axis is worth."""
@@ -144,17 +153,18 @@ def came_to(part: Part, seen: Sequence[Seen], t: Tolerances) -> list[Figure]:
 def _followed(part: Part, seen: Sequence[Seen], t: Tolerances) -> list[Figure]:
     sine = part.name == "sine"
     begun = next((i for i, s in enumerate(seen) if s.tick.state == (TRACKING if sine else HOLDING)), 0)
-    join_ns, tracking = seen[begun].tick.t_ns, Tracking(_is_known(seen), AFTER_S if sine else SETTLING_S)
+    join_ns, known = seen[begun].tick.t_ns, _is_known(seen)
+    from_ns = join_ns + (AFTER_S if sine else SETTLING_S) * 1e9
     until_ns = join_ns + (SINE_S - 1.0 / FREQUENCY_HZ if sine else part.dwell_s) * 1e9
-    for tick, truth_m in seen[begun:]:
-        if tick.t_ns < until_ns:
-            tracking.add(tick, join_ns, truth_m)
-    error, command = tracking.tracking_mm(), tracking.command_v()
-    if error is None or command is None:
+    judged = [s for s in seen[begun:] if from_ns <= s.tick.t_ns < until_ns]
+    errors_m = [e for e in (s.error_m(known) for s in judged) if math.isfinite(e)]
+    steps_v = [abs(b.tick.command.voltage_v - a.tick.command.voltage_v) for a, b in pairwise(judged)]
+    if not errors_m or not steps_v:
         return []
-    most = Figure(part.name, "max_m", 1e-3 * error["max"], PEAK_M if sine else t.still_m)
-    step = Figure(part.name, "mean_step_v", command["mean_step"], MOVING_V if sine else RESTING_V)
-    return [Figure("sine", "rms_m", 1e-3 * error["rms"], WITHIN_M), most, step] if sine else [most, step]
+    most = Figure(part.name, "max_m", max(map(abs, errors_m)), PEAK_M if sine else t.still_m)
+    step = Figure(part.name, "mean_step_v", fmean(steps_v), MOVING_V if sine else RESTING_V)
+    rms = Figure("sine", "rms_m", math.sqrt(fmean(e * e for e in errors_m)), WITHIN_M)
+    return [rms, most, step] if sine else [most, step]
 
 
 def _stepped(part: Part, seen: Sequence[Seen], t: Tolerances) -> list[Figure]:

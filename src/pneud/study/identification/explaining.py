@@ -13,7 +13,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from pneud.config.flow import gas_of
 from pneud.config.models import Config
-from pneud.study.identification import chambers
+from pneud.study.identification import chambers, heat
 from pneud.study.identification.estimating import Moved, Valved
 
 Floats = NDArray[np.float64]
@@ -134,16 +134,19 @@ def flow_map(valved: Valved, c: Config, spans: Sequence[tuple[float, float]] = (
     y = chambers.spool(w, g, rig)
     still = _moved(y, max(width, round(STEADY_S / rig.h)))[:, inner] < STEADY * np.abs(y[:, inner])
     y, x = y[:, inner], w.x_m[:, w.warm + 1 :]
-    share = chambers.iso6358(g.critical) if valved.iso else chambers.orifice(gas)
+    share = chambers.iso6358(g.critical) if valved.structure.iso else chambers.orifice(gas)
     supply = w.supply_pa[:, w.warm + 1 :][:, inner]
+    warmth = heat.at(w.warmth, np.array([g.wall_1_s]))[0][:, :, inner]
     sums, weights = np.zeros_like(y), np.zeros_like(y)
-    for p, area, length, sign in (
-        (w.p1_pa, rig.area1_m2, x + g.dead1_m, 1.0),
-        (w.p2_pa, rig.area2_m2, rig.stroke_m + g.dead2_m - x, -1.0),
+    for p, area, length, sign, warm in (
+        (w.p1_pa, rig.area1_m2, x + g.dead1_m, 1.0, warmth[0]),
+        (w.p2_pa, rig.area2_m2, rig.stroke_m + g.dead2_m - x, -1.0, warmth[1]),
     ):
         here = p[:, inner]
+        cooled = -np.expm1(-warm) * g.wall_1_s * here
         flows = area * (
-            _rate(p, width, rig.h) * length[:, inner] / g.exponent + here * _rate(length, width, rig.h)
+            (_rate(p, width, rig.h) + cooled) * length[:, inner] / g.exponent
+            + here * _rate(length, width, rig.h)
         )
         other = np.where(sign * y > 0.0, supply, gas.atmosphere_pa)
         high = np.maximum(here, other)

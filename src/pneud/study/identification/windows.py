@@ -8,12 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from pneud.config.models import Config
+from pneud.study.identification import heat
 from pneud.study.identification.chambers import WARM_S, Windows
 from pneud.study.identification.table import Piece, Table
 
 Floats = NDArray[np.float64]
 WINDOW_S = 0.4
 MOST = 80  # windows
+BEFORE_S = 4.0  # a window, that tells how warm the air is
 POSITION_S, START_S, SUPPLY_S = 0.002, 0.0015, 0.02  # widths of smoothing (standard deviations)
 
 
@@ -33,14 +36,21 @@ def smoothed(values: Floats, width: float) -> Floats:
     return found
 
 
-def chamber_windows(t: Table, position_s: float = POSITION_S, most: int = MOST) -> Windows:
-    """Windows for the chambers; each begins with some ticks in which the spool finds its place."""
+def chamber_windows(t: Table, c: Config, dead_m: tuple[float, float], most: int = MOST) -> Windows:
+    """Windows for the chambers; each begins with some ticks in which the spool finds its place.
+
+    Args:
+        t: the table.
+        c: what is configured.
+        dead_m: dead lengths, as far as they are known: for the warmth of the air.
+        most: windows.
+    """
     warm, ticks = max(2, round(WARM_S / t.h)), max(20, round(WINDOW_S / t.h))
     found = []
     for piece in t.pieces:
         s = Smooth(
             piece,
-            smoothed(piece.position_m, position_s / t.h),
+            smoothed(piece.position_m, POSITION_S / t.h),
             smoothed(piece.p1_pa, START_S / t.h),
             smoothed(piece.p2_pa, START_S / t.h),
             smoothed(piece.supply_pa, SUPPLY_S / t.h),
@@ -61,8 +71,27 @@ def chamber_windows(t: Table, position_s: float = POSITION_S, most: int = MOST) 
         p2_start_pa=np.array([s.p2_pa[at] for s, at in starts]),
         supply_pa=cut("supply_pa", True),
         applied_v=cut("applied_v", False),
+        warmth=_warmth(starts, ticks, t.h, c, dead_m),
         warm=warm,
     )
+
+
+def _warmth(
+    starts: list[tuple[Smooth, int]], ticks: int, h: float, c: Config, dead_m: tuple[float, float]
+) -> Floats:
+    """Of the air in both chambers, for several rates of the wall, by what was before."""
+    stroke_m, before = c.cylinder.stroke_m, round(BEFORE_S / h)
+
+    def stretch(values: Floats, at: int) -> Floats:
+        begin = max(0, at - before)
+        return np.pad(values[begin : at + ticks], (before - at + begin, 0), mode="edge")
+
+    p1, p2, x = (
+        np.array([stretch(getattr(s, name), at) for s, at in starts]) for name in ("p1_pa", "p2_pa", "x_m")
+    )
+    inside = np.clip(x, 0.0, stroke_m)
+    lengths = np.array([inside + dead_m[0], stroke_m - inside + dead_m[1]])
+    return heat.warmth(np.array([p1, p2]), lengths, c.gas.heat_capacity_ratio, h, ticks)
 
 
 def _told(s: Smooth, at: int, ticks: int) -> float:
