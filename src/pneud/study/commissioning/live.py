@@ -64,6 +64,8 @@ class Live:
             RefusedError: the console lets nobody command.
             PlaceError: the daemon has gone.
         """
+        if self._client.ask("status")["state"] == State.FAULT.label:  # what was tried before it has ended so
+            self._client.ask("clear")
         fields, descriptor = self._client.attach()
         if fields["layout"] != Ring.layout():
             raise PlaceError("the daemon is of another version than this pneud; restart it")

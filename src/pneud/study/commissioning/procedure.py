@@ -18,10 +18,11 @@ from pneud.study.commissioning.playing import Player
 from pneud.study.commissioning.steps import Step, dynamic, length_s, static
 from pneud.study.commissioning.testing import MovementTest
 from pneud.study.commissioning.verification import Verification, Verified, course
-from pneud.study.identification import comparing, estimating, table
+from pneud.study.identification import comparing, estimating, explaining, table
 from pneud.study.identification.estimating import Identified
 from pneud.study.judging import tolerances
 
+SHORT, STOPPED = 3, "stopped"  # motions of the verification that are tried beforehand: a sine, and rest
 SLOWER = 0.2  # of limits.motion, where nothing has been found out about quick motion
 
 
@@ -52,6 +53,7 @@ class Found(NamedTuple):
     chosen: gains.Chosen | None
     changes: list[written.Change]
     text: str  # of the configuration with all that
+    unexplained: list[str]  # what the model cannot explain
 
 
 class Outcome(NamedTuple):
@@ -98,9 +100,12 @@ def commission(bench: Bench, wishes: Wishes, talk: Talk) -> Outcome:
     if played is None or not played.whole:
         why = "it has not come to its end" if played is None else played.failure
         return Outcome("interrupted", movement, why, () if played is None else played.faults)
+    before = _verified(bench, talk, SHORT) if wishes.dynamic else None
+    if before is not None and before.failure == STOPPED:
+        return Outcome("interrupted", movement, before.failure)
     talk.say("estimates and gains")
     found = _found(bench, wishes)
-    so_far = Outcome("identified", movement, found=found)
+    so_far = Outcome("identified", movement, found=found, before=before)
     keep = wishes.write and talk.agreed(found.changes)
     if not keep and not bench.tries:
         return so_far
@@ -177,7 +182,8 @@ def _found(bench: Bench, wishes: Wishes) -> Found:
     source = f"{bench.log_name}, {time.strftime('%Y-%m-%d')}"
     changes = written.changes(c, loaded.text, values, told)
     text = written.text_with(loaded.text, str(loaded.path), changes, source)
-    return Found(identified, values, chosen, changes, text)
+    odd = explaining.unexplained(identified.valved, identified.moved, identified.noise_pa, c)
+    return Found(identified, values, chosen, changes, text, odd)
 
 
 def _in_place(values: estimated.Values, c: Config) -> estimated.Values:
@@ -197,9 +203,10 @@ def _slower(c: Config) -> estimated.Values:
 _BOUNDS = ("speed_m_s", "acceleration_m_s2", "jerk_m_s3")
 
 
-def _verified(bench: Bench, talk: Talk) -> Verified:
+def _verified(bench: Bench, talk: Talk, most: int | None = None) -> Verified:
+    """What the axis is worth, by all motions or the first ones."""
     p, c = axis_of(bench.loaded), bench.loaded.config
-    parts = course(p, c.cylinder.stroke_m)
+    parts = course(p, c.cylinder.stroke_m)[:most]
     talk.say(f"verification: {'; '.join(part.words for part in parts if part.name)}")
     check = Verification(p, parts, tolerances(c.control.motion.encoder_resolution_m))
     bench.play(check)
@@ -218,6 +225,7 @@ def as_json(o: Outcome) -> dict[str, Any]:
         "gains": None if found is None or found.chosen is None else _gains(found.chosen),
         "before": {} if o.before is None else o.before.as_json(),
         "after": {} if o.after is None else o.after.as_json(),
+        "unexplained": [] if found is None else found.unexplained,
         "failure": o.failure or None,
         "faults": list(o.faults),
         "written": o.written,
