@@ -79,6 +79,15 @@ def test_the_rig_that_is_tried_is_the_one_that_is_believed_in(found: Config) -> 
     assert (plant.cylinder.M, plant.load_n, plant.polytropic_exponent) == (20.0, -30.0, 1.25)
     assert (plant.encoder_resolution_m, plant.pressure_noise_pa) == (STEP_M, NOISE_PA)
     assert plant.detail.leak_in_v == pytest.approx(0.002 * 5.0)
+    assert not plant.detail.slips
+
+
+def test_the_rig_may_slip_and_keep_its_heat(virtual: Config) -> None:
+    warm = {key.WALL: told(0.3), key.SEEP: told(0.001), key.SEEP_OUT: told(0.002)}
+    plant = plant_of(changed(virtual, rig(warm, STEP_M, NOISE_PA, virtual, slips=True)))
+    assert plant.detail.slips
+    assert plant.detail.wall_s == 0.3
+    assert (plant.detail.leak_in_v, plant.detail.leak_out_v) == pytest.approx((0.005, 0.01))
 
 
 def test_a_valve_that_overlaps_nothing_has_no_dead_zone(virtual: Config) -> None:
