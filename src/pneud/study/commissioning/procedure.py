@@ -184,7 +184,8 @@ def _found(bench: Bench, wishes: Wishes) -> Found:
     values = estimated.believed(told, step_m, c)
     values |= _in_place(values, c)
     believed = estimated.changed(c, values)
-    values |= estimated.rig(told, step_m, identified.noise_pa, believed)
+    slips = identified.moved is not None and identified.moved.slips
+    values |= estimated.rig(told, step_m, identified.noise_pa, believed, slips)
     chosen = None
     if wishes.dynamic:
         believed = estimated.changed(c, values)
