@@ -37,7 +37,8 @@ LEAST_STILL_M, STILL_STEPS = 5e-5, 10.0  # travel that a reading cannot hide: at
 LEAST_HELD_M = 5e-6  # error that may be left rather than cross the dead zone, at least
 BALANCE = 0.03  # of dry friction that may be out of balance while a load counts as held by it
 SMOOTH_S = 0.02  # of force and speed of a standing load
-SETTLE_S = 1.0  # that the law has, before it gives way
+SETTLE_S = 1.0  # that the law has, before it gives way to a load that would swing on its bristles
+DIED = 3.0  # time constants until a swing has died
 SHUT = 0.02  # of the greatest command, up to which the law keeps the valve shut at rest
 GRACE_S = 0.08  # that a load has to come to rest when the valve is closed
 RESTLESS_V = 0.03  # mean step of the command that is hunting
@@ -302,6 +303,7 @@ def standstill_of(c: Config) -> Standstill:
     # a force that friction does not hold would have moved the load by more than that in this time
     stick = max(8, math.ceil(math.sqrt(2.0 * M * stick_m / (BALANCE * f.coulomb_n)) / h))
     swing_s = 2.0 * math.pi / omega
+    dies_out = 0.5 * f.bristle_damping_n_s_m / M * GRACE_S >= DIED
     return Standstill(
         enter_m=enter_m,
         leave_m=max(11e-6, 1.3 * step_m),
@@ -322,7 +324,7 @@ def standstill_of(c: Config) -> Standstill:
         stick_m=stick_m,
         stick=stick,
         held=1.0 - math.exp(-h / 0.01),
-        settle=round(SETTLE_S / h),
+        settle=round((GRACE_S if dies_out else SETTLE_S) / h),
         shut_v=SHUT * c.valve.u_max_v,
     )
 
