@@ -20,7 +20,7 @@ from pneud.control.homogeneous import Feedback, feedback
 from pneud.control.laws.sliding import Sliding
 from pneud.control.laws.slot import IN_SLOT, SLIDING, Slot
 from pneud.control.motion import MotionFilter, kalman, quickened, triple_pole
-from pneud.control.reference import Bounds, Sine
+from pneud.control.reference import Bounds, Shunned, Sine
 from pneud.control.standstill import Standstill
 from pneud.control.step import Controller
 from pneud.physics import cylinder as cyl
@@ -52,6 +52,7 @@ MEAN_STEP_S = 0.3  # in which the mean step of the command is taken
 FAST = 16.0  # times the lead: a loop that swings faster is as fast as the valve
 FAST_S = 0.01  # where there is no lead
 STEEPEST = 0.858  # slope of exp(−(v/v_s)²), times v_s
+SHUNNED = (0.35, 1.6)  # times v_s, between which friction falls steeply
 PASSING_S = 0.1  # a reference that passes the Stribeck speed in less does not creep
 BLOCKED_KG = 1e9  # nothing moves that
 BLEND_S = 0.1  # in which one set of gains gives way to another
@@ -267,18 +268,31 @@ def controller_of(c: Config) -> Controller:
     )
 
 
+def behind_of(c: Config) -> float:
+    """How far the motion filter lags behind friction that falls with speed: its lag times that pole."""
+    f, h = c.control.friction, 1.0 / c.loop.rate_hz
+    fall_n = max(0.0, f.static_n - f.coulomb_n)
+    if f.bristle_stiffness_n_m <= 0.0 or fall_n == 0.0:
+        return 0.0
+    pole_rad_s = STEEPEST * fall_n / (f.stribeck_speed_m_s * c.cylinder.moving_mass_kg)
+    omega_rad_s: float = motion_of(c).gamma ** (1.0 / 3.0) / h  # of a triple pole
+    return pole_rad_s * 3.0 / omega_rad_s
+
+
+def shunned_of(c: Config) -> Shunned:
+    """Speeds at which no short move should peak, where friction's pole is faster than the motion filter."""
+    v_s = c.control.friction.stribeck_speed_m_s
+    return Shunned(SHUNNED[0] * v_s, SHUNNED[1] * v_s) if behind_of(c) > 1.0 else Shunned()
+
+
 def creep_of(c: Config) -> Creep:
     """Where the load's own speed is fed forward: as far as the motion filter knows it in time.
 
     Friction that falls with speed makes a pole; where the filter lags behind it, it would be fed too late.
     """
-    f, h = c.control.friction, 1.0 / c.loop.rate_hz
-    fall_n = max(0.0, f.static_n - f.coulomb_n)
-    if not c.control.creep or f.bristle_stiffness_n_m <= 0.0 or fall_n == 0.0:
+    f, behind = c.control.friction, behind_of(c)
+    if not c.control.creep or behind == 0.0:
         return Creep()
-    pole_rad_s = STEEPEST * fall_n / (f.stribeck_speed_m_s * c.cylinder.moving_mass_kg)
-    omega_rad_s = motion_of(c).gamma ** (1.0 / 3.0) / h  # of a triple pole
-    behind = pole_rad_s * 3.0 / omega_rad_s
     return Creep(1.0 / (1.0 + behind**8), 3.0 * f.stribeck_speed_m_s, f.stribeck_speed_m_s / PASSING_S)
 
 
@@ -464,6 +478,7 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
         stop_centres=limits.stop_then == "centre",
         join_at_once=c.reference.join == "at_once",
         learnt=start_of(c),
+        shunned=shunned_of(c),
     )
 
 
