@@ -108,8 +108,11 @@ def test_chambers_are_those_of_the_plant() -> None:
     x, p1, p2, u = (np.array(column)[None, :] for column in zip(*rows, strict=True))
     supply = np.full_like(x, AIR.supply_pa)
     after = slice(warm + 1, None)
+    behind = np.zeros((1, len(chambers.PLAYS_V)))
     warmth = np.zeros((1, len(heat.RATES_1_S), 2, ticks - warm))
-    w = chambers.Windows(x, p1[:, after], p2[:, after], p1[:, warm], p2[:, warm], supply, u, warmth, warm)
+    w = chambers.Windows(
+        x, p1[:, after], p2[:, after], p1[:, warm], p2[:, warm], supply, u, behind, warmth, warm
+    )
     found = chambers.simulate(w, guess(), rig(), False)[0]
     moved = np.ptp(p1)
     assert moved > 2e4

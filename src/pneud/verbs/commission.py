@@ -193,20 +193,18 @@ def _in_words(o: Outcome, findings: list[dict[str, str]]) -> list[str]:
     if o.failure:
         lines.append(f"ended: {o.failure}")
     lines += [f"faults: {', '.join(o.faults)}"] if o.faults else []
-    lines += _worth(o)
-    lines.append(f"commission: {o.verdict}{', written' if o.written else ''}")
-    return lines
+    return [*lines, *_worth(o), f"commission: {o.verdict}{', written' if o.written else ''}"]
 
 
 def _worth(o: Outcome) -> list[str]:
     """What was found, and what the axis is worth."""
+    if o.found is None:
+        return []
     from pneud.study.commissioning import page  # noqa: PLC0415
 
-    lines = []
-    if o.found is not None:
-        lines += [f"not told: {note}" for note in o.found.identified.notes]
-        lines += [f"the model cannot explain {text}" for text in o.found.unexplained]
-        lines += [page.gains(o.found.chosen)] if o.found.chosen is not None else []
+    lines = [f"not told: {note}" for note in o.found.identified.notes]
+    lines += [f"the model cannot explain {text}" for text in o.found.unexplained]
+    lines += [page.gains(o.found.chosen)] if o.found.chosen is not None else []
     if o.after is not None:
         table = [page.HEAD, *page.beside(o.before, o.after)]
         wide = max(len(row[0]) for row in table)

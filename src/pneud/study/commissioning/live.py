@@ -18,7 +18,7 @@ from pneud.safety.supervisor import is_engaged
 from pneud.signals import Record, Request, RequestKind, State
 from pneud.study.commissioning.bench import LONGEST_S, Operator
 from pneud.study.commissioning.movement import Verdict
-from pneud.study.commissioning.steps import LEASE_S
+from pneud.study.commissioning.testing import LEASE_S
 
 LOOK_S = 0.005
 SESSION_S = 20.0  # for a daemon that begins anew, or comes to rest, or has to write its log

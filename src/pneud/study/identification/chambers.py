@@ -23,6 +23,7 @@ Share = Callable[[Floats], tuple[Floats, Floats]]
 
 SUBSTEP_S = 5e-4  # longest step
 WARM_S = 0.03  # before a window, in which only the spool moves
+PLAYS_V = np.geomspace(5e-4, 0.25, 19)  # for which it is computed where the edges are before a window
 _GRID = 4096
 
 
@@ -36,6 +37,7 @@ class Windows(NamedTuple):
     p2_start_pa: Floats
     supply_pa: Floats  # smoothed
     applied_v: Floats
+    behind: Floats  # of the play, for `PLAYS_V`, where the edges are at first: −1 to 1 (window, play)
     warmth: Floats  # of the air, for rates of the wall: (window, rate, chamber, tick)
     warm: int  # ticks before the start
 
@@ -136,7 +138,7 @@ def simulate(w: Windows, guesses: Guess, rig: Rig, iso: bool) -> Floats:
     share = iso6358(column.critical) if iso else orifice(rig.gas)
     moves = [_moves(0, column.delay_s, column, rig), _moves(1, rig.h - column.delay_s, column, rig)]
     y = np.broadcast_to(w.applied_v[:, 0], (count, windows)).copy()
-    rate, felt = np.zeros_like(y), y  # felt: by the edges, behind the play
+    rate, felt = np.zeros_like(y), y + _behind(w, column.play_v)  # felt: by the edges, behind the play
     p1 = np.broadcast_to(w.p1_start_pa, (count, windows)).copy()
     p2 = np.broadcast_to(w.p2_start_pa, (count, windows)).copy()
     out = np.empty((count, 2, windows, samples - w.warm - 1))
@@ -175,12 +177,21 @@ def simulate(w: Windows, guesses: Guess, rig: Rig, iso: bool) -> Floats:
     return out
 
 
+def _behind(w: Windows, play_v: Floats) -> Floats:
+    """How far from the spool the edges are at first: (guess, window) [V]."""
+    place = np.interp(np.log(np.maximum(play_v[:, 0], 1e-9)), np.log(PLAYS_V), np.arange(len(PLAYS_V)))
+    low = np.minimum(place.astype(int), len(PLAYS_V) - 2)
+    part = (place - low)[:, None]
+    found: Floats = play_v * ((1.0 - part) * w.behind.T[low] + part * w.behind.T[low + 1])
+    return found
+
+
 def spool(w: Windows, guess: Guess, rig: Rig) -> Floats:
     """Where the edges are at the end of each tick that counts, for one guess: (window, tick) [V]."""
     column = Guess._make(np.atleast_1d(np.asarray(value, dtype=float))[:, None] for value in guess)
     moves = [_moves(0, column.delay_s, column, rig), _moves(1, rig.h - column.delay_s, column, rig)]
     y = w.applied_v[None, :, 0]
-    rate, felt = np.zeros_like(y), y
+    rate, felt = np.zeros_like(y), y + _behind(w, column.play_v)
     out = np.empty((w.x_m.shape[0], w.x_m.shape[1] - 1))
     for k in range(out.shape[1]):
         for late, _, n, (ee, er, re, rr) in moves:

@@ -13,7 +13,7 @@ from pneud.config.flow import gas_of
 from pneud.config.models import Config
 from pneud.study.identification import chambers, forces
 from pneud.study.identification import parameters as key
-from pneud.study.identification.fitting import Fit, Found, fit
+from pneud.study.identification.fitting import Fit, Found, Unknown, fit
 from pneud.study.identification.parameters import Estimate
 from pneud.study.identification.table import Table
 from pneud.study.identification.windows import chamber_windows
@@ -33,6 +33,7 @@ WIDER, SHIFTS = 1.4, 2.0  # smoothing of the second fit; what it differs by coun
 FEW = 24  # windows, with which the fit begins
 PINNED = 1e-3  # as good as known
 BETTER = 0.9  # of a simpler model's misfit, from which on a further one is said to be the rig's
+STIFFER = 3.0  # Maxwell elements are together than bristles that do as well
 EXPLAINED = 1.5  # times the noise is what a model that explains all leaves
 
 
@@ -64,6 +65,7 @@ class Moved(NamedTuple):
     slips: bool  # by Maxwell elements, rather than bristles
     left_n: Floats  # of the force: (window, tick)
     misfit_n: float
+    step_m: float = 0.0  # of the encoder
 
 
 class Identified(NamedTuple):
@@ -166,35 +168,41 @@ def of_load(t: Table, c: Config, noise_pa: float) -> Moved | None:
 
     What depends on how much is smoothed is less sure.
     """
-    moved = _fit_load(t, c, noise_pa, 1.0, False)
-    slipping = _fit_load(t, c, noise_pa, 1.0, True)
-    if moved is None or slipping is None:
-        return None
-    if slipping.misfit_n < BETTER * moved.misfit_n:
-        moved = slipping
-    other = _fit_load(t, c, noise_pa, WIDER, moved.slips)
-    if other is None:
-        return None
-    return moved._replace(fit=moved.fit._replace(shift=SHIFTS * (other.fit.x - moved.fit.x)))
-
-
-def _fit_load(t: Table, c: Config, noise_pa: float, wider: float, slips: bool) -> Moved | None:
     k, f = c.cylinder, c.control.friction
-    w = forces.windows(t, balance(c), wider)
+    w = forces.windows(t, balance(c))
     if int((np.abs(w.sliding_m_s) > forces.LEAVES_M_S).any(axis=1).sum()) < LEAST_WINDOWS:
         return None
     known = (k.moving_mass_kg, k.resistance_n, f.coulomb_n, f.viscous_n_s_m)
     first = forces.at_once(w, FAST * f.stribeck_speed_m_s) or known
     noise_n = max(noise_pa * k.piston_area_1_m2, FORCE_NOISE * abs(first[2]))
+    fast_m_s = SLIDES * f.stribeck_speed_m_s
+    unknowns = key.slide_unknowns(c, first)
+    moved = _fit_load(w, unknowns, noise_n, fast_m_s, False)
+    slipping = _fit_load(w, _from(moved.fit, unknowns, STIFFER), noise_n, fast_m_s, True)
+    if slipping.misfit_n < BETTER * moved.misfit_n:
+        moved = slipping
+    wider = forces.windows(t, balance(c), WIDER)
+    other = _fit_load(wider, _from(moved.fit, unknowns), noise_n, fast_m_s, moved.slips)
+    shift = SHIFTS * (other.fit.x - moved.fit.x)
+    return moved._replace(fit=moved.fit._replace(shift=shift), step_m=forces.encoder_step_m(t))
 
+
+def _from(found: Fit, unknowns: Sequence[Unknown], stiffer: float = 1.0) -> list[Unknown]:
+    """The unknowns, to be sought from what has been found."""
+    starts = zip(unknowns, found.x.tolist(), strict=True)
+    return [u._replace(start=x * (stiffer if u.key == "stiffness" else 1.0)) for u, x in starts]
+
+
+def _fit_load(
+    w: forces.Forces, unknowns: Sequence[Unknown], noise_n: float, fast_m_s: float, slips: bool
+) -> Moved:
     # what a load does before it slides is the hardest to explain, and has to spoil neither mass nor friction
-    slides = np.abs(w.sliding_m_s) > SLIDES * f.stribeck_speed_m_s
-    counts = np.where(slides, 1.0, PRESLIDING) / noise_n
+    counts = np.where(np.abs(w.sliding_m_s) > fast_m_s, 1.0, PRESLIDING) / noise_n
 
     def predict(guesses: Floats) -> Floats:
         return (forces.predicted(w, forces.Slide(*guesses.T), slips) - w.force_n) * counts
 
-    done = fit(predict, key.slide_unknowns(c, first))
+    done = fit(predict, unknowns)
     left_n = -done.residuals / counts
     return Moved(done, w, slips, left_n, _usual(left_n))
 

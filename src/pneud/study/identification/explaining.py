@@ -22,6 +22,10 @@ SUPPLY_SHARE = (
     1e-3  # this share of the supply: RMS of pressures that is left, at most, where all is explained
 )
 FORCE_SHARE = 0.06  # of Coulomb friction: RMS of forces
+STEP_SHARE, MOST_BY_STEP = (
+    0.3,
+    0.15,
+)  # standard deviation of a step; share of Coulomb friction that it explains
 SURE = 4.0  # standard deviations of a mean
 BENT, ROUGH = 0.05, 0.1  # deviation of a flow, and of a friction in shares of Coulomb's, that is worth a word
 BY_PRESSURE = 0.015  # share of Coulomb friction that a bar more adds, worth a word
@@ -56,13 +60,20 @@ def unexplained(valved: Valved | None, moved: Moved | None, noise_pa: float, c: 
         found += _bent(flow_map(valved, c))
     if moved is not None:
         coulomb = max(float(moved.fit.x[2]), 1e-9)
-        if moved.misfit_n > max(FORCE_SHARE * coulomb, noise_pa * c.cylinder.piston_area_1_m2):
+        if moved.misfit_n > _explained_n(moved, coulomb, noise_pa, c):
             found.append(
                 f"forces: {moved.misfit_n:.2g} N RMS are left, of {coulomb:.3g} N of Coulomb friction"
             )
         found += _rough(friction_map(moved), coulomb)
         found += _by_pressure(moved, coulomb)
     return found
+
+
+def _explained_n(moved: Moved, coulomb_n: float, noise_pa: float, c: Config) -> float:
+    """RMS of forces that may be left: by the model, the sensors, an encoder's step that bends bristles."""
+    stiffness = float(moved.fit.x[moved.fit.keys.index("stiffness")])
+    by_step = min(STEP_SHARE * stiffness * moved.step_m, MOST_BY_STEP * coulomb_n)
+    return math.hypot(max(FORCE_SHARE * coulomb_n, noise_pa * c.cylinder.piston_area_1_m2), by_step)
 
 
 def _bent(bins: list[Bin]) -> list[str]:
