@@ -11,7 +11,7 @@ from pneud.config.conversions import plant_of, valve_of
 from pneud.config.models import Config
 from pneud.config.sections import ConfigError
 from pneud.loading import load
-from pneud.study import fastest, judging
+from pneud.study import fastest, judging, trial
 from pneud.study.commissioning import gains
 from pneud.study.commissioning import page as pages
 from pneud.study.commissioning.estimated import believed, changed, encoder_step_m, rig
@@ -137,6 +137,14 @@ def sessions(missed: float, calm: float) -> judging.Judge:
             yield Judged(task.case, (Figure("sine", "rms_m", 2e-4 if bad else 1e-6, 1e-4),))
 
     return judge  # type: ignore[return-value]
+
+
+def test_gains_stay_where_nothing_can_be_tried(found: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trial, "compiled", lambda: (trial.trial, "no compiler"))
+    chosen = choose(found, FOUND, 0.0)
+    assert chosen.values(found) == {}
+    assert "no compiler" in chosen.doubts[0]
+    assert not chosen.holds
 
 
 @pytest.mark.slow
