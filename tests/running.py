@@ -164,10 +164,10 @@ class Running:
 
 
 @contextmanager
-def running(folder: Path, *, incremental: bool = False) -> Iterator[Running]:
+def running(folder: Path, *, incremental: bool = False, log_name: str = "run.mcap") -> Iterator[Running]:
     """A daemon that is ready to arm, or to be homed."""
     name = f"{os.getpid()}-{secrets.token_hex(3)}"
-    bus, socket, log = f"unixcan:fire-{name}", Path(f"/tmp/pneud-fire-{name}.sock"), folder / "run.mcap"
+    bus, socket, log = f"unixcan:fire-{name}", Path(f"/tmp/pneud-fire-{name}.sock"), folder / log_name
     axis = patient_axis(folder)
     if incremental:
         axis.write_text(axis.read_text().replace('kind = "absolute"', 'kind = "incremental"'))

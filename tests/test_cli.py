@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import json
 import re
 from pathlib import Path
 
@@ -11,8 +12,11 @@ import pytest
 
 from commands import object_of, pneud, pneud_here
 from pneud import cli, resources
-from pneud.cli import ORDER, verbs
+from pneud.cli import GROUPS, ORDER, verbs
+from pneud.log.files.reader import read_log
 from pneud.verbs import NEGATIVE_NUMBERS, check
+
+GOLDEN = Path(__file__).with_name("golden") / "composite.mcap"
 
 
 @pytest.mark.parametrize(
@@ -69,6 +73,72 @@ def test_verbs_come_in_their_order_and_others_behind_them(
         (tmp_path / name).write_text("")
     monkeypatch.setattr(cli, "FOLDER", tmp_path)
     assert list(verbs()) == ["plant", "sim", "a-verb", "print"]
+
+
+def test_help_has_each_verb_in_its_group() -> None:
+    listed = pneud_here("--help").stdout
+    places = [listed.index(f"\n{title}:\n") for title in GROUPS]
+    assert places == sorted(places)
+    for group, begin, end in zip(GROUPS.values(), places, [*places[1:], None], strict=True):
+        assert re.findall(r"^  ([a-z-]+) ", listed[begin:end], re.MULTILINE) == list(group)
+    assert "Others:" not in listed, "every verb has a place"
+
+
+@pytest.mark.parametrize(
+    ("args", "status", "kind", "says"),
+    [
+        (["check", "nowhere.toml"], 2, "usage", "nowhere.toml: no such file"),
+        (["check"], 2, "usage", "FILE"),
+        (["chek"], 2, "usage", "Did you mean 'check'?"),
+        (["--nonsense"], 2, "usage", "--nonsense"),
+        (["--virtual", "--duration", "-1"], 2, "usage", "--duration -1"),
+        (["replay", "nowhere.mcap", "--set"], 2, "usage", "--set"),
+        (["status", "--socket", "/nowhere/at/all"], 3, "machine", "/nowhere/at/all"),
+    ],
+)
+def test_an_error_is_an_object_for_whoever_asked_for_one(
+    args: list[str], status: int, kind: str, says: str
+) -> None:
+    done = pneud_here(args[0], "--json", *args[1:])
+    assert (done.returncode, done.stdout) == (status, "")
+    (line,) = done.stderr.splitlines()
+    found = json.loads(line)
+    assert (found["schema"], found["ok"], found["error"]["type"]) == (1, False, kind)
+    assert says in found["error"]["message"]
+
+
+@pytest.mark.parametrize(
+    ("words", "suffix"),
+    [
+        ("report LOG -o x.pdf", ".html"),
+        ("identify LOG -o x.pdf", ".html"),
+        ("bench -o x.txt", ".html"),
+        ("recover LOG -o x.log", ".mcap"),
+        ("sim -o x.log", ".mcap"),
+        ("import x.log -o x.csv", ".mcap"),
+        ("export LOG -o x.xlsx", ".csv, .parquet, .log, .asc, .blf"),
+        ("replay LOG -o x.html", ".png, .svg or .pdf"),
+    ],
+)
+def test_an_output_with_the_suffix_of_another_format_is_refused(words: str, suffix: str) -> None:
+    done = pneud_here(*words.replace("LOG", str(GOLDEN)).split())
+    assert (done.returncode, done.stdout) == (2, "")
+    assert re.search(r"x\.(pdf|txt|log|csv|xlsx|html)", done.stderr)
+    assert done.stderr.rstrip().endswith(suffix) or suffix in done.stderr
+
+
+def test_outputs_have_names_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for verb in ("report", "export", "recover"):
+        assert pneud_here(verb, GOLDEN).returncode == 0
+    assert {p.name for p in tmp_path.iterdir()} == {
+        "composite.html",
+        "composite.csv",
+        "composite-recovered.mcap",
+    }
+    assert pneud_here("export", GOLDEN, "-o", "run.log").returncode == 0
+    assert pneud_here("import", "run.log").returncode == 0
+    assert read_log("run.mcap").rate_hz == read_log(GOLDEN).rate_hz
 
 
 @pytest.mark.parametrize("verb", verbs())

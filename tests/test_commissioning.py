@@ -138,3 +138,26 @@ def test_what_is_not_proven_may_be_tested_but_not_armed() -> None:
     assert names(rig.tick().present) == ["unproven"]
     assert rig.tick(RequestKind.ARM).answer == Answer.BLOCKED
     assert rig.tick(RequestKind.PROBE, 1.0, 0.2, 1e-3, 0.03, 150.0, 100.0).state == State.PROBING
+
+
+def test_nothing_more_is_asked_for_before_a_slow_loop_has_come_to_it() -> None:
+    loaded = load("virtual.toml")
+    p = conversions.axis_of(loaded.config, loaded.codecs.command_lsb_v)
+    test, quiet = MovementTest(p), round(0.31 / p.controller.h)
+    asked = [test.ask(State.DISARMED, 0) for _ in range(3 * quiet)]
+    assert [a is not None for a in asked].count(True) == 1
+    for _ in range(round(3.1 / p.controller.h)):
+        test.ask(State.DISARMED, 0)
+    assert test.verdict is not None and test.verdict.findings == (Finding.BY_FAULT,)
+
+
+def test_what_is_blocked_for_a_moment_is_asked_for_again() -> None:
+    rig, loaded = ready(), load("virtual.toml")
+    p = conversions.axis_of(loaded.config, loaded.codecs.command_lsb_v)
+    test, quiet = MovementTest(p), round(0.31 / p.controller.h)
+    first = next(a for _ in range(quiet) if (a := test.ask(State.DISARMED, 0)) is not None)
+    rig.host = int(Host.LINK_DOWN)
+    test.see(rig.tick(first.kind, *first.values))
+    assert test.verdict is None
+    rig.host = 0
+    assert first in [test.ask(State.DISARMED, 0) for _ in range(quiet)]

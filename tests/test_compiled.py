@@ -131,7 +131,7 @@ def test_a_plant_with_all_details_is_the_same_to_the_last_bit(slips: bool, place
     p = conversions.plant_of(loaded().config)
     p = p._replace(
         gas=iso6358(p.gas, 0.3, 0.55),
-        cylinder=p.cylinder._replace(exhaust=0.9),
+        cylinder=p.cylinder._replace(exhaust=0.9, vent=iso6358(p.gas, 0.2, 0.5)),
         valve=with_map(p.valve, places),
         detail=DETAIL._replace(slips=slips),
     )

@@ -31,7 +31,7 @@ from pneud.replay.lockstep import Simulation, backend_of
 from pneud.replay.moves import Course, moves_of
 from pneud.rig.dynamics import advance, initial_state
 from pneud.safety.faults import FAULT_NAMES
-from pneud.study.identification import chambers, comparing, estimating, forces, motions, table, words
+from pneud.study.identification import chambers, comparing, estimating, forces, heat, motions, table, words
 from pneud.study.identification import parameters as key
 from pneud.study.identification.fitting import Fit, Unknown, fit
 from pneud.study.identification.parameters import Estimate
@@ -59,9 +59,11 @@ def guess(**other: float) -> chambers.Guess:
         "dead2_m": k.L - k.stroke_m - k.x_e1,
         "exponent": PLANT.polytropic_exponent,
         "seep": 0.0,
+        "seep_out": 0.0,
         "play_v": 0.0,
         "exhaust": 1.0,
         "critical": 0.3,
+        "wall_1_s": 0.0,
     }
     return chambers.Guess(**{name: np.asarray(x) for name, x in {**true, **other}.items()})
 
@@ -106,7 +108,11 @@ def test_chambers_are_those_of_the_plant() -> None:
     x, p1, p2, u = (np.array(column)[None, :] for column in zip(*rows, strict=True))
     supply = np.full_like(x, AIR.supply_pa)
     after = slice(warm + 1, None)
-    w = chambers.Windows(x, p1[:, after], p2[:, after], p1[:, warm], p2[:, warm], supply, u, warm)
+    behind = np.zeros((1, len(chambers.PLAYS_V)))
+    warmth = np.zeros((1, len(heat.RATES_1_S), 2, ticks - warm))
+    w = chambers.Windows(
+        x, p1[:, after], p2[:, after], p1[:, warm], p2[:, warm], supply, u, behind, warmth, warm
+    )
     found = chambers.simulate(w, guess(), rig(), False)[0]
     moved = np.ptp(p1)
     assert moved > 2e4
@@ -130,18 +136,20 @@ def windows_of(v: Any, h: float = 1e-3) -> forces.Forces:
     return forces.Forces(v, a, np.zeros_like(a), np.full_like(a, 3e5), none, none, margin, 3.0, h)
 
 
-@given(st.floats(0.005, 1.0), st.sampled_from([-1.0, 1.0]))
+@given(st.floats(0.005, 1.0), st.sampled_from([-1.0, 1.0]), st.booleans())
 @settings(max_examples=25)
-def test_steady_friction_is_stribecks(speed: float, sign: float) -> None:
+def test_steady_friction_is_stribecks(speed: float, sign: float, slips: bool) -> None:
     w = windows_of(np.full(3000, sign * speed))
     dry = stribeck(speed, Friction(40.0, 56.0, 0.02, 60.0, 1e5, 300.0))
-    assert forces.friction(w, FRICTION)[0, 0, -1] == pytest.approx(sign * (dry + 60.0 * speed), rel=1e-3)
+    assert forces.friction(w, FRICTION, slips)[0, 0, -1] == pytest.approx(
+        sign * (dry + 60.0 * speed), rel=1e-3
+    )
 
 
 def test_forces_at_once_are_those_of_a_sliding_load() -> None:
     v = 0.3 * np.sin(2.0 * np.pi * np.arange(4000) * 1e-3)
     w = windows_of(v)
-    w = w._replace(force_n=forces.predicted(w, FRICTION)[0])
+    w = w._replace(force_n=forces.predicted(w, FRICTION, False)[0])
     found = forces.at_once(w, 0.1)
     assert found == pytest.approx((15.0, 3.0, 40.0, 60.0), rel=0.03)
     assert forces.at_once(w, 1.0) is None

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
@@ -235,9 +236,12 @@ def free_port(at: str = "127.0.0.1") -> int:
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.8.9.10", "localhost", "[::1]"])
 def test_this_machine_alone_needs_no_token(host: str) -> None:
-    place = viewers_place(f"{host}:{free_port()}", ("https://mine.example",))
+    port = free_port()
+    place = viewers_place(f"{host}:{port}", ("https://mine.example",))
     with place.listener:
-        assert (place.admission.token, place.note) == (None, "")
+        url = f"ws://{'127.0.0.1' if host == 'localhost' else host}:{port}"
+        assert (place.admission.token, place.note) == (None, f"viewers look at {url}")
+        assert parse_qs(urlsplit(place.link).query)["ds.url"] == [url]
         assert "https://mine.example" in place.admission.origins
 
 

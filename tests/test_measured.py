@@ -116,3 +116,15 @@ def test_edges_that_are_learnt_move_a_map() -> None:
     assert opening(0.09, moved) == 0.0
     assert opening(0.11, moved) > 0.0
     assert opening(-0.16, moved) < 0.0 == opening(-0.14, moved)
+
+
+def test_a_centre_without_a_map_is_the_laws_and_not_the_plants() -> None:
+    text = KNOWN.model_dump(by_alias=True)
+    text["valve"] |= {"dead_zone_v": 0.2, "centre_v": -0.05}
+    c = Config.model_validate(text)
+    v = valve_of(c)
+    assert (v.centre_v, v.dead_zone_v, v.bent) == (-0.05, 0.2, False)
+    assert plant_of(c).valve.centre_v == 0.0
+    text["valve"] |= {"map": MAP, "dead_zone_v": 0.1}
+    with pytest.raises(ValueError, match="leave out centre_v"):
+        Config.model_validate(text)

@@ -126,7 +126,10 @@ def test_a_valve_has_one_rating() -> None:
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("flow", "orifice"), ("critical_ratio", 0.4), ("exponent", 0.55), ("exhaust_ratio", 0.8)],
+    [
+        *(("flow", "orifice"), ("critical_ratio", 0.4), ("exponent", 0.55)),
+        *(("exhaust_ratio", 0.8), ("exhaust_critical_ratio", 0.2)),
+    ],
 )
 def test_how_air_flows_in_the_plant_is_its_own_business(key: str, value: Any) -> None:
     believed = rated(sonic_conductance_l_s_bar=5.6, flow="iso6358")

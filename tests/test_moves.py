@@ -10,8 +10,11 @@ import pytest
 
 from pneud.compiled.backend import INTERPRETED
 from pneud.config.sections import ConfigError
+from pneud.control.reference import rest
 from pneud.loading import load
 from pneud.log.files.reader import LogReader
+from pneud.replay import following
+from pneud.replay.following import Following
 from pneud.replay.lockstep import Simulation
 from pneud.replay.moves import Course, Move, MovesError, in_words, moves_of
 from pneud.signals import (
@@ -101,6 +104,64 @@ def test_a_refusal_and_a_fault_end_it_with_one_shutdown(template: Record, state:
 def test_moves_go_with_neither_comparison_nor_scenario(options: dict[str, object]) -> None:
     with pytest.raises((VerbError, ConfigError), match="--goto"):
         sim("virtual.toml", goto="100", **options)  # type: ignore[arg-type]
+    with pytest.raises((VerbError, ConfigError), match="--track"):
+        sim("virtual.toml", track="chirp", **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("track", "says"),
+    [
+        ("chirps", "neither a profile that pneud makes nor a file"),
+        ("lacking.csv", "cannot be read"),
+        ("steps:100", "at least two"),
+        ("steps:100,2000", "the travel allows 21"),
+        ("steps:100,x", "a move is MM"),
+    ],
+)
+def test_a_profile_that_cannot_be_followed_is_refused_in_a_line(track: str, says: str) -> None:
+    with pytest.raises((VerbError, MovesError), match=says):
+        sim("virtual.toml", track=track)
+
+
+def test_a_profile_ends_with_one_shutdown_and_is_measured(template: Record) -> None:
+    way = Following([Request(RequestKind.TRACK, (1.0,))], 3.0)
+    assert way.ask(State.WAITING, 0) is None
+    assert way.ask(State.DISARMED, 0) == Request(RequestKind.ARM)
+    assert way.ask(State.DISARMED, 0) is None
+    assert way.ask(State.HOLDING, 0) == Request(RequestKind.TRACK, (1.0,))
+    for i, error_m in enumerate((1e-5, -3e-5)):
+        way.see(ticked(template, 1.0 + i, State.TRACKING, truth_m=0.43 - error_m, reference=rest(0.43)))
+    way.see(ticked(template, 3.0, State.HOLDING))
+    way.see(ticked(template, 4.0, State.STOPPING))
+    assert way.good
+    assert way.results["rms_mm"] == pytest.approx(1e-2 * math.sqrt(5.0))
+    assert "followed to its end, error 0.022 mm RMS, 0.030 mm max" in following.in_words(way.results)
+    assert way.ask(State.HOLDING, 0) == Request(RequestKind.SHUTDOWN)
+    assert way.ask(State.HOLDING, 0) is None
+
+
+@pytest.mark.parametrize("state", [State.FAULT, State.HOLDING])
+def test_a_profile_that_is_refused_or_ends_in_a_fault_is_not_followed(template: Record, state: State) -> None:
+    way = Following([Request(RequestKind.TRACK, (1.0,))], 3.0)
+    way.ask(State.DISARMED, 0)
+    request = way.ask(State.HOLDING, 0)
+    way.see(ticked(template, 1.0, state, request=request, answer=int(Answer.NO_PROFILE)))
+    assert (way.over, way.good, way.results["rms_mm"]) == (True, False, None)
+    assert "refused: no profile" in following.in_words(way.results)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("track", ["chirp", "steps:430,440,441", "way.csv"])
+def test_an_axis_follows_a_profile(
+    tmp_path: Path, track: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "way.csv").write_text("t_s,x_mm\n0,430\n1,450\n2,425\n")
+    monkeypatch.chdir(tmp_path)
+    assert sim("virtual.toml", track=track, json=True) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["state"] == "holding"
+    assert found["profile"]["followed"]
+    assert found["profile"]["max_mm"] < 0.2
 
 
 @pytest.mark.slow

@@ -295,6 +295,24 @@ def test_tuning_changes_compares_and_saves_and_the_comments_stay(tmp_path: Path)
     assert list(tmp_path.glob(".*")) == []
 
 
+def test_keys_of_the_file_are_tuned_by_too_and_doubtful_gains_are_warned_of(tmp_path: Path) -> None:
+    file = tmp_path / "axis.toml"
+    file.write_text((resources.configs() / "virtual.toml").read_text())
+    with served(tmp_path, file) as b:
+        at = ("--socket", b.path)
+        done = pneud_here("tune", "set", "control.k1=90000", "control.observer.gain_n_s2=2300", *at)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert "k1 95000 → 90000, gain_n_s2 2400 → 2300" in done.stdout
+        assert pneud_here("tune", "set", "control.law=pid", *at).stderr == ""
+        # what serves here takes everything, also what an axis would refuse
+        done = pneud_here("tune", "set", "law=composite-implicit", "k3=100000", *at)
+        assert done.returncode == 0
+        assert done.stderr.startswith("pneud: warning: ")
+        refused = pneud_here("tune", "set", "limits.tracking_error_m=1", *at)
+        assert (refused.returncode, refused.stdout) == (2, "")
+        assert "take effect at a restart" in refused.stderr
+
+
 def test_the_reference_is_tuned_like_a_gain(tmp_path: Path) -> None:
     file = tmp_path / "axis.toml"
     text = (resources.configs() / "virtual.toml").read_text()

@@ -143,7 +143,8 @@ def test_what_the_law_asks_of_the_valve_is_what_the_plant_does(
 ) -> None:
     p = IDEAL._replace(cylinder=IDEAL.cylinder._replace(M=1e12, exhaust=exhaust), disturbance=0)
     if b is not None:
-        p = p._replace(gas=iso6358(p.gas, b, 0.5))
+        vent = iso6358(p.gas, 0.65 - b, 0.5)
+        p = p._replace(gas=iso6358(p.gas, b, 0.5), cylinder=p.cylinder._replace(vent=vent))
     c, h = p.cylinder, 1e-7
     s = PlantState(x1, 0.0, p1, p2, 0.0, 0.0, 0.0, 0.0)
     after = step(s, u, 0.0, 0.0, h, p)

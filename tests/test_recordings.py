@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import struct
 from collections.abc import Callable
@@ -614,3 +615,26 @@ def test_ticks_that_no_log_can_hold_are_not_counted(run: Recorded, tmp_path: Pat
     count = sum(1 for _ in read_log(tmp_path / "y.mcap"))
     assert f"y.mcap: {count} ticks" in done.stdout
     assert "y.mcap: ticks that no log can hold, left out" in done.stderr
+
+
+@pytest.mark.slow
+def test_a_recording_of_moves_tells_what_the_rig_is_like(tmp_path: Path) -> None:
+    """Frames say all that is needed: what was asked of the axis, and what it thought, does not matter."""
+    known = resources.find("virtual.toml").read_text()
+    (tmp_path / "rig.toml").write_text(known + "\n[plant.cylinder]\nmoving_mass_kg = 19.0\n")
+    moves = ("--goto", "100@500,900@400,300,850@100,800@10,150", "-o", tmp_path / "run.mcap")
+    assert pneud_here("sim", tmp_path / "rig.toml", *moves).returncode == 0
+    assert pneud_here("export", tmp_path / "run.mcap", "-o", tmp_path / "run.log").returncode == 0
+    (tmp_path / "run.log.json").unlink()
+    bus = ("--dbc", DBC, "--config", tmp_path / "rig.toml", "-o", tmp_path / "heard.mcap")
+    done = pneud_here("import", tmp_path / "run.log", *bus)
+    assert done.returncode == 0
+    assert "commands are not what this configuration computes" in done.stderr
+    done = pneud_here("identify", tmp_path / "heard.mcap", "--json")
+    found = json.loads(done.stdout)["parameters"]
+    for key, true, within in (
+        *(("cylinder.moving_mass_kg", 19.0, 0.5), ("valve.orifice_area_m2", 2.8274e-5, 0.5e-6)),
+        *(("valve.dead_zone_positive_v", 0.1, 0.01), ("valve.dead_zone_negative_v", 0.1, 0.01)),
+        *(("control.friction.coulomb_n", 40.0, 4.0), ("cylinder.dead_length_1_m", 0.0132, 0.002)),
+    ):
+        assert found[key]["value"] == pytest.approx(true, abs=within), key

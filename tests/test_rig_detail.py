@@ -74,7 +74,7 @@ def test_air_that_flows_has_mass_and_energy(
     """qm = A √(k/(R T)) γ P, and it brings cp T of where it comes from."""
     p = plant(wall_s=1e9)
     g = P.gas if b is None else iso6358(P.gas, b, 0.5)
-    p, h = p._replace(gas=g), 1e-8
+    p, h = p._replace(gas=g, cylinder=p.cylinder._replace(vent=g)), 1e-8
     c = Chamber(pa, pa * V / (g.R * temperature_k), 0.0)
     area = p.cylinder.c1 / (g.k * math.sqrt(g.R * g.k * g.temperature_k)) * open_v
     for fill, empty, into, from_k in (

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pneud.rt.notify import Service, watchdog_interval_ns
+from pneud.rt.notify import RESTART_US, Service, restarting, watchdog_interval_ns
 
 STATES = ("starting", "waiting", "disarmed")
 FAULTS = ("encoder_missing", "valve_missing")
@@ -58,8 +58,9 @@ def test_a_late_loop_is_not_ready_and_says_so(tmp_path: Path) -> None:
     name = str(tmp_path / "notify")
     with listen(name) as s:
         it = service(name, watchdog_us=2_000_000)
+        ready = "READY=1\nWATCHDOG_USEC=2000000"
         late = "STATUS=starting: the loop is late; see pneud doctor"
-        for skipped, expected in ((0, []), (6, [late]), (0, []), (5, ["READY=1", "STATUS=disarmed"])):
+        for skipped, expected in ((0, []), (6, [late]), (0, []), (5, [ready, "STATUS=disarmed"])):
             it.report(0, skipped, 2, 0)
             assert heard(s) == expected
 
@@ -120,3 +121,14 @@ def test_the_watchdog_waits_for_this_process() -> None:
 )
 def test_no_watchdog_waits_for_us(environ: dict[str, str]) -> None:
     assert watchdog_interval_ns(environ) == 0
+
+
+def test_a_process_that_begins_anew_is_given_time(tmp_path: Path) -> None:
+    name = str(tmp_path / "notify")
+    with listen(name) as s:
+        restarting({"NOTIFY_SOCKET": name})
+        assert heard(s) == ["STATUS=beginning anew"]
+        restarting({"NOTIFY_SOCKET": name, "WATCHDOG_USEC": "2000000"})
+        assert heard(s) == [f"STATUS=beginning anew\nWATCHDOG=1\nWATCHDOG_USEC={RESTART_US}"]
+    restarting({})
+    restarting({"NOTIFY_SOCKET": name})

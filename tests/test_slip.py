@@ -50,6 +50,19 @@ def test_slipping_takes_energy_whatever_the_stiffness(
         energy = now
 
 
+@pytest.mark.parametrize("v", [0.1, 0.3, -0.15])
+def test_what_slides_on_is_braked_by_friction_alone(v: float) -> None:
+    e, a = Elements(), 0.0
+    for _ in range(1000):
+        _, e = slip(v, e, v, 0.0, 1e12, H, SEALS)
+    while abs(v) > 0.06:
+        mean, e = slip(v, e, v + 0.5 * H * a, 0.0, 15.0, H, SEALS)
+        a, v = (2.0 * mean - 2.0 * v) / H, 2.0 * mean - v
+        assert abs(15.0 * a) == pytest.approx(
+            stribeck(mean, SEALS) + SEALS.viscous_n_s_m * abs(mean), rel=0.01
+        )
+
+
 @pytest.mark.parametrize("v", [0.005, 0.05, -0.3])
 def test_steady_sliding_is_as_stribeck_says(v: float) -> None:
     e = Elements()

@@ -131,6 +131,18 @@ def test_what_if_tells_what_differs_and_since_when(parts: Path, tmp_path: Path) 
     assert "first at tick" in words
 
 
+def test_what_if_takes_the_names_of_tune_and_warns_as_check_does(parts: Path) -> None:
+    by_name = pneud("replay", parts, "--set", "k3=1e6", "--set", "law=ismc-explicit", "--json")
+    keys = ("control.k3=1e6", "control.law=ismc", "control.discretisation=explicit")
+    by_key = pneud("replay", parts, *(word for key in keys for word in ("--set", key)), "--json")
+    assert object_of(by_name) == object_of(by_key)
+    assert by_name.stderr == by_key.stderr
+    assert "pneud: warning: " in by_name.stderr
+    unstable = pneud("replay", parts, "--set", "k2=1")
+    assert (unstable.returncode, unstable.stdout) == (2, "")
+    assert "not Hurwitz" in unstable.stderr
+
+
 def test_what_if_with_nothing_changed_is_identical(parts: Path) -> None:
     for option in (("--set", "log.detail=compact"), ("--config", "virtual.toml")):
         s = object_of(pneud("replay", parts, *option, "--json"))

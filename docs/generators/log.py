@@ -99,7 +99,8 @@ recorder died or failed or the disk took nothing to the last, says why and ends 
 
 ## In other tools
 
-    pneud report run.mcap -o report.html       # one page; several logs are compared
+    pneud logs                                 # which there are; --json
+    pneud report run.mcap                      # one page, run.html; several logs are compared
     pneud report run.mcap -o part.html --from 120 --to 125
     pneud bench --json > bench.json            # what this machine can do …
     pneud report run.mcap -o report.html --reference bench.json   # … beside the run's own timing
@@ -114,10 +115,10 @@ kept, whatever the length. `--from` and `--to` show a part with every tick.
 Foxglove, [Lichtblick](https://github.com/lichtblick-suite/lichtblick) and PlotJuggler open the `.mcap` itself; what `pneud export`
 writes for viewers has errors and names in its ticks as well. Layouts
 are in `configs/viewers`: `foxglove.json` for the first two (import it as a layout), `plotjuggler.xml` for the third.
-`rerun mcap convert` reads it, too.
+`pneud view run.mcap --foxglove` starts Lichtblick, else Foxglove, with a log; `pneud view run.mcap --rerun` starts rerun.
 
 `pneud --virtual --live` (or the daemon on a rig; `pip install 'pneud[live]'`) serves the run as it goes at
-ws://127.0.0.1:8765 to viewers that speak `foxglove.sdk.v1`: `/axis/tick`, `/can/frames` and `/events`, with the configuration as
+ws://127.0.0.1:8765, as it says on standard error with a link for the browser, to viewers that speak `foxglove.sdk.v1`: `/axis/tick`, `/can/frames` and `/events`, with the configuration as
 parameters that cannot be changed. Viewers look; nothing that they say reaches the axis. `--live-at ADDRESS:PORT` serves
 elsewhere, over IPv6 too (`[::1]:8765`). Who may look:
 

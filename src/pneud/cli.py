@@ -3,13 +3,15 @@
 Annotations are no strings here: typer would compile every one of them anew, at every start.
 """
 
+import builtins
 import errno
 import gc
 import importlib
 import io
 import os
 import sys
-from collections.abc import Callable, Iterator
+import types
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -30,12 +32,20 @@ LAST_STREAM = 2  # descriptor of standard error
 BYTE = 0xDC00  # and more: a byte of a name that is no UTF-8, as Python keeps it
 FOLDER = Path(__file__).parent / "verbs"
 # of help and completion, what one looks for together; a verb that does not stand here comes last
-ORDER = (
-    *("plant", "sim", "reproduce", "replay", "report", "export", "import", "recover", "learnt", "identify"),
-    *("new", "commission", "check", "design", "doctor", "install-service", "bench"),
-    *("status", "arm", "disarm", "stop", "clear", "home", "hold"),
-    *("goto", "jog", "mark", "track", "top", "tune"),
-)
+GROUPS = {
+    "Software rig": ("plant", "sim", "scenarios", "reproduce"),
+    "Logs": ("logs", "replay", "report", "view", "export", "import", "recover", "learnt", "identify"),
+    "A rig and its machine": ("new", "commission", "check", "design", "doctor", "install-service", "bench"),
+    "Running daemon": (
+        *("status", "arm", "disarm", "stop", "clear", "home", "hold", "restart"),
+        *("goto", "jog", "mark", "track", "top", "tune"),
+    ),
+}
+ORDER = tuple(name for group in GROUPS.values() for name in group)
+OTHERS = "Others"
+JSON = "--json"
+KINDS = {1: "failed", USAGE: "usage", MACHINE: "machine"}  # of errors
+UsageError: type[Exception] = typer.BadParameter.mro()[1]  # typer's, or that of click beside it
 
 
 def verbs() -> dict[str, Path]:
@@ -50,8 +60,12 @@ class Verbs(TyperGroup):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the list; typer's own cuts lines off."""
-        found = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
-        with formatter.section("Commands"):
+        self.write_list("Commands", self.list_commands(ctx), ctx, formatter)
+
+    def write_list(self, title: str, names: Iterable[str], ctx: Any, formatter: Any) -> None:
+        """Write a part of it."""
+        found = [(name, self.get_command(ctx, name)) for name in names]
+        with formatter.section(title):
             formatter.write_dl([(name, verb.help or "") for name, verb in found if verb])
 
 
@@ -60,7 +74,7 @@ class LoadedVerb(TyperCommand):
 
     def invoke(self, ctx: Any) -> NoReturn:
         """Run it."""
-        _exit(super().invoke, ctx)
+        _exit(ctx, super().invoke, ctx)
 
 
 class Named(TyperCommand):
@@ -72,11 +86,12 @@ class Named(TyperCommand):
         self.path = path
 
     def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
-        """Load it, and let it read its arguments."""
-        return typer.main.get_command(self._load()).make_context(info_name, args, parent, **extra)
+        """Load it, and let it read its arguments; whoever completes a command waits for its options alone."""
+        module = _sketched(self.path) if extra.get("resilient_parsing") else None
+        return typer.main.get_command(self._load(module)).make_context(info_name, args, parent, **extra)
 
-    def _load(self) -> typer.Typer:
-        module = importlib.import_module(f"pneud.verbs.{self.path.stem}")
+    def _load(self, module: Any = None) -> typer.Typer:
+        module = module or importlib.import_module(f"pneud.verbs.{self.path.stem}")
         if not hasattr(module, "VERBS"):
             app = typer.Typer(add_completion=False, rich_markup_mode=None)
             settings = getattr(module, "SETTINGS", None)
@@ -89,6 +104,34 @@ class Named(TyperCommand):
         for name, function in module.VERBS.items():
             app.command(name, cls=LoadedVerb, help=function.__doc__.partition("\n")[0])(function)
         return app
+
+
+class _Unknown:
+    """Stands for all that a verb has imported, where only its options are asked for."""
+
+    def _itself(self, *_: Any, **__: Any) -> "_Unknown":
+        return self
+
+    __getattr__ = __call__ = __getitem__ = __mul__ = __rmul__ = __or__ = __ror__ = _itself
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(())
+
+    def __mro_entries__(self, _: Any) -> tuple[type, ...]:
+        return ()
+
+
+def _sketched(path: Path) -> types.ModuleType:
+    """A verb's module with its options, and with nothing loaded that takes time."""
+
+    def load(name: str, _: Any = None, __: Any = None, names: Any = (), level: int = 0) -> Any:
+        quick = name.partition(".")[0] in sys.stdlib_module_names or name in ("typer", "pneud.verbs")
+        return __import__(name, fromlist=names, level=level) if quick else _Unknown()
+
+    module = types.ModuleType(path.stem)
+    module.__dict__["__builtins__"] = {**vars(builtins), "__import__": load}
+    exec(compile(path.read_text(encoding="utf-8"), path, "exec"), module.__dict__)
+    return module
 
 
 class VerbsByName(Verbs):
@@ -104,10 +147,26 @@ class VerbsByName(Verbs):
         """The verb of a name, if there is one."""
         return self.commands[cmd_name] if cmd_name in self.list_commands(ctx) else None
 
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the list, in groups."""
+        names = self.list_commands(ctx)
+        for title, group in (*GROUPS.items(), (OTHERS, [n for n in names if n not in ORDER])):
+            if group:
+                self.write_list(title, group, ctx, formatter)
+
+    def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
+        """Let the daemon read its options."""
+        as_object = JSON in args
+        with _usage(as_object):
+            ctx = super().make_context(info_name, args, parent, **extra)
+        ctx.meta[JSON] = as_object
+        return ctx
+
     def invoke(self, ctx: Any) -> Any:
         """Load the verb and run it."""
         try:
-            return super().invoke(ctx)
+            with _usage(ctx.meta[JSON]):
+                return super().invoke(ctx)
         except KeyboardInterrupt:  # while it was being loaded
             sys.exit(INTERRUPTED)
 
@@ -174,23 +233,24 @@ def daemon(
     if ctx.invoked_subcommand is not None:
         if given:
             verb = ctx.invoked_subcommand
-            _fail(f"{given[0]} belongs to the daemon; options of '{verb}' stand behind it")
+            _fail(ctx, f"{given[0]} belongs to the daemon; options of '{verb}' stand behind it")
         return
     if not virtual and config is None:
         if given:
-            _fail("needs --virtual, or --config for a rig; see pneud --help")
+            _fail(ctx, "needs --virtual, or --config for a rig; see pneud --help")
         typer.echo(ctx.get_help())
         raise typer.Exit(DONE)
     if scenario is not None and not virtual:
-        _fail("--scenario is for the software rig: pneud --virtual, plant or sim")
+        _fail(ctx, "--scenario is for the software rig: pneud --virtual, plant or sim")
     if duration is not None and not 0.0 < duration < 1e9:
-        _fail(f"--duration {duration:g}: must be a positive number of seconds")
+        _fail(ctx, f"--duration {duration:g}: must be a positive number of seconds")
     if sys.platform != "linux":
-        _fail("the loop needs Linux; sim, replay, check and report run anywhere", MACHINE)
+        _fail(ctx, "the loop needs Linux; sim, replay, check and report run anywhere", MACHINE)
 
     from pneud.verbs.run import RunOptions, run
 
     _exit(
+        ctx,
         run,
         RunOptions(
             config=config,
@@ -212,9 +272,29 @@ def daemon(
     )
 
 
-def _fail(text: str, status: int = USAGE) -> NoReturn:
-    typer.echo(f"pneud: {printable(text)}", err=True)
+@contextmanager
+def _usage(as_object: bool) -> Iterator[None]:
+    """What is wrong with the words of a command, as an object where one was asked for."""
+    try:
+        yield
+    except UsageError as e:
+        if not as_object:
+            raise
+        _say(getattr(e, "format_message", e.__str__)(), USAGE, as_object)
+        raise typer.Exit(USAGE) from None
+
+
+def _fail(ctx: typer.Context, text: str, status: int = USAGE) -> NoReturn:
+    _say(text, status, ctx.meta[JSON])
     raise typer.Exit(status)
+
+
+def _say(text: str, status: int, as_object: bool) -> None:
+    """A line on standard error, which is an object for those who asked for one."""
+    import json
+
+    error = {"schema": 1, "ok": False, "error": {"type": KINDS.get(status, "failed"), "message": text}}
+    typer.echo(json.dumps(error) if as_object else f"pneud: {printable(text)}", err=True)
 
 
 def printable(text: str) -> str:
@@ -229,7 +309,7 @@ def _shown(c: str) -> str:
     return f"\\x{byte:02x}" if 0x80 <= byte <= 0xFF else ascii(c)[1:-1]
 
 
-def _exit(run: Callable[..., int], *args: Any) -> NoReturn:
+def _exit(ctx: typer.Context, run: Callable[..., int], *args: Any) -> NoReturn:
     """Run, and turn what people can do something about into one line and an exit status.
 
     That is what is raised with an `exit_code`, what the machine refuses (files, folders, names, devices), and
@@ -240,19 +320,21 @@ def _exit(run: Callable[..., int], *args: Any) -> NoReturn:
     try:
         status = run(*args)
     except MemoryError:
-        _fail("not enough memory", MACHINE)
+        _fail(ctx, "not enough memory", MACHINE)
     except KeyboardInterrupt:
         status = INTERRUPTED
     except BrokenPipeError:
         status = DONE
     except OSError as e:
-        _fail(refusal_of(e), MACHINE if e.errno in LACKS else getattr(e, "exit_code", USAGE))
+        _fail(ctx, refusal_of(e), MACHINE if e.errno in LACKS else getattr(e, "exit_code", USAGE))
     except UnicodeError as e:
-        _fail(f"{type(e).__name__}: {e.reason if hasattr(e, 'reason') else e}; names and texts are UTF-8")
+        _fail(
+            ctx, f"{type(e).__name__}: {e.reason if hasattr(e, 'reason') else e}; names and texts are UTF-8"
+        )
     except Exception as e:
         if not hasattr(e, "exit_code"):
             raise
-        _fail(str(e), e.exit_code)
+        _fail(ctx, str(e), e.exit_code)
     raise typer.Exit(status)
 
 
@@ -320,7 +402,7 @@ def main() -> None:
         sys.exit(DONE)
     except OSError as e:  # what is raised out of a verb does not get here, but help and version do
         said = True
-        print(f"pneud: {refusal_of(e)}", file=sys.stderr)
+        _say(refusal_of(e), MACHINE, JSON in sys.argv)
         sys.exit(MACHINE)
     finally:
         _flush(said)
@@ -347,7 +429,7 @@ def _flush(said: bool) -> None:
     except OSError as e:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         if sys.stderr is not None and not said:
-            print(f"pneud: {refusal_of(e)}", file=sys.stderr)
+            _say(refusal_of(e), MACHINE, JSON in sys.argv)
         os._exit(MACHINE)
 
 

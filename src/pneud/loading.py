@@ -45,7 +45,7 @@ def load(
     """
     config, text, path = load_with_text(config_file)
     if change:
-        text = toml_text(_merged(tables_of(text), change))
+        text = changed_text(text, change)
         config = parse(text, f"{path} as changed")
     if rate_hz is not None:
         config = at_rate(config, rate_hz)
@@ -67,6 +67,11 @@ def codecs_of(bus: BusConfig, name: str, dbc: bytes) -> Codecs:
         DatabaseError: the DBC cannot be used.
     """
     return codecs_from(bus, Path(name or "log.dbc"), dbc)
+
+
+def changed_text(text: str, change: dict[str, Any]) -> str:
+    """A configuration's text, plain, with values put in place of its own; None takes a key out."""
+    return toml_text(_merged(tables_of(text), change))
 
 
 def toml_text(data: dict[str, Any], prefix: str = "") -> str:

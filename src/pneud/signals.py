@@ -102,7 +102,9 @@ ENGAGED = (State.TRACKING, State.MOVING, State.HOLDING, State.HOMING, State.STOP
 class RequestKind(IntEnum):
     """What may be asked of an axis, and with which values; metres and seconds, stroke coordinate."""
 
-    ARM = 1  # (): engage and hold still; (1.0,): engage and track the configured reference
+    # (): engage and hold still; (1.0,): engage and track the configured reference; (2.0,): as (), and from
+    # now on in this run it is no obstacle that no movement test was passed
+    ARM = 1
     DISARM = 2  # controlled stop, then centre
     CLEAR = 3
     SHUTDOWN = 4  # controlled stop, then centre for good
@@ -116,6 +118,7 @@ class RequestKind(IntEnum):
     PIECE = 12  # (T, c0 … c7): one more piece of the profile; (): empty it
     GAINS = 13  # a law's code and its gains; behind them the configured reference, where it changes
     PROBE = 14  # (voltage, rate, travel, speed, force, lease in ticks): a bounded opening without a loop
+    RESTART = 15  # centre for good, and let the daemon begin anew with what its file says; not while engaged
 
 
 class Hunting(IntEnum):

@@ -53,7 +53,7 @@ MALFORMED, CLOSING, UNSTABLE = int(Answer.MALFORMED), int(Answer.CLOSING), int(A
 ARM, DISARM, CLEAR = int(RequestKind.ARM), int(RequestKind.DISARM), int(RequestKind.CLEAR)
 SHUTDOWN, MARK, STOP = int(RequestKind.SHUTDOWN), int(RequestKind.MARK), int(RequestKind.STOP)
 HOLD, GOTO, JOG = int(RequestKind.HOLD), int(RequestKind.GOTO), int(RequestKind.JOG)
-HOME, PROBE = int(RequestKind.HOME), int(RequestKind.PROBE)
+HOME, PROBE, RESTART = int(RequestKind.HOME), int(RequestKind.PROBE), int(RequestKind.RESTART)
 TRACK, PIECE, GAINS = int(RequestKind.TRACK), int(RequestKind.PIECE), int(RequestKind.GAINS)
 STEERED = (int(State.TRACKING), int(State.MOVING), int(State.HOLDING))  # may be asked to go elsewhere
 
@@ -79,6 +79,7 @@ COUNTS = {
     GAINS: tuple({len(names_of(law)) + more for law in LAWS for more in (0, len(Sine._fields))}),
     HOME: (0,),
     PROBE: (6,),
+    RESTART: (0,),
 }
 
 
@@ -135,6 +136,8 @@ def ask(
         return Asked(MALFORMED)
     if kind == SHUTDOWN:
         return Asked(TAKEN, SHUTDOWN)
+    if kind == RESTART:
+        return Asked(WRONG_STATE) if is_engaged(s.state) else Asked(TAKEN, SHUTDOWN)
     if kind == ARM:
         return _arm(values == (1.0,), s, present, e, now_ns, configured, p)
     if kind == HOME:

@@ -69,6 +69,7 @@ def cylinder_of(c: Config) -> cyl.Cylinder:
         orifice_m2=flow.area_of(c),
         u_max_v=c.valve.u_max_v,
         g=flow.gas_of(c),
+        vent=flow.vent_of(c),
         exhaust=c.valve.exhaust_ratio,
     )
 
@@ -76,7 +77,8 @@ def cylinder_of(c: Config) -> cyl.Cylinder:
 def valve_of(c: Config) -> Valve:
     """The valve the controller believes in, as plain numbers."""
     v = c.valve
-    return with_map(Valve(v.u_max_v, 2.0 * math.pi * v.bandwidth_hz, v.damping, v.dead_zone_v), v.map)
+    plain = Valve(v.u_max_v, 2.0 * math.pi * v.bandwidth_hz, v.damping, v.dead_zone_v, v.centre_v)
+    return with_map(plain, v.map)
 
 
 def friction_of(f: FrictionConfig) -> Friction:

@@ -47,6 +47,14 @@ def gas_of(c: Config) -> Gas:
     return g if v.flow == "orifice" else iso6358(g, v.critical_ratio, v.exponent)
 
 
+def vent_of(c: Config) -> Gas:
+    """The same, as the edges to the atmosphere have it."""
+    v, g = c.valve, gas_of(c)
+    if v.flow == "orifice" or v.exhaust_critical_ratio is None:
+        return g
+    return iso6358(g, v.exhaust_critical_ratio, v.exponent)
+
+
 def area_of(c: Config) -> float:
     """Area [m²] of an orifice that flows as much as the valve, open to the end, where both are choked."""
     v, b, m = c.valve, c.valve.critical_ratio, c.valve.exponent

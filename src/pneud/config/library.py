@@ -48,6 +48,11 @@ class ValveSheet(Section):
         """Nominal flow [l/min ANR]."""
         return ratings.nominal_flow(self.conductance, self.critical_ratio) / L_MIN
 
+    @property
+    def size(self) -> str:
+        """In words."""
+        return f"{self.flow_l_min:.4g} l/min"
+
 
 class CylinderSheet(Section):
     """A cylinder as its sheet has it."""
@@ -70,6 +75,11 @@ class CylinderSheet(Section):
         bore_m2 = 0.25e-6 * math.pi * self.bore_mm**2
         return bore_m2, bore_m2 - 0.25e-6 * math.pi * self.rod_mm**2
 
+    @property
+    def size(self) -> str:
+        """In words."""
+        return f"{self.bore_mm:g}/{self.rod_mm:g}" if self.rod_mm else f"{self.bore_mm:g} rodless"
+
 
 S = TypeVar("S", bound=Section)
 VALVES, CYLINDERS = "valves.toml", "cylinders.toml"
@@ -82,6 +92,13 @@ FORMS = {
 def names(file: str) -> list[str]:
     """What stands in a file of the library."""
     return list(_tables(file))
+
+
+def choices(file: str) -> str:
+    """The same, each with its size, and how to describe another; for somebody who has to choose."""
+    sheet: type[ValveSheet | CylinderSheet] = ValveSheet if file == VALVES else CylinderSheet
+    sizes = {name: sheet.model_validate(table).size for name, table in _tables(file).items()}
+    return f"{', '.join(f'{name} ({size})' for name, size in sizes.items())}; or {FORMS[file]}"
 
 
 def valve(text: str) -> ValveSheet:

@@ -18,6 +18,7 @@ from pneud.config.sections import (
     GRAVITY_M_S2,
     STOP_M,
     Area,
+    Centre,
     Command,
     CriticalRatio,
     Damping,
@@ -97,10 +98,12 @@ class ValveConfig(Section):
     critical_ratio: CriticalRatio = TYPICAL_CRITICAL_RATIO  # b; an orifice has its own, 0.53
     exponent: Exponent = 0.5  # m, the subsonic index
     exhaust_ratio: ExhaustRatio = 1.0  # flow to the atmosphere over that from the supply
+    exhaust_critical_ratio: CriticalRatio | None = None  # b of the edges to the atmosphere; none: as above
     u_max_v: Command = 5.0  # signed about the centre; the DAC saturates here
     bandwidth_hz: NonNegative = 0.0  # natural frequency of the spool; 0: none
     damping: Damping = 0.7  # of the spool
     dead_zone_v: DeadZone = 0.0  # half width about the centre
+    centre_v: Centre = 0.0  # command in the middle of the dead zone
     map: Places = ()  # [[command in V, relative opening], …] as measured, from end to end
 
     @model_validator(mode="after")
@@ -116,6 +119,8 @@ class ValveConfig(Section):
             dead_zone_v = edges_of(self.map).dead_zone_v
             if abs(self.dead_zone_v - dead_zone_v) > MAP_EDGE_V:
                 raise ValueError(f"dead_zone_v must be that of map, {dead_zone_v:g}")
+            if self.centre_v:
+                raise ValueError("map has a centre of its own; leave out centre_v")
         return self
 
 

@@ -10,6 +10,7 @@ from pneud.config.flow import RATINGS, given
 from pneud.config.measured import Places, check_map
 from pneud.config.sections import (
     Area,
+    Centre,
     Command,
     CriticalRatio,
     Damping,
@@ -116,13 +117,14 @@ class PlantValveConfig(Section):
     critical_ratio: CriticalRatio | None = None
     exponent: Exponent | None = None
     exhaust_ratio: ExhaustRatio | None = None
+    exhaust_critical_ratio: CriticalRatio | None = None
     u_max_v: Command | None = None
     bandwidth_hz: NonNegative = 0.0  # 0: none
     damping: Damping = 0.7
     dead_zone_v: DeadZone = 0.0  # on either side
     dead_zone_positive_v: DeadZone | None = None  # edge for u > 0, where it is another
     dead_zone_negative_v: DeadZone | None = None  # likewise for u < 0, as a distance from the centre
-    centre_v: Annotated[float, Field(gt=-2.5, lt=2.5)] = 0.0  # command from which both edges count
+    centre_v: Centre = 0.0  # command from which both edges count
     map: Places = ()  # as in `[valve]`; edges and centre are its own
     hysteresis_v: Annotated[float, Field(ge=0, le=1)] = 0.0  # play of the spool, from one side to the other
     leakage: Leakage = 0.0  # opening of closed edges from the supply, as a part of the whole one

@@ -18,6 +18,7 @@ from pneud.rt.outputs import replacing
 
 _VALVE = {*RATINGS, "u_max_v"}  # the rest is tuned
 _BUS = {"channel", "dbc", "frames"}
+_OWN = ("schema", "digest")
 
 
 class Proof(StrEnum):
@@ -69,6 +70,22 @@ def keep(config_file: Path, of: str, verdict: dict[str, Any]) -> Path:
     return path
 
 
+def carry_over(config_file: Path, of: str, to: str) -> None:
+    """Have a proof hold for another configuration of the same rig, of which more is known.
+
+    Args:
+        config_file: that was tested.
+        of: digest that the proof is for; one for another is left as it is.
+        to: digest that it is for from now on.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    kept = _kept(config_file)
+    if kept is not None and kept.get("digest") == of:
+        keep(config_file, to, {name: value for name, value in kept.items() if name not in _OWN})
+
+
 def proven(config_file: Path, of: str) -> Proof:
     """What is known of a rig with the configuration that it has now; what cannot be read proves nothing.
 
@@ -76,12 +93,17 @@ def proven(config_file: Path, of: str) -> Proof:
         config_file: of the rig.
         of: its digest.
     """
-    try:
-        kept = json.loads(place(config_file).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return Proof.MISSING
-    if not isinstance(kept, dict) or not isinstance(kept.get("passed"), bool):
+    kept = _kept(config_file)
+    if kept is None:
         return Proof.MISSING
     if kept.get("digest") != of:
         return Proof.CHANGED
     return Proof.PASSED if kept["passed"] else Proof.FAILED
+
+
+def _kept(config_file: Path) -> dict[str, Any] | None:
+    try:
+        kept = json.loads(place(config_file).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return kept if isinstance(kept, dict) and isinstance(kept.get("passed"), bool) else None

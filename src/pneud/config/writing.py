@@ -21,6 +21,27 @@ class InlineError(ValueError):
     """A table does not fit into one that is written in a line, {…}."""
 
 
+def rewritten(text: str, change: Callable[[Any], None], name: str) -> str:
+    """A configuration's text, changed.
+
+    Args:
+        text: of the file.
+        change: does it to the file's tables.
+        name: of the file, for errors.
+
+    Raises:
+        ConfigError: the text, or what would become of it, cannot be used.
+    """
+    try:
+        document = tomlkit.parse(text)
+        change(document)
+        text = tomlkit.dumps(document)
+    except (TOMLKitError, InlineError) as e:
+        raise ConfigError(f"{name}: {e}") from None
+    parse(text, name)
+    return text
+
+
 def rewrite(path: Path, change: Callable[[Any], None]) -> None:
     """Change a file at once or not at all; what could not be loaded is not written.
 
@@ -33,14 +54,18 @@ def rewrite(path: Path, change: Callable[[Any], None]) -> None:
         OSError: it cannot be read or written.
     """
     try:
-        document = tomlkit.parse(path.read_text(encoding="utf-8-sig"))
-        change(document)
-        text = tomlkit.dumps(document)
-    except (TOMLKitError, UnicodeDecodeError) as e:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as e:
         raise ConfigError(f"{path}: {e}") from None
-    except InlineError as e:
-        raise ConfigError(f"{path}: {e}") from None
-    parse(text, str(path))
+    put_text(path, rewritten(text, change, str(path)))
+
+
+def put_text(path: Path, text: str) -> None:
+    """Put another text into a file that is there, whole or not at all; its owner stays.
+
+    Raises:
+        OSError: it cannot be written.
+    """
     before = path.stat()
     with replacing(path) as beside:
         beside.write_text(text, encoding="utf-8")

@@ -14,15 +14,20 @@ from pneud.console.protocol import Error, ProtocolError
 from pneud.console.status_reply import StatusWatch, faults
 from pneud.console.tuning import Tuning
 from pneud.log.live.ring import Ring
-from pneud.safety.faults import CENTRES, FAULT_CURES, FAULT_NAMES, STOPS
+from pneud.safety.faults import CENTRES, FAULT_CURES, FAULT_NAMES, STOPS, F
 from pneud.safety.supervisor import BLOCKS
 from pneud.signals import Answer, Request, RequestKind, State
 
 _MM = 1e-3
-_BLOCKS = {"arm": BLOCKS[RequestKind.ARM], "home": BLOCKS[RequestKind.HOME]}  # faults, by what they forbid
+_UNPROVEN = "arm --unproven"
+_BLOCKS = {  # faults, by what they forbid
+    "arm": BLOCKS[RequestKind.ARM],
+    _UNPROVEN: BLOCKS[RequestKind.ARM] & ~(1 << F.UNPROVEN),
+    "home": BLOCKS[RequestKind.HOME],
+}
 _EMPTY = Request(RequestKind.PIECE)  # the profile
 _URGENT = ("disarm", "stop")
-_PLAIN = {verb: RequestKind[verb.upper()] for verb in ("arm", "clear", "hold", "home", *_URGENT)}
+_PLAIN = {verb: RequestKind[verb.upper()] for verb in ("clear", "hold", "home", *_URGENT)}
 
 
 class AxisDesk:
@@ -107,6 +112,11 @@ class AxisDesk:
         if message.verb in _PLAIN:
             return Orders(message.verb, (Request(_PLAIN[message.verb]),), urgent=message.verb in _URGENT)
         match message:
+            case protocol.Arm(unproven=unproven):
+                words, values = (_UNPROVEN, (2.0,)) if unproven else ("arm", ())
+                return Orders(words, (Request(RequestKind.ARM, values),))
+            case protocol.Plain(verb="restart"):
+                return self._restart()
             case protocol.Goto():
                 return self._goto(message)
             case protocol.Jog(velocity_mm_s=v, lease_s=lease_s):
@@ -130,6 +140,17 @@ class AxisDesk:
                 shown = "".join(c if c.isprintable() else "?" for c in text)
                 return Orders(f"mark {shown}", (Request(RequestKind.MARK),), free=True)
         raise AssertionError(message)
+
+    def _restart(self) -> Orders:
+        """A run that would not begin is not left for."""
+        if self._run.log_is_given:
+            raise ProtocolError(
+                Error.INVALID, f"restart: {self._run.log_path} is this run's log; give --log a folder"
+            )
+        hindrance = self._run.hindrance()
+        if hindrance:
+            raise ProtocolError(Error.CONFIGURATION, f"restart: {hindrance}")
+        return Orders("restart", (Request(RequestKind.RESTART),))
 
     def _probe(self, m: protocol.Probe) -> Orders:
         ticks = max(1, round(m.lease_s * self._run.config.loop.rate_hz))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,3 +18,5 @@ class RunFacts(NamedTuple):
     bus: str
     note: str  # one line, for example how the bus was chosen
     log_path: str
+    log_is_given: bool = False  # this very file, not a folder in which each run has its own
+    hindrance: Callable[[], str] = str  # why no run could begin with what the files say now; "" for nothing

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
@@ -18,7 +19,7 @@ import numpy.typing as npt
 
 from pneud.control.profile import LONGEST_S, MOST_PIECES, ROUNDING, SHORTEST_S, extent, is_inside, meet
 from pneud.control.reference import Bounds, Septic, at, move, rest, septic
-from pneud.rt.inputs import open_file
+from pneud.rt.inputs import open_file, read_whole
 from pneud.signals import Reference, Request, RequestKind
 
 PIECES_PER_PERIOD = 8  # a polynomial of degree seven over an eighth of a sine is off by 1e-8 of it
@@ -125,6 +126,30 @@ def from_csv(file: str | Path) -> list[Septic]:
         return from_samples(times, positions)
     except ProfileError as e:
         raise ProfileError(f"{file}: {e}") from None
+
+
+def from_file(path: Path) -> list[Septic]:
+    """The profile of a file: samples of a `.csv`, or pieces of a `.json` as `upload` has them.
+
+    Raises:
+        ProfileError: neither, or it cannot be used.
+    """
+    if path.suffix == ".csv":
+        return from_csv(path)
+    if path.suffix == ".json":
+        return _from_json(path)
+    raise ProfileError(f"{path}: neither a profile that pneud makes nor a file that ends in .csv or .json")
+
+
+def _from_json(path: Path) -> list[Septic]:
+    """Pieces: a list of [duration, eight coefficients], seconds and metres."""
+    try:
+        found = json.loads(read_whole(path))
+        return [Septic._make(map(float, piece)) for piece in found]
+    except OSError as e:
+        raise ProfileError(f"{path}: cannot be read: {e.strerror}") from None
+    except (ValueError, TypeError, OverflowError, RecursionError) as e:
+        raise ProfileError(f"{path}: is no list of pieces [T, c0 … c7]: {e}") from None
 
 
 def _is_number(text: str) -> bool:

@@ -68,13 +68,20 @@ class Plain(RequestBase):
         "status",  # how the axis is
         "attach",  # the memory in which the loop leaves its records, for reading
         "observe",  # never command from this connection
-        "arm",  # engage and hold
         "disarm",  # stop, then centre
         "stop",
         "clear",  # what is latched
         "hold",  # come to rest and hold
         "home",  # find the reference
+        "restart",  # end in order, and begin anew with what the file says
     ]
+
+
+class Arm(RequestBase):
+    """Engage and hold."""
+
+    verb: Literal["arm"]
+    unproven: bool = False  # also without a movement test that was passed, from now on in this run
 
 
 class Probe(RequestBase):
@@ -155,7 +162,7 @@ class Mark(RequestBase):
     text: Annotated[str, Field(min_length=1, max_length=200)]
 
 
-Request = Plain | Goto | Jog | Probe | Track | Upload | TuneGet | TuneSet | TuneReload | Mark
+Request = Plain | Arm | Goto | Jog | Probe | Track | Upload | TuneGet | TuneSet | TuneReload | Mark
 VERBS: dict[str, type[Request]] = {
     verb: kind for kind in Request.__args__ for verb in kind.model_fields["verb"].annotation.__args__
 }

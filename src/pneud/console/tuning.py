@@ -53,6 +53,20 @@ def keys(name: str) -> tuple[tuple[str, ...], ...]:
     return (("control", "observer", name) if name in _OBSERVER else ("control", *name.split(".")),)
 
 
+def name_of(key: str) -> str:
+    """The name of the value that stands at a key of the file; whatever else is given as it is."""
+    return next((name for name in NAMES if ".".join(keys(name)[0]) == key), key)
+
+
+def settings_of(setting: str) -> list[str]:
+    """A name and its value, "k1=90000", as keys of the file and theirs; whatever else is given as it is."""
+    name, _, value = setting.partition("=")
+    if name not in NAMES:
+        return [setting]
+    parts = value.split("-") if name == "law" else [value]
+    return [f"{'.'.join(key)}={part}" for key, part in zip(keys(name), parts, strict=False)]
+
+
 def difference(old: Values, new: Values) -> str:
     """What changes, in words; empty for nothing."""
 

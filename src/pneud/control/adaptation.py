@@ -120,6 +120,7 @@ def cylinder_learnt(c: Cylinder, so_far: Learnt) -> Cylinder:
         c.c1 * so_far.flow,
         c.F1_nominal,
         c.rod_force_n,
+        c.vent,
         c.reverse_flow,
         c.exhaust,
     )

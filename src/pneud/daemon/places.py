@@ -7,9 +7,12 @@ import ipaddress
 import secrets
 import socket
 from typing import NamedTuple
+from urllib.parse import quote
 
 from pneud.config.sections import ConfigError
 from pneud.view.admission import VIEWERS, Admission, is_origin
+
+FOXGLOVE = "https://app.foxglove.dev/~/view"
 
 
 class ViewersPlace(NamedTuple):
@@ -17,7 +20,13 @@ class ViewersPlace(NamedTuple):
 
     listener: socket.socket
     admission: Admission
-    note: str  # what a person must know in order to look; empty where that is nothing
+    note: str  # what a person must know in order to look
+    url: str
+
+    @property
+    def link(self) -> str:
+        """What a browser opens."""
+        return f"{FOXGLOVE}?ds=foxglove-websocket&ds.url={quote(self.url, safe='')}"
 
 
 def viewers_place(where: str, origins: tuple[str, ...]) -> ViewersPlace:
@@ -41,10 +50,11 @@ def viewers_place(where: str, origins: tuple[str, ...]) -> ViewersPlace:
     listener = _listen(host.strip("[]"), int(port), where)
     address = listener.getsockname()[0]
     if ipaddress.ip_address(address.partition("%")[0]).is_loopback:
-        return ViewersPlace(listener, Admission(None, VIEWERS.union(origins)), "")
+        url = f"ws://{_in_url(address)}:{port}"
+        return ViewersPlace(listener, Admission(None, VIEWERS.union(origins)), f"viewers look at {url}", url)
     token = secrets.token_urlsafe(16)
     url = f"ws://{_reachable(address)}:{port}/?token={token}"
-    return ViewersPlace(listener, Admission(token, VIEWERS.union(origins)), f"viewers look at {url}")
+    return ViewersPlace(listener, Admission(token, VIEWERS.union(origins)), f"viewers look at {url}", url)
 
 
 def _listen(host: str, port: int, where: str) -> socket.socket:
@@ -62,4 +72,8 @@ def _reachable(address: str) -> str:
     """What stands in the URL: this machine's name where it listens at all of its addresses."""
     if ipaddress.ip_address(address.partition("%")[0]).is_unspecified:
         return socket.gethostname()
+    return _in_url(address)
+
+
+def _in_url(address: str) -> str:
     return f"[{address}]" if ":" in address else address

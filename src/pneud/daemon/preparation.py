@@ -115,8 +115,8 @@ def _prepared(o: RunOptions, viewers: ViewersPlace | None) -> Iterator[Ready]:
     with link:
         if link.note:
             print(f"pneud: {link.note}", file=sys.stderr)
-        if viewers is not None and viewers.note:
-            print(f"pneud: {viewers.note}", file=sys.stderr)
+        if viewers is not None:
+            print(f"pneud: {viewers.note}, or open {viewers.link}", file=sys.stderr)
         try:
             yield Ready(
                 o, loaded, scenario, how, how.axis(p), link, socket, log_file, descriptor, viewers, lacks

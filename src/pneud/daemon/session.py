@@ -10,14 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 from pneud import crew
 from pneud.axis.state import learnt_so_far
+from pneud.bus.codec import DatabaseError
 from pneud.bus.inbox import Inbox
 from pneud.config import conversions
 from pneud.config.learnt import Values, start_of, values_learnt
+from pneud.config.sections import ConfigError
 from pneud.config.toml import flat
 from pneud.console import handoff
 from pneud.console.facts import RunFacts
 from pneud.console.keeper import fork_console
 from pneud.daemon.preparation import Ready
+from pneud.loading import load
 from pneud.log.format.header import LogHeader, Rotation
 from pneud.log.live.recorder import start_recorder
 from pneud.log.live.ring import Ring
@@ -141,7 +144,18 @@ class Session:
 
     def _start_console(self, ends: ExitStack, asking: socket.socket, words: socket.socket) -> int:
         (config, path, text, *_), link = self.ready.loaded, self.ready.link
-        facts = RunFacts(config, path.absolute(), text, link.name, link.note, str(self.ready.log_file))
+
+        def hindrance() -> str:
+            try:
+                load(path, rate_hz=self.ready.options.rate_hz)
+            except (ConfigError, DatabaseError) as e:
+                return str(e)
+            return ""
+
+        given = (self.ready.options.log or "").endswith(".mcap")
+        facts = RunFacts(
+            config, path.absolute(), text, link.name, link.note, str(self.ready.log_file), given, hindrance
+        )
         console = fork_console(self.ready.socket.listener, asking, words, facts, self.ring)
 
         def end() -> None:

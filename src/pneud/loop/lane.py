@@ -16,11 +16,13 @@ from pneud.loop.turn import END_TICKS, Turn
 from pneud.rig.truth import TruthReader
 from pneud.safety.faults import BLOCKS_ARM, F
 from pneud.safety.supervisor import is_engaged
-from pneud.signals import Frame, Request, RequestKind, State, Timing
+from pneud.signals import Answer, Frame, Host, Request, RequestKind, State, Timing
 
 FAULT_S = 0.1  # how long a run that ends on a fault goes on telling the valve to centre
 SNAPSHOT_PIECES = 128  # of a profile; the state with a longer one would take too long to hand over
 ARM, DISARMED, FAULT = int(RequestKind.ARM), int(State.DISARMED), int(State.FAULT)
+ARM_UNPROVEN, UNPROVEN = Request(ARM, (2.0,)), int(Host.UNPROVEN)
+RESTART, TAKEN = int(RequestKind.RESTART), int(Answer.TAKEN)
 
 
 class Lane:
@@ -33,6 +35,7 @@ class Lane:
         tally: of the run.
         request: of this tick.
         operated: an operator has asked something of the axis.
+        again: an operator has asked the daemon to begin anew.
         decided_ns: when the axis had decided; like the next one, for the loop to set.
         done_ns: when its command had been sent.
     """
@@ -51,13 +54,14 @@ class Lane:
         self.recorder = recorder
         self.tally = Tally(truth=truth is not None, timed=True, sync=turn.inbox.sync)
         self.request: Request | None = None
-        self.operated = False
+        self.operated = self.again = False
         self.decided_ns = self.done_ns = 0
         self._truth = truth
         self._truth_m = math.nan
         self._console = console
         self._watch = ConsoleWatch(recorder.ring)
         self._asked = False  # the request is an operator's
+        self._trusted = False  # by an operator: no movement test is asked for
         self._armed = not options.auto_arm
         self._shut = False  # shutdown has been requested of the axis
         self._end_on_fault = options.end_on_fault
@@ -72,6 +76,7 @@ class Lane:
             request = self._console.take()
             if request is not None:
                 self._asked = self.operated = True
+                self._trusted |= request == ARM_UNPROVEN
         self.request = request
 
     def _own_request(self, ending: bool) -> Request | None:
@@ -88,6 +93,8 @@ class Lane:
     def host(self, t_ns: int, others: int) -> int:
         """Bits of `signals.Host`, those from elsewhere among them."""
         lost = 0 if self._shut else self._watch.host(t_ns)
+        if self._trusted:
+            others &= ~UNPROVEN
         return self.conditions.host(t_ns, others | lost | self.recorder.host)
 
     def see_truth(self, sync_ns: int) -> None:
@@ -134,6 +141,8 @@ class Lane:
             # unless it says that it cannot be reached, what is in the way may pass, and arming is tried again
             self.tally.asked_to_arm(tick)
             self._armed = is_engaged(tick.state) or bool(tick.present & 1 << F.UNREACHABLE)
+        elif self._asked and request is not None and request.kind == RESTART and tick.answer == TAKEN:
+            self._shut = self.again = True
         if is_engaged(tick.state):
             self._idle = 0
             return False

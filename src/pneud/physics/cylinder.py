@@ -22,6 +22,7 @@ class Cylinder(NamedTuple):
     c1: float  # k √(R k T) A0max/umax [m²/s · √.. per V], the factor of F1 with the temperature's root in it
     F1_nominal: float  # F1 at mid-stroke, chambers at half the supply pressure [N/(s V)]
     rod_force_n: float  # Patm (A1 − A2), static force of the atmosphere on the rod side
+    vent: Gas  # the gas as it flows through the edges to the atmosphere
     reverse_flow: bool = True  # F1 has air go back into a supply that is below a chamber
     exhaust: float = 1.0  # flow of the edges to the atmosphere over that of those from the supply
 
@@ -36,13 +37,14 @@ def cylinder(
     orifice_m2: float,
     u_max_v: float,
     g: Gas,
+    vent: Gas,
     exhaust: float = 1.0,
 ) -> Cylinder:
     """Constants of one axis; `orifice_m2` is the opening of the edges from the supply at `u_max_v`."""
     length = stroke_m + x_e1 + x_e2
     c1 = g.k * math.sqrt(g.R * g.k * g.temperature_k) * orifice_m2 / u_max_v
     half = 0.5 * g.supply_pa
-    per_length = signed_flow(g.supply_pa, half, g) + exhaust * signed_flow(half, g.atmosphere_pa, g)
+    per_length = signed_flow(g.supply_pa, half, g) + exhaust * signed_flow(half, g.atmosphere_pa, vent)
     return Cylinder(
         A1=A1,
         A2=A2,
@@ -53,6 +55,7 @@ def cylinder(
         c1=c1,
         F1_nominal=c1 * per_length / (0.5 * length),
         rod_force_n=g.atmosphere_pa * (A1 - A2),
+        vent=vent,
         exhaust=exhaust,
     )
 
@@ -77,14 +80,14 @@ def F0(x1: float, p1_pa: float, p2_pa: float, c: Cylinder, g: Gas) -> float:
 
 def F1_fill(x1: float, p1_pa: float, p2_pa: float, supply_pa: float, c: Cylinder, g: Gas) -> float:
     """F1 of (8) for u ≥ 0 [N/(s V)]: supply to chamber 1, chamber 2 to atmosphere; signed flow, floored."""
-    out = c.exhaust * _flow(p2_pa, g.atmosphere_pa, c, g)
+    out = c.exhaust * _flow(p2_pa, g.atmosphere_pa, c, c.vent)
     f1 = c.c1 * (_flow(supply_pa, p1_pa, c, g) / x1 + out / (c.L - x1))
     return max(f1, F1_FLOOR * c.F1_nominal)
 
 
 def F1_exhaust(x1: float, p1_pa: float, p2_pa: float, supply_pa: float, c: Cylinder, g: Gas) -> float:
     """F1 of (8) for u < 0 [N/(s V)]: chamber 1 to atmosphere, supply to chamber 2; signed flow, floored."""
-    out = c.exhaust * _flow(p1_pa, g.atmosphere_pa, c, g)
+    out = c.exhaust * _flow(p1_pa, g.atmosphere_pa, c, c.vent)
     f1 = c.c1 * (out / x1 + _flow(supply_pa, p2_pa, c, g) / (c.L - x1))
     return max(f1, F1_FLOOR * c.F1_nominal)
 

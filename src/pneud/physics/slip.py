@@ -74,7 +74,8 @@ def slip(
     dry = stribeck(guess, f)
     if f.sigma0_n_m <= 0.0 or dry < NO_FRICTION_N:
         return (v + gain * force_n) / (1.0 + gain * f.viscous_n_s_m), UNBENT
-    damping = f.viscous_n_s_m + f.sigma1_n_s_m * grip(z, 0.0, dry, f.sigma0_n_m).stick
+    # what slides on is no element that sticks, though its friction may just have grown
+    damping = f.viscous_n_s_m + f.sigma1_n_s_m * grip(z, half * guess, dry, f.sigma0_n_m).stick
     free, inertia = v + gain * force_n, 1.0 + gain * damping
     low, high = (free - 1.1 * gain * dry) / inertia, (free + 1.1 * gain * dry) / inertia
     mean = max(low, min(high, guess))

@@ -71,6 +71,7 @@ def through(
     one_way: bool,
     h: float,
     p: PlantParameters,
+    g: Gas,
 ) -> Chamber:
     """A chamber after an edge has been open for a step, at fixed volume; `drawn_kg` is what came in.
 
@@ -82,8 +83,9 @@ def through(
         one_way: nothing flows backwards: into the supply, or from the atmosphere.
         h: step [s].
         p: the plant.
+        g: the gas as it flows through the edge.
     """
-    g, n = p.gas, p.polytropic_exponent
+    n = p.polytropic_exponent
     into = c.pressure_pa < other_pa
     if one_way or opening_v <= 0.0:
         return Chamber(c.pressure_pa, c.mass_kg, 0.0)
@@ -118,9 +120,10 @@ def breathe(
         p: the plant.
     """
     atmosphere_pa, one_way = p.gas.atmosphere_pa, not p.reverse_flow
-    filled = through(c, supply_pa, fill_v, volume_m3, one_way and c.pressure_pa > supply_pa, h, p)
+    filled = through(c, supply_pa, fill_v, volume_m3, one_way and c.pressure_pa > supply_pa, h, p, p.gas)
     pa = filled.pressure_pa
-    emptied = through(filled, atmosphere_pa, empty_v, volume_m3, one_way and pa < atmosphere_pa, h, p)
+    inwards = one_way and pa < atmosphere_pa
+    emptied = through(filled, atmosphere_pa, empty_v, volume_m3, inwards, h, p, p.cylinder.vent)
     return Chamber(
         warmed(emptied.pressure_pa, emptied.mass_kg, volume_m3, h, p.gas, p.detail),
         emptied.mass_kg,

@@ -152,8 +152,12 @@ def _march(
             if not reverse:
                 rate1 = rate1 if (p1 < other1) == (u > 0.0) else 0.0
                 rate2 = rate2 if (p2 < other2) == (u < 0.0) else 0.0
-            p1 = exchange(p1, other1, rate1, d1, h, g)
-            p2 = exchange(p2, other2, rate2, d2, h, g)
+            if u > 0.0:
+                p1 = exchange(p1, supply, rate1, d1, h, g)
+                p2 = exchange(p2, atmosphere, rate2, d2, h, c.vent)
+            else:
+                p1 = exchange(p1, atmosphere, rate1, d1, h, c.vent)
+                p2 = exchange(p2, supply, rate2, d2, h, g)
         else:
             p1 += h * d1
             p2 += h * d2

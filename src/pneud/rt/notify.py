@@ -7,6 +7,7 @@ import os
 import socket
 from collections.abc import Mapping, Sequence
 
+RESTART_US = 90_000_000  # without a sign of life, as at a start
 REPORT_S = 0.25  # the shortest time between two reports
 PUNCTUAL = 0.02  # of the ticks may be skipped by a loop that counts as being on time
 SETTLED = 2  # reports on end without more, and the service is ready
@@ -26,8 +27,7 @@ class Service:
         faults: Sequence[str],
         environ: Mapping[str, str] = os.environ,
     ) -> None:
-        address = environ.get("NOTIFY_SOCKET", "")
-        self._address = "\0" + address[1:] if address.startswith("@") else address
+        address = self._address = address_of(environ)
         self._socket: socket.socket | None = None
         if address:
             with contextlib.suppress(OSError):
@@ -52,7 +52,9 @@ class Service:
             self._punctual += 1
             if self._punctual < SETTLED:
                 return
-            self._send(b"READY=1")
+            # a start in the same process has had more time than the watchdog usually gives
+            usual = b"\nWATCHDOG_USEC=%d" % (self._interval_ns // 500) if self._interval_ns else b""
+            self._send(b"READY=1" + usual)
         if self._told != (state, faults):
             self._told = state, faults
             named = b", ".join([name for bit, name in enumerate(self._faults) if faults >> bit & 1])
@@ -69,6 +71,25 @@ class Service:
         if self._socket is not None:
             with contextlib.suppress(OSError):  # a manager that does not read must not stop the loop
                 self._socket.sendto(message, self._address)
+
+
+def restarting(environ: Mapping[str, str] = os.environ) -> None:
+    """Tell that this process begins anew, and how long it may be silent."""
+    address = address_of(environ)
+    if not address:
+        return
+    words = b"STATUS=beginning anew"
+    if watchdog_interval_ns(environ):
+        words += b"\nWATCHDOG=1\nWATCHDOG_USEC=%d" % RESTART_US
+    with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as word:
+        word.setblocking(False)
+        word.sendto(words, address)
+
+
+def address_of(environ: Mapping[str, str]) -> str:
+    """Of the manager's socket; empty where nobody listens."""
+    address = environ.get("NOTIFY_SOCKET", "")
+    return "\0" + address[1:] if address.startswith("@") else address
 
 
 def watchdog_interval_ns(environ: Mapping[str, str]) -> int:

@@ -6,6 +6,7 @@ and says so. Linux only.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import errno
 import gc
@@ -55,6 +56,19 @@ def apply(priority: int, cpu: int | None, lock_memory: bool) -> list[Report]:
         _attempt("timer_slack", _timer_slack),
         _attempt("fifo", lambda: _fifo(priority)) if priority > 0 else _unasked("fifo", "priority"),
     ]
+
+
+def leave(cpus: set[int]) -> None:
+    """Give back what another program in this process would have of it: scheduling, the CPU, the timer slack.
+
+    Args:
+        cpus: that it had before.
+    """
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    with contextlib.suppress(OSError):
+        os.sched_setaffinity(0, cpus)
+    _libc.prctl(_PR_SET_TIMERSLACK, 0, 0, 0, 0)
 
 
 def cpu_list(text: str) -> tuple[int, ...]:

@@ -517,7 +517,7 @@ TABLE: tuple[Fault, ...] = (
         Reaction.NO_ARM,
         "the movement test has not been passed with this wiring, cylinder and valve (only the test itself and"
         " homing are allowed)",
-        "pneud commission, then restart the daemon; --unproven does without for one run",
+        "pneud commission makes it; pneud arm --unproven does without for one run",
     ),
 )
 

@@ -22,6 +22,7 @@ from pneud.study.tuned import (
     PID_FF,
     setting,
 )
+from pneud.view.progress import Report, each, silent
 
 LAWS = (PID_FF, ADRC4, ADRC3, ISMC, ISMC_PAPER, COMPOSITE, COMPOSITE_PAPER, EXTENDED_TUNED, EXTENDED)
 OURS = (EXTENDED, EXTENDED_TUNED)
@@ -81,7 +82,9 @@ def every_case(bench: Bench, rest_s: float) -> dict[str, dict[str, Case]]:
     }
 
 
-def compare(loaded: Loaded, rest_s: float, compiled: bool, laws: tuple[str, ...] = LAWS) -> LawTable:
+def compare(
+    loaded: Loaded, rest_s: float, compiled: bool, laws: tuple[str, ...] = LAWS, report: Report = silent
+) -> LawTable:
     """Run all laws through all cases; through three of them where nothing is compiled.
 
     Args:
@@ -89,6 +92,7 @@ def compare(loaded: Loaded, rest_s: float, compiled: bool, laws: tuple[str, ...]
         rest_s: how long to rest in the case at rest.
         compiled: needs numba.
         laws: which laws.
+        report: told how many runs are done.
     """
     bench = bench_of(loaded, compiled)
     runs = [
@@ -99,11 +103,10 @@ def compare(loaded: Loaded, rest_s: float, compiled: bool, laws: tuple[str, ...]
     for hz in RATES_HZ:
         other = bench_of(loaded._replace(config=at_rate(loaded.config, hz)), compiled)
         runs.append((SPREAD, f"rate {hz:g} Hz", other, cases.tracking(other)))
+    chosen = [(law, *run) for law in laws for run in runs if compiled or run[1] in BRIEFLY]
     rows = [
         LawRow(group, name, law, c.judged[1] - c.judged[0], figures(b, setting(law, b.controller), c, SEED))
-        for law in laws
-        for group, name, b, c in runs
-        if compiled or name in BRIEFLY
+        for law, group, name, b, c in each(chosen, report, "comparing", len(chosen), "runs")
     ]
     return LawTable(loaded.path.name, compiled, tuple(rows), tuple(behind(rows)), missed(rows))
 

@@ -8,7 +8,9 @@ the same number of decades from anywhere.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterable, Iterator
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,6 +27,7 @@ from pneud.study.reproduction import (
     paper_loop,
     settled,
 )
+from pneud.view.progress import Report, each, silent
 
 PART = 1e-3  # "settled" on this page: |w1| below this part of what it began with
 CHAIN_H_S, CHAIN_S = 1e-4, 24.0
@@ -184,8 +187,17 @@ def unmatched(force_n: float, h_s: float) -> Unmatched:
     )
 
 
-def converge() -> Convergence:
-    """All of it."""
+def converge(report: Report = silent) -> Convergence:
+    """All of it.
+
+    Args:
+        report: told how many runs are done.
+    """
+
+    def told(what: str, *sets: Iterable[Any]) -> Iterator[Any]:
+        many = list(product(*sets))
+        return each(many, report, what, len(many), "runs")
+
     composite = tuple(paper_loop(case).sliding.gains for case in CASES)
     first = composite[0]
     linear = feedback(first.k1, first.k2, first.k3, 1.0)
@@ -193,9 +205,11 @@ def converge() -> Convergence:
     rod_n = plant.gas.atmosphere_pa * (plant.cylinder.A1 - plant.cylinder.A2)
     return Convergence(
         settling=(chain_settling(first), chain_settling(ISMC_GAINS), chain_settling(linear), loop_settling()),
-        limit_cycles=tuple(limit_cycle(g, h) for g in (*composite, ISMC_GAINS) for h in SAMPLE_TIMES_S),
-        starts=tuple(start_from(x1) for x1 in STARTS_M),
-        unmatched=tuple(unmatched(force, h) for force in (*FORCES_N, rod_n) for h in SAMPLE_TIMES_S),
+        limit_cycles=tuple(
+            limit_cycle(g, h) for g, h in told("limit cycles", (*composite, ISMC_GAINS), SAMPLE_TIMES_S)
+        ),
+        starts=tuple(start_from(x1) for (x1,) in told("starts", STARTS_M)),
+        unmatched=tuple(unmatched(f, h) for f, h in told("forces", (*FORCES_N, rod_n), SAMPLE_TIMES_S)),
         decay=tuple(
             (g.a3, np.abs(chain((0.05, 0.0, 0.0), CHAIN_H_S, 15.0, g, True)[:, 0]))
             for g in (first, ISMC_GAINS, linear)

@@ -81,7 +81,7 @@ def _aligned(text: str) -> str:
     """The comments behind values in one column."""
     lines = [line.partition(" # ") for line in text.splitlines()]
     return "".join(
-        f"{code.rstrip():<{COLUMN}}# {said}\n" if sign else f"{code}\n" for code, sign, said in lines
+        f"{code.rstrip() + ' ':<{COLUMN}}# {said}\n" if sign else f"{code}\n" for code, sign, said in lines
     )
 
 
@@ -96,8 +96,24 @@ def _words(a: Answers) -> dict[str, str]:
         "bus": a.bus,
         "rig": str(a.bus.startswith("socketcan")).lower(),
         "timeout": "5.0" if a.bus.startswith("socketcan") else "50.0",
-        "flow": f"{a.valve.flow_l_min:.3g}",
-        "critical_ratio": f"{a.valve.critical_ratio:g}",
+        **_flow(a.valve),
+    }
+
+
+def _flow(v: ValveSheet) -> dict[str, str]:
+    """The valve's rating as its sheet has it, and which of the rest comes from there."""
+    if v.sonic_conductance_l_s_bar is not None:
+        rating = f"sonic_conductance_l_s_bar = {v.sonic_conductance_l_s_bar!r} # {v.flow_l_min:.3g} l/min"
+    else:
+        rating = f"nominal_flow_l_min = {round(v.flow_l_min, 2)!r} # open to the end,"
+    given = v.model_fields_set
+    return {
+        "rating": f"{rating} ANR at 6 -> 5 bar",
+        "critical_ratio": f"{v.critical_ratio:g}",
+        "critical_ratio_from": "b of its sheet" if "critical_ratio" in given else "typical",
+        "valve_hz_from": "the limit frequency of its sheet"
+        if "bandwidth_hz" in given
+        else "typical: the limit frequency in the sheet of yours",
     }
 
 
@@ -129,7 +145,6 @@ def _rig(a: Answers) -> dict[str, float]:
         "other_mass": 1.2 * a.mass_kg,
         "inclination": a.inclination_deg,
         "supply": supply,
-        "orifice": ratings.orifice_of(a.valve.conductance, GAS),
         "valve_hz": a.valve.bandwidth_hz,
         "damping": a.valve.damping,
         "dead_zone": a.valve.dead_zone_v,

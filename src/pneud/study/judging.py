@@ -9,7 +9,7 @@ import math
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -50,6 +50,19 @@ class Lengths(NamedTuple):
 
 WHOLE = Lengths(20.0, 4.0, 60.0)
 BRIEF = Lengths(10.0, 2.0, 12.0)  # for a first look, and where nothing is compiled
+
+
+class Tolerances(NamedTuple):
+    """What an encoder's step allows for [m]."""
+
+    still_m: float  # at rest
+    position_m: float  # what counts as in position
+    over_m: float  # overshoot
+
+
+def tolerances(step_m: float) -> Tolerances:
+    """Those of an encoder with this step [m]."""
+    return Tolerances(max(15e-6, 2.0 * step_m), max(20e-6, 2.0 * step_m), max(50e-6, 3.0 * step_m))
 
 
 class Course(NamedTuple):
@@ -146,18 +159,29 @@ def course_of(c: Config, lengths: Lengths, within_m: float = WITHIN_M) -> Course
         PUSH_SHARE * (c.gas.supply_pa - c.gas.atmosphere_pa) * c.cylinder.piston_area_1_m2,
         LARGE_ERROR * c.cylinder.stroke_m,
         within_m,
-        still_m=max(15e-6, 2.0 * step_m),
-        position_m=max(20e-6, 2.0 * step_m),
-        over_m=max(50e-6, 3.0 * step_m),
+        *tolerances(step_m),
     )
 
 
-def tasks(c: Config, command_lsb_v: float, course: Course, cases: Iterable[str] = ()) -> list[Task]:
+def tasks(
+    c: Config,
+    command_lsb_v: float,
+    course: Course,
+    cases: Iterable[str] = (),
+    among: Mapping[str, PlantParameters] | None = None,
+) -> list[Task]:
     """The sessions of a configuration, on all plants or on those named.
 
     Where the configured reference stands still, the sine is one of 5 % of the stroke.
+
+    Args:
+        c: the configuration.
+        command_lsb_v: of the bus.
+        course: from `course_of`.
+        cases: names of plants.
+        among: the plants; else those of `plants`.
     """
-    axis, found = axis_of(c, command_lsb_v), plants(plant_of(c))
+    axis, found = axis_of(c, command_lsb_v), among or plants(plant_of(c))
     s = axis.reference
     if s.amplitude_m == 0.0 or s.omega_rad_s == 0.0:
         axis = axis._replace(reference=Sine(s.centre_m, 0.05 * c.cylinder.stroke_m, math.pi))

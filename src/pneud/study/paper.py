@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import Any, NamedTuple
 
 from pneud.loop.summary import finite
 from pneud.study import reproduction as r
 from pneud.study.claims import Bound, Claim, bounds, claims
 from pneud.study.convergence import Convergence, converge
+from pneud.view.progress import Report, each, silent
 
 PICTURED = ((0.01, "implicit"), (0.001, "implicit"), (0.01, "explicit"))
 
@@ -30,13 +32,19 @@ class Reproduction(NamedTuple):
         return all(b.met for b in self.bounds)
 
 
-def reproduce() -> Reproduction:
-    """Run everything: half a minute with numba, some minutes without."""
+def reproduce(report: Report = silent) -> Reproduction:
+    """Run everything: half a minute with numba, some minutes without.
+
+    Args:
+        report: told how many runs are done.
+    """
     known: dict[r.Setting, r.PaperRun] = {}
-    main = tuple(r.run_all(r.main_settings(), known))
-    ablation = tuple(r.run_all(r.ablation_settings(), known))
-    orifice = tuple(r.run_all(r.orifice_settings(), known))
-    convergence = converge()
+    settings = [tuple(found()) for found in (r.main_settings, r.ablation_settings, r.orifice_settings)]
+    wanted = list(dict.fromkeys(chain(*settings)))
+    for s in each(wanted, report, "the paper's runs", len(wanted), "runs"):
+        known[s] = r.run(s)
+    main, ablation, orifice = (tuple(known[s].row for s in found) for found in settings)
+    convergence = converge(report)
     plant = r.paper_loop(1).plant
     return Reproduction(
         start=f"x1(0) = {plant.initial_x1:g} m, at rest, P2(0) = {plant.initial_p2_pa / 1e5:g} bar,"

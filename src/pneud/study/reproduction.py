@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib.util
 import itertools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -191,13 +191,3 @@ def orifice_settings() -> list[Setting]:
         Setting(case, COMPOSITE, True, h, "implicit", "implicit", plant, model)
         for case, h, plant, model in itertools.product(CASES, SAMPLE_TIMES_S, (False, True), (False, True))
     ]
-
-
-def run_all(settings: Iterable[Setting], known: dict[Setting, PaperRun]) -> list[PaperRow]:
-    """The rows of settings; `known` keeps every run made so far."""
-    rows = []
-    for s in settings:
-        if s not in known:
-            known[s] = run(s)
-        rows.append(known[s].row)
-    return rows

@@ -1,9 +1,19 @@
 """Engage the axis and hold where it is."""
 
+from typing import Annotated
+
+import typer
+
 from pneud.console.results import ask
 from pneud.verbs import JsonOption, SocketOption
 
 
-def arm(socket: SocketOption = None, json: JsonOption = False) -> int:
+def arm(
+    unproven: Annotated[
+        bool, typer.Option("--unproven", help="Without a movement test, from now on in this run.")
+    ] = False,
+    socket: SocketOption = None,
+    json: JsonOption = False,
+) -> int:
     """Ask for it."""
-    return ask(socket, json, "arm")
+    return ask(socket, json, "arm", unproven=unproven)

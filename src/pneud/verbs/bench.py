@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as json_
-import os
 import sys
 import tempfile
 from collections.abc import Mapping
@@ -25,7 +24,8 @@ from pneud.loop.summary import finite
 from pneud.rt.outputs import write_whole
 from pneud.rt.setup import own_cpu
 from pneud.service import machine
-from pneud.verbs import BusOption, ConfigOption, JsonOption, VerbError
+from pneud.verbs import BusOption, ConfigOption, JsonOption, ProgressOption, VerbError, require_suffix
+from pneud.view.progress import Report, progress
 
 
 class Contestant(NamedTuple):
@@ -77,6 +77,7 @@ def bench(
         Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write the report as HTML, too.")
     ] = None,
     json: JsonOption = False,
+    how: ProgressOption = "auto",
 ) -> int:
     """Measure and report.
 
@@ -93,22 +94,26 @@ def bench(
         raise ConfigError(f"--turn {turn_s:g}: must be positive, and at most 3600")
     if disturb and output is not None:
         raise ConfigError("--output shows the contestants, and --disturb has none")
+    if output is not None:
+        require_suffix(output, ".html", "the report is a page of HTML")
     if output is not None and not output.parent.is_dir():
         raise ConfigError(f"{output}: there is no folder {output.parent}; create it or name another file")
     axis = load(config or "virtual.toml")
     facts = machine.read(None, Path(tempfile.gettempdir()))
-    with tempfile.TemporaryDirectory(prefix="pneud-bench-") as scratch:
+    with tempfile.TemporaryDirectory(prefix="pneud-bench-") as scratch, progress(how) as told:
         track = _track(axis, bus, Path(scratch))
         if rate_hz is not None:
             track = rates.at(rates.without_bus_time(track), rate_hz)
         if disturb:
-            found = _disturb(track, pairs, turn_s)
-            report = finite({"schema": 1, "machine": facts._asdict(), "disturbances": found})
-            print(json_.dumps(report) if json else disturbances_in_words(report["disturbances"]))
-            return 0
-        series, missing = _take_turns(CONTESTANTS, track, pairs, turn_s)
-        if rate_s > 0.0:
-            _find_rates(series, CONTESTANTS, track, rate_s)
+            found = _disturb(track, pairs, turn_s, told)
+        else:
+            series, missing = _take_turns(CONTESTANTS, track, pairs, turn_s, told)
+            if rate_s > 0.0:
+                _find_rates(series, CONTESTANTS, track, rate_s, told)
+    if disturb:
+        report = finite({"schema": 1, "machine": facts._asdict(), "disturbances": found})
+        print(json_.dumps(report) if json else disturbances_in_words(report["disturbances"]))
+        return 0
     setting = {
         "rate_hz": track.axis.config.loop.rate_hz,
         "priority": track.priority,
@@ -128,19 +133,18 @@ def bench(
     return 0 if OURS in series else 1
 
 
-def _disturb(track: TrackScript, pairs: int, turn_s: float) -> dict[str, Any]:
+def _disturb(track: TrackScript, pairs: int, turn_s: float, report: Report) -> dict[str, Any]:
     rate_hz = track.axis.config.loop.rate_hz
     found: dict[str, Any] = {}
     for name, disturbance in DISTURBANCES.items():
         quiet, disturbed = Samples("quiet", ""), Samples("disturbed", "")
         for number in range(pairs):
-            _progress(f"{name}, pair {number + 1} of {pairs}")
+            report(name, number, pairs, "pairs")
             both: list[tuple[Samples, Disturb | None]] = [(quiet, None), (disturbed, disturbance)]
             for series, what in both if number % 2 == 0 else reversed(both):
                 try:
                     series.add(contestants.pneud(track, rate_hz, turn_s, what), number)
                 except AbsentError as e:
-                    _progress("")
                     raise VerbError(str(e), 1) from None
         found[name] = {
             "what": (disturbance.__doc__ or "").strip(),
@@ -148,7 +152,6 @@ def _disturb(track: TrackScript, pairs: int, turn_s: float) -> dict[str, Any]:
             "quiet": quiet.as_object(),
             "disturbed": disturbed.as_object(),
         }
-    _progress("")
     return found
 
 
@@ -174,39 +177,36 @@ def _track(axis: Loaded, bus: str | None, scratch: Path) -> TrackScript:
 
 
 def _take_turns(
-    field: Mapping[str, Contestant], track: TrackScript, pairs: int, turn_s: float
+    field: Mapping[str, Contestant], track: TrackScript, pairs: int, turn_s: float, report: Report
 ) -> tuple[dict[str, Samples], dict[str, str]]:
     series = {name: Samples(name, one.what) for name, one in field.items()}
     missing: dict[str, str] = {}
     rate_hz = track.axis.config.loop.rate_hz
     for number in range(pairs):
         # to and fro, so that nobody always has the same one before him
-        for name in list(field) if number % 2 == 0 else reversed(list(field)):
+        for place, name in enumerate(field if number % 2 == 0 else reversed(list(field))):
+            report("taking turns", number * len(field) + place, pairs * len(field), "turns")
             if name in missing:
                 continue
-            _progress(f"turn {number + 1} of {pairs}: {name}")
             try:
                 series[name].add(field[name].turn(track, rate_hz, turn_s), number)
             except AbsentError as e:
                 missing[name] = str(e)
-    _progress("")
     return {name: one for name, one in series.items() if one.turn_numbers}, missing
 
 
 def _find_rates(
-    series: Mapping[str, Samples], field: Mapping[str, Contestant], track: TrackScript, rate_s: float
+    series: Mapping[str, Samples],
+    field: Mapping[str, Contestant],
+    track: TrackScript,
+    rate_s: float,
+    report: Report,
 ) -> None:
     quick = rates.without_bus_time(track)
-    for name, one in series.items():
+    for number, (name, one) in enumerate(series.items()):
         if field[name].has_rate:
-            _progress(f"highest rate: {name}")
+            report("highest rates", number, len(series), "programs")
             try:
                 one.highest_rate_hz = rates.highest(field[name].turn, quick, rate_s)
             except AbsentError as e:
                 one.notes.append(f"highest rate not found: {e}")
-    _progress("")
-
-
-def _progress(text: str) -> None:
-    if os.isatty(2):
-        print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)

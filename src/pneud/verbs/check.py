@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json as json_
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from pneud import resources
 from pneud.axis.cycle import Axis
@@ -20,11 +18,11 @@ from pneud.scenario import verdict
 from pneud.scenario.files import is_scenario, load_axis, load_scenario
 from pneud.study import gains, linear
 from pneud.study.plausibility import Doubt, findings
-from pneud.verbs import JsonOption
+from pneud.verbs import FileArgument, JsonOption
 
 
 def check(
-    file: Annotated[str, typer.Argument(metavar="FILE", help="Configuration.")],
+    file: FileArgument,
     json: JsonOption = False,
 ) -> int:
     """Load a configuration and its DBC as the daemon would, or a scenario, and say what they describe.

@@ -1,32 +1,33 @@
-"""Test what is connected to what, with small bounded openings of the valve, and keep what came of it.
+"""From a rig as it was put together to an axis that works: movement test, estimates, gains, verification.
 
-The running daemon is asked for one probe after another; with `--virtual` it is the software rig, in simulated
-time, which is no proof.
+The axis of the running daemon is asked for one motion after another; with `--virtual` it is the software rig,
+in simulated time, which is no proof.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import json as json_
 import sys
-import time
+import tempfile
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pneud.config import conversions
-from pneud.config.proof import digest, keep
+from pneud import resources
+from pneud.config.models import Config
+from pneud.config.proof import Proof, digest, proven
 from pneud.console.client import Client, RefusedError
 from pneud.loading import Loaded, load
-from pneud.log.live.ring import Ring
-from pneud.replay.lockstep import Simulation, backend_of
-from pneud.signals import RequestKind, State
-from pneud.study.commissioning.movement import CURES, MOVE_M, SPEED_M_S, Verdict
-from pneud.study.commissioning.testing import LEASE_S, MovementTest
-from pneud.verbs import ConfigOption, JsonOption, SeedOption, SocketOption, VerbError
+from pneud.rt.outputs import require_folder, write_whole
+from pneud.signals import State
+from pneud.study.commissioning.movement import CURES, Verdict
+from pneud.verbs import ConfigOption, JsonOption, SocketOption, VerbError
 
-LONGEST_S = 180.0  # of axis time
-LOOK_S = 0.01
+if TYPE_CHECKING:
+    from pneud.study.commissioning.procedure import Outcome, Wishes
+    from pneud.study.commissioning.written import Change
 
 
 def commission(
@@ -35,125 +36,190 @@ def commission(
         bool, typer.Option("--virtual", help="The software rig, in simulated time; it proves nothing.")
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Write no proof.")] = False,
-    seed: SeedOption = 0,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Write nothing.")] = False,
+    test_only: Annotated[
+        bool, typer.Option("--movement-test", help="No more than the movement test.")
+    ] = False,
+    again: Annotated[
+        bool, typer.Option("--again", help="Do the movement test though it has been passed.")
+    ] = False,
+    skip_dynamic: Annotated[
+        bool, typer.Option("--skip-dynamic", help="Slow motion only; limits.motion become slow, too.")
+    ] = False,
+    seed: Annotated[
+        int | None,
+        typer.Option("--seed", help="With --virtual: a rig unlike its configuration, drawn from it."),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="A page with pictures (.html).")
+    ] = None,
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> int:
-    """Open the valve a little both ways, and say what is wrong.
+    """Find out what a rig is like, and make its configuration so.
 
     Returns:
-        Exit status: 0 where the test is passed, 1 where not, or where the daemon refused.
+        Exit status: 0 where all that was done holds, 1 where not, or where it was ended.
 
     Raises:
         ConfigError: the configuration cannot be used.
         DatabaseError: the DBC cannot be used.
         BuildError: the compiled law is required and cannot be had.
         PlaceError: no daemon to talk to.
-        VerbError: nobody agrees, the axis is not at rest, or the proof cannot be kept.
+        LogError: the log cannot be read or written.
+        VerbError: nobody agrees, the axis is not at rest, something is missing, or the proof cannot be kept.
+        OSError: a file cannot be written.
     """
+    if not test_only and importlib.util.find_spec("scipy") is None:
+        raise VerbError("commission needs scipy; install it with: pip install 'pneud[identify]'", 3)
+    from pneud.study.commissioning.procedure import Wishes, as_json  # noqa: PLC0415
+
+    if output is not None:
+        require_folder(output)
+    wishes = Wishes(steps=not test_only, dynamic=not skip_dynamic, write=not dry_run)
+    if not virtual and seed is not None:
+        raise VerbError("--seed: draws a software rig; give --virtual, too")
     if virtual:
-        loaded = load(config_file or "virtual.toml")
-        return _tell(_simulated(loaded, seed), None, json)
+        outcome, c = _simulated(config_file, seed, wishes, yes)
+    else:
+        outcome, c = _on_the_rig(socket, config_file, wishes, again, yes)
+    findings = _findings(outcome.movement)
+    if output is not None and outcome.found is not None:
+        write_whole(output, _page(outcome, c))
+    if json:
+        print(json_.dumps({**as_json(outcome), "findings": findings}))
+    else:
+        print("\n".join(_in_words(outcome, findings)))
+    return 0 if outcome.good else 1
+
+
+class _Talk:
+    """Whoever has called the verb."""
+
+    def __init__(self, yes: bool) -> None:
+        self._yes = yes
+
+    def say(self, words: str) -> None:
+        print(words, file=sys.stderr, flush=True)
+
+    def agreed(self, changes: list[Change]) -> bool:
+        self.say("\n".join(_table(changes)))
+        return self._yes or (sys.stdin.isatty() and typer.confirm("write that?", err=True))
+
+
+def _simulated(
+    config_file: str | None, seed: int | None, wishes: Wishes, yes: bool
+) -> tuple[Outcome, Config]:
+    from pneud.study.commissioning import procedure, truths  # noqa: PLC0415
+    from pneud.study.commissioning.bench import Simulated  # noqa: PLC0415
+
+    loaded = load(config_file or "virtual.toml")
+    packaged = loaded.path.is_relative_to(resources.configs())
+    if packaged and wishes.write and wishes.steps:
+        print("pneud: nothing is written into a configuration that comes with pneud", file=sys.stderr)
+    truth = truths.drawn(loaded.config, seed) if seed is not None else {}
+    with tempfile.TemporaryDirectory(prefix="pneud-") as folder:
+        rig = Simulated(loaded, truth, seed or 0, Path(folder))
+        wishes = wishes._replace(write=wishes.write and not packaged)
+        return procedure.commission(rig, wishes, _Talk(yes)), loaded.config
+
+
+def _on_the_rig(
+    socket: str | None, config_file: str | None, wishes: Wishes, again: bool, yes: bool
+) -> tuple[Outcome, Config]:
+    from pneud.study.commissioning import procedure  # noqa: PLC0415
+    from pneud.study.commissioning.live import Live  # noqa: PLC0415
+
     with Client(socket) as client:
         status = client.ask("status")
-        if status["state"] != State.DISARMED.label or status["config_changed"]:
-            found = "its file has changed" if status["config_changed"] else f"the axis is {status['state']}"
-            raise VerbError(f"commission: {found}; it has to be disarmed, and to run what its file says", 1)
-        loaded = load(status["config"])
-        if config_file is not None and load(config_file).text != loaded.text:
-            raise VerbError(f"commission: the daemon runs {status['config']}, another configuration")
-        _agreed(yes)
-        try:
-            verdict = _on_the_rig(client, loaded)
-        except RefusedError as e:
-            raise VerbError(f"commission: {e}", 1) from None
-    proof = None if dry_run else _kept(loaded, verdict, status)
-    return _tell(verdict, proof, json)
+    if status["state"] != State.DISARMED.label or status["config_changed"]:
+        found = "its file has changed" if status["config_changed"] else f"the axis is {status['state']}"
+        raise VerbError(f"commission: {found}; it has to be disarmed, and to run what its file says", 1)
+    loaded = load(status["config"])
+    if config_file is not None and load(config_file).text != loaded.text:
+        raise VerbError(f"commission: the daemon runs {status['config']}, another configuration")
+    passed = proven(loaded.path, digest(loaded.config, loaded.dbc.read_bytes())) == Proof.PASSED
+    wishes = wishes._replace(movement=again or not passed or not wishes.steps)
+    _agreed(loaded, wishes, yes)
+    rig = Live(lambda: Client(socket), loaded)
+    try:
+        return procedure.commission(rig, wishes, _Talk(yes)), loaded.config
+    except RefusedError as e:
+        raise VerbError(f"commission: {e}", 1) from None
+    finally:
+        rig.close()
 
 
-def _agreed(yes: bool) -> None:
+def _agreed(loaded: Loaded, wishes: Wishes, yes: bool) -> None:
     """Say what will move, and ask.
 
     Raises:
         VerbError: nobody agrees.
     """
-    words = "the load is pushed both ways, and moves some"
-    print(f"movement test: {words} {1e3 * MOVE_M:g} mm at {1e3 * SPEED_M_S:g} mm/s at most", file=sys.stderr)
+    from pneud.study.commissioning.procedure import planned  # noqa: PLC0415
+
+    print("\n".join(planned(loaded, wishes)), file=sys.stderr)
     if not yes and not (sys.stdin.isatty() and typer.confirm("go on?", err=True)):
         raise VerbError("commission: nobody agreed; --yes does without")
 
 
-def _simulated(loaded: Loaded, seed: int) -> Verdict:
-    test = MovementTest(conversions.axis_of(loaded.config, loaded.codecs.command_lsb_v))
-    for record in Simulation(loaded, LONGEST_S, seed, backend_of(loaded), operator=test.ask).records():
-        test.see(record.tick)
-    return _whole(test)
+def _table(changes: list[Change]) -> list[str]:
+    """What is to be written, a line for each key."""
+    rows = [("", "configured", "found", "95 % interval")]
+    rows += [(c.key, _short(c.was), _short(c.value), c.interval) for c in changes]
+    wide = [max(len(row[i]) for row in rows) for i in range(4)]
+    return [
+        f"{key:<{wide[0]}}  {was:>{wide[1]}}  {value:>{wide[2]}}  {interval:>{wide[3]}}".rstrip()
+        for key, was, value, interval in rows
+    ]
 
 
-def _on_the_rig(client: Client, loaded: Loaded) -> Verdict:
-    """The daemon's axis; whatever ends this, no probe outlives its lease."""
-    test = MovementTest(conversions.axis_of(loaded.config, loaded.codecs.command_lsb_v))
-    fields, descriptor = client.attach()
-    if fields["layout"] != Ring.layout():
-        raise VerbError("commission: the daemon is of another version")
-    ring = Ring.attach(descriptor, fields["slots"], fields["slot_bytes"])
-    reader = ring.reader()
-    reader.poll()
-    begun_ns = time.monotonic_ns()
-    while test.verdict is None and not ring.closed and time.monotonic_ns() - begun_ns < LONGEST_S * 1e9:
-        for record in reader.poll():
-            tick = record.tick
-            if tick.t_ns < begun_ns:
-                continue
-            test.see(tick)
-            wanted = test.ask(tick.state, tick.present)
-            if wanted is not None and wanted.kind == RequestKind.PROBE:
-                _ask(client, wanted.values)
-        time.sleep(LOOK_S)
-    return _whole(test)
+def _short(value: Any) -> str:
+    if value is None:
+        return "–"
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-def _ask(client: Client, values: tuple[float, ...]) -> None:
-    voltage_v, rate_v_s, travel_m, speed_m_s, force_n, _ = values
-    bounds = {"travel_mm": 1e3 * travel_m, "speed_mm_s": 1e3 * speed_m_s, "force_n": force_n}
-    try:
-        client.ask("probe", voltage_v=voltage_v, rate_v_s=rate_v_s, **bounds, lease_s=LEASE_S)
-    except RefusedError as e:
-        if e.kind != "wrong_state":  # it may have ended while it was renewed
-            raise
+def _findings(movement: Verdict | None) -> list[dict[str, str]]:
+    found = () if movement is None else movement.findings
+    return [{"name": str(f), "cure": CURES[f]} for f in found]
 
 
-def _whole(test: MovementTest) -> Verdict:
-    if test.verdict is None:
-        raise VerbError("commission: the movement test has not come to its end", 1)
-    return test.verdict
+def _in_words(o: Outcome, findings: list[dict[str, str]]) -> list[str]:
+    lines = []
+    if o.movement is not None:
+        lines.append(f"movement test: {'passed' if o.movement.passed else 'failed'}")
+        lines += [f"{f['name']}: {f['cure']}" for f in findings]
+    if o.failure:
+        lines.append(f"ended: {o.failure}")
+    lines += [f"faults: {', '.join(o.faults)}"] if o.faults else []
+    return [*lines, *_worth(o), f"commission: {o.verdict}{', written' if o.written else ''}"]
 
 
-def _kept(loaded: Loaded, verdict: Verdict, status: dict[str, Any]) -> Path:
-    told = {
-        "passed": verdict.passed,
-        "findings": [str(f) for f in verdict.findings],
-        "date": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-        "bus": status["bus"],
-        "log": status["log"],
-    }
-    try:
-        return keep(loaded.path, digest(loaded.config, loaded.dbc.read_bytes()), told)
-    except OSError as e:
-        raise VerbError(f"commission: the proof cannot be kept: {e.strerror}: {e.filename}", 3) from None
+def _worth(o: Outcome) -> list[str]:
+    """What was found, and what the axis is worth."""
+    if o.found is None:
+        return []
+    from pneud.study.commissioning import page  # noqa: PLC0415
+
+    lines = [f"not told: {note}" for note in o.found.identified.notes]
+    lines += [f"the model cannot explain {text}" for text in o.found.unexplained]
+    lines += [page.gains(o.found.chosen)] if o.found.chosen is not None else []
+    if o.after is not None:
+        table = [page.HEAD, *page.beside(o.before, o.after)]
+        wide = max(len(row[0]) for row in table)
+        lines += [f"{name:<{wide}}  " + "  ".join(f"{cell:>8}" for cell in cells) for name, *cells in table]
+        lines.append(page.verdict(o.after))
+    return lines
 
 
-def _tell(verdict: Verdict, proof: Path | None, json: bool) -> int:
-    words = "passed" if verdict.passed else "failed"
-    findings = [{"name": str(f), "cure": CURES[f]} for f in verdict.findings]
-    if json:
-        kept = None if proof is None else str(proof)
-        found = {"schema": 1, "verdict": words, "findings": findings, "faults": list(verdict.faults)}
-        print(json_.dumps({**found, "proof": kept}))
-    else:
-        lines = [f"movement test: {words}", *(f"{f['name']}: {f['cure']}" for f in findings)]
-        lines += [f"faults: {', '.join(verdict.faults)}"] if verdict.faults else []
-        lines += [f"kept in {proof}"] if proof is not None else []
-        print("\n".join(lines))
-    return 0 if verdict.passed else 1
+def _page(o: Outcome, c: Config) -> str:
+    from pneud.study.commissioning import page  # noqa: PLC0415
+    from pneud.study.identification import comparing  # noqa: PLC0415
+
+    assert o.found is not None
+    found = o.found.identified
+    lines = [f"commission: {o.verdict}", *_worth(o)]
+    return page.page(
+        f"{c.name}: commission", lines, comparing.rows(found.parameters, {}), found, c, o.before, o.after
+    )

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json as json_
 import os
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Annotated, Any, NamedTuple
 
 import typer
@@ -21,7 +19,8 @@ from pneud.study import gains as rules
 from pneud.study.judging import Judged, Lengths
 from pneud.study.proposing import LAWS, Proposal, propose
 from pneud.study.push import Pushed, service
-from pneud.verbs import JsonOption
+from pneud.verbs import FileArgument, JsonOption, ProgressOption
+from pneud.view.progress import each, progress
 
 
 class Aim(NamedTuple):
@@ -55,7 +54,7 @@ def design(
             "--bandwidth", metavar="RAD_S", help="Of the closed loop; or auto: the fastest that holds."
         ),
     ],
-    file: Annotated[str, typer.Argument(metavar="FILE", help="Configuration.")] = "virtual.toml",
+    file: FileArgument = "virtual.toml",
     error_mm: Annotated[
         float | None,
         typer.Option(
@@ -78,6 +77,7 @@ def design(
     ] = 1e3 * judging.WITHIN_M,
     compare: Annotated[bool, typer.Option("--compare", help="Try all laws.")] = False,
     json: JsonOption = False,
+    how: ProgressOption = "auto",
 ) -> int:
     """Design gains and print them as TOML, with predictions and warnings.
 
@@ -104,7 +104,7 @@ def design(
     aim = Aim(loaded, omega, 1e-3 * error_mm, alpha, 1e-3 * within_mm)
     if omega is None or simulate or compare:
         laws = (law, *(other for other in LAWS if other != law)) if compare else (law,)
-        designs = _tried(aim, laws)
+        designs = _tried(aim, laws, how)
     else:
         designs = {law: Design(propose(c, law, omega, aim.error_m, alpha), omega)}
     found = designs[law]
@@ -125,19 +125,19 @@ def _within(option: str, value: float, low: float, high: float) -> None:
         raise ConfigError(f"{option} {value:g}: must lie between {low:g} and {high:g}")
 
 
-def _tried(aim: Aim, laws: tuple[str, ...]) -> dict[str, Design]:
+def _tried(aim: Aim, laws: tuple[str, ...], how: str) -> dict[str, Design]:
     """The designs of these laws, tried on all rigs."""
     why = trial.compiled()[1]
     if why:
         print(f"pneud: this is slow and brief, since nothing can be compiled: {why}", file=sys.stderr)
     c, cases, found = aim.loaded.config, judging.SHORT if why else (), {}
-    with judging.judges() as judge, _progress() as watch:
+    with judging.judges() as judge, progress(how) as report:
 
         def judged(p: Proposal, lengths: Lengths) -> tuple[Judged, ...]:
             course = judging.course_of(c, judging.BRIEF if why else lengths, aim.within_m)
             many = judging.tasks(p.config, aim.loaded.codecs.command_lsb_v, course, cases)
             text = f"{p.config.control.law} at {p.prediction.bandwidth_rad_s:.3g} rad/s"
-            return tuple(watch(judge(many), text, len(many)))
+            return tuple(each(judge(many), report, text, len(many), "sessions"))
 
         for law in laws:
 
@@ -151,30 +151,6 @@ def _tried(aim: Aim, laws: tuple[str, ...]) -> dict[str, Design]:
                 p = proposed(aim.omega_rad_s)
                 found[law] = Design(p, aim.omega_rad_s, judged(p, judging.WHOLE) if p.sound else ())
     return found
-
-
-Watch = Callable[[Iterator[Judged], str, int], Iterator[Judged]]
-
-
-@contextmanager
-def _progress() -> Iterator[Watch]:
-    """Sessions pass through as they end; on a terminal a bar shows how many of those to come, and of what."""
-    if not os.isatty(2):
-        yield lambda found, _text, _count: found
-        return
-    from rich.console import Console  # noqa: PLC0415 - slow to load, and only for a terminal
-    from rich.progress import Progress  # noqa: PLC0415
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("")
-
-        def watch(found: Iterator[Judged], text: str, count: int) -> Iterator[Judged]:
-            bar.reset(task, total=count, description=text)
-            for one in found:
-                bar.advance(task)
-                yield one
-
-        yield watch
 
 
 def _from_large_errors(aim: Aim, found: Design) -> list[tuple[float, Pushed]]:

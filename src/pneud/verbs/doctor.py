@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import sys
-from typing import Annotated
-
-import typer
 
 from pneud.service.examination import diagnose
-from pneud.verbs import JsonOption, VerbError
+from pneud.verbs import FileArgument, JsonOption, VerbError
 
 
 def doctor(
-    file: Annotated[str, typer.Argument(metavar="FILE", help="Configuration.")] = "virtual.toml",
+    file: FileArgument = "virtual.toml",
     json: JsonOption = False,
 ) -> int:
     """Examine this machine; see `diagnose`."""

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pneud.config.models import Config
 from pneud.config.reading import load_config
 from pneud.log.files.reader import read_log
 from pneud.rt.outputs import require_folder, write_whole
-from pneud.verbs import JsonOption, VerbError, whole
+from pneud.verbs import JsonOption, LogsArgument, ProgressOption, VerbError, require_suffix, watch, whole
+from pneud.view.progress import progress
 
 if TYPE_CHECKING:
     from pneud.study.identification.comparing import Row
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def identify(
-    logs: Annotated[list[str], typer.Argument(metavar="LOG…", help="Logs of one rig.")],
+    logs: LogsArgument,
     config: Annotated[
         Path | None,
         typer.Option("--config", metavar="FILE", help="Compare with this one, not with that in the log."),
@@ -35,6 +35,7 @@ def identify(
         Path | None, typer.Option("-o", "--output", metavar="FILE", help="A page with pictures (.html).")
     ] = None,
     json: JsonOption = False,
+    how: ProgressOption = "auto",
 ) -> int:
     """Estimate what a rig is like, and compare that with its configuration and with an earlier estimate.
 
@@ -50,16 +51,20 @@ def identify(
     """
     if importlib.util.find_spec("scipy") is None:
         raise VerbError("identify needs scipy; install it with: pip install 'pneud[identify]'", 3)
-    from pneud.study.identification import comparing, estimating, explaining, table, words  # noqa: PLC0415
+    from pneud.study.identification import comparing, estimating, explaining, page, table, words  # noqa: PLC0415
 
     if output is not None:
+        require_suffix(output, ".html", "the report is a page of HTML")
         require_folder(output)
     before = comparing.earlier(against) if against is not None else {}
     given = load_config(config) if config is not None else None
     readers = [read_log(log) for log in logs]
-    measured, own = table.read(readers)
-    c = given or own
-    found = estimating.identify(measured, c)
+    with progress(how) as report:
+        watch(report, *readers)
+        measured, own = table.read(readers)
+        c = given or own
+        report("estimating", 0, 0, "")
+        found = estimating.identify(measured, c)
     rows = comparing.rows(found.parameters, before)
     unexplained = explaining.unexplained(found.valved, found.moved, found.noise_pa, c)
     verdict = words.verdict(rows, unexplained)
@@ -69,7 +74,8 @@ def identify(
         print("\n".join([*words.table(rows), *_said(found, unexplained, verdict)]))
     if output is not None:
         title = f"{c.name}: {', '.join(reader.path.name for reader in readers)}"
-        write_whole(output, _page(title, found, rows, _said(found, unexplained, verdict), c))
+        said = _said(found, unexplained, verdict)
+        write_whole(output, page.page(title, said, [page.parameters(rows)], page.maps(found, c)))
     return 0 if whole(*readers) and verdict in ("agrees", "unknown") else 1
 
 
@@ -103,16 +109,3 @@ def _as_json(
             "force_n": None if found.moved is None else found.moved.misfit_n,
         },
     }
-
-
-def _page(title: str, found: Identified, rows: Sequence[Row], lines: Sequence[str], c: Config) -> str:
-    from pneud.study.identification.explaining import flow_map, friction_map  # noqa: PLC0415
-    from pneud.study.identification.page import Picture, page  # noqa: PLC0415
-
-    pictures = []
-    if found.moved is not None:
-        pictures.append(Picture("Friction", "speed [m/s]", "friction [N]", friction_map(found.moved)))
-    if found.valved is not None:
-        bins = flow_map(found.valved, c)
-        pictures.append(Picture("Flow", "spool [V]", "opening, relative", bins))
-    return page(title, lines, rows, pictures)

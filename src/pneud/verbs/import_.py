@@ -24,6 +24,8 @@ from pneud.replay.times import Times
 from pneud.replay.traffic import FORMATS
 from pneud.rt.inputs import read_whole
 from pneud.safety.faults import FAULT_NAMES
+from pneud.verbs import ProgressOption
+from pneud.view.progress import each, progress
 
 _LEAD_NS = 1_000_000_000  # the log's own times begin one second before the first frame
 _NEVER_NS = 1 << 62  # the year 2116
@@ -51,7 +53,10 @@ def import_(
     recording: Annotated[
         Path, typer.Argument(metavar="FILE", help="Recording: .log (candump -l), .asc or .blf.")
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="LOG", help="The log (.mcap).")],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="LOG", help="The log; default FILE's name with .mcap."),
+    ] = None,
     dbc: Annotated[
         Path | None, typer.Option("--dbc", metavar="FILE", help="Its messages; an exported log has them.")
     ] = None,
@@ -59,6 +64,7 @@ def import_(
         str | None,
         typer.Option("--config", metavar="FILE", help="Of the axis; default the exported, else rig.toml."),
     ] = None,
+    how: ProgressOption = "auto",
 ) -> int:
     """Write the log.
 
@@ -67,6 +73,7 @@ def import_(
     """
     if recording.suffix.lower() not in FORMATS:
         raise ConfigError(f"{recording}: no such format; its name must end in one of {', '.join(FORMATS)}")
+    output = output or Path(f"{recording.stem}.mcap")
     if output.suffix != ".mcap":
         raise ConfigError(f"{output}: a log's name ends in .mcap")
     source = _source(recording, dbc, config_file)
@@ -90,8 +97,9 @@ def import_(
         extra={"recording": recording.name},
     )
     times = Times(surveyed.start_ns, placed.offset_ns, 1e9 / source.rate_hz, remarks)
-    ticks = Ticks(traffic.read(recording, remarks), codecs, surveyed, times, remarks)
-    with new_log(path) as descriptor:
+    with new_log(path) as descriptor, progress(how) as report:
+        frames = each(traffic.read(recording, remarks), report, recording.name, 0, "frames")
+        ticks = Ticks(frames, codecs, surveyed, times, remarks)
         writer = LogWriter(descriptor, header)
         found = rebuild(ticks, writer, config, codecs, source.known)
         whole = writer.close()

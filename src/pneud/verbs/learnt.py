@@ -19,7 +19,7 @@ from pneud.config.sections import ConfigError
 from pneud.config.writing import put, rewrite
 from pneud.log.files.reader import LogReader, read_log
 from pneud.replay.learning import last_learnt
-from pneud.verbs import JsonOption
+from pneud.verbs import JsonOption, LogArgument
 
 _START = ("control", "adaptation", "start")
 _SAME = (
@@ -29,7 +29,7 @@ _SAME = (
 
 
 def learnt(
-    log: Annotated[str, typer.Argument(metavar="LOG", help="A log, or a folder with the parts of one.")],
+    log: LogArgument,
     into: Annotated[
         Path | None,
         typer.Option("--into", metavar="CONFIG", help="Write it there: runs with that file start from it."),

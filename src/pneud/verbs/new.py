@@ -20,6 +20,7 @@ from pneud.study.plausibility import findings
 from pneud.verbs import JsonOption, VerbError
 
 DEFAULT_NAME = "axis"
+CYLINDERS, VALVES = library.choices(library.CYLINDERS), library.choices(library.VALVES)
 
 
 class Question(NamedTuple):
@@ -70,14 +71,14 @@ QUESTIONS = (
     Question(
         "cylinder",
         "--cylinder",
-        f"Cylinder: {', '.join(library.names(library.CYLINDERS))}; or {library.FORMS[library.CYLINDERS]}",
+        f"Cylinder: {CYLINDERS}",
         library.cylinder,
         "",
     ),
     Question(
         "valve",
         "--valve",
-        f"Valve: {', '.join(library.names(library.VALVES))}; or {library.FORMS[library.VALVES]}",
+        f"Valve: {VALVES}",
         library.valve,
         "",
     ),
@@ -103,12 +104,10 @@ def new(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FILE", help="To write; default NAME.toml.")
     ] = None,
-    cylinder: Annotated[
-        str | None, typer.Option("--cylinder", metavar="C", help="Of the library, or bore/rod in mm.")
-    ] = None,
+    cylinder: Annotated[str | None, typer.Option("--cylinder", metavar="C", help=f"{CYLINDERS}.")] = None,
     valve: Annotated[
         str | None,
-        typer.Option("--valve", metavar="V", help="Of the library, flow in l/min, kv=, cv= or c=,b=."),
+        typer.Option("--valve", metavar="V", help=f"{VALVES}."),
     ] = None,
     stroke: Annotated[str | None, typer.Option("--stroke", metavar="MM", help="Of the piston.")] = None,
     mass: Annotated[str | None, typer.Option("--mass", metavar="KG", help="Piston, rod and load.")] = None,

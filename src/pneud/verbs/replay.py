@@ -17,6 +17,7 @@ from pneud.config.models import Config
 from pneud.config.reading import load_with_text as load_text
 from pneud.config.reading import with_settings
 from pneud.config.sections import ConfigError, check_channel
+from pneud.console.tuning import settings_of
 from pneud.log.files.reader import LogReader, read_log
 from pneud.loop.summary import finite
 from pneud.replay import courses
@@ -28,23 +29,50 @@ from pneud.report.gather import gather
 from pneud.report.pictures import require
 from pneud.report.timing import in_words
 from pneud.rt.outputs import require_folder
-from pneud.verbs import JsonOption, whole
+from pneud.study.linear import doubts_of
+from pneud.verbs import (
+    JsonOption,
+    LogsArgument,
+    ProgressOption,
+    complete_config,
+    complete_key,
+    complete_log,
+    watch,
+    whole,
+)
+from pneud.view.progress import progress
 
 _ROWS = 12  # of the table of differences
 
 
 def replay(
-    logs: Annotated[
-        list[str], typer.Argument(metavar="LOG…", help="A log, its parts, or the folder that they are in.")
-    ],
+    logs: LogsArgument,
     config: Annotated[
-        str | None, typer.Option("--config", metavar="FILE", help="What if: another configuration.")
+        str | None,
+        typer.Option(
+            "--config",
+            metavar="FILE",
+            help="What if: another configuration.",
+            autocompletion=complete_config,
+        ),
     ] = None,
     settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="What if: another value.")
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="What if: another value, by its key or as in tune.",
+            autocompletion=complete_key,
+        ),
     ] = None,
     against: Annotated[
-        str | None, typer.Option("--against", metavar="LOG2", help="Compare with another log instead.")
+        str | None,
+        typer.Option(
+            "--against",
+            metavar="LOG2",
+            help="Compare with another log instead.",
+            autocompletion=complete_log,
+        ),
     ] = None,
     begin_s: Annotated[
         float, typer.Option("--from", metavar="S", help="Begin so long after the log's start.")
@@ -60,6 +88,7 @@ def replay(
         float, typer.Option("--speed", metavar="FACTOR", help="With --bus: how much faster than it was.")
     ] = 1.0,
     json: JsonOption = False,
+    how: ProgressOption = "auto",
 ) -> int:
     """Replay a log and say how it compares, compare it with another one, or play it on a bus.
 
@@ -80,10 +109,10 @@ def replay(
         _check_picture(output)
     log = read_log(*logs)
     if bus is not None:
-        return _play(log, _channel(bus), speed, begin_s, json)
+        return _play(log, _channel(bus), speed, begin_s, json, how)
     if against is not None:
-        return _against(log, read_log(against), output, json)
-    return _again(log, _config(log, config, settings or []), begin_s, output, json)
+        return _against(log, read_log(against), output, json, how)
+    return _again(log, _config(log, config, settings or []), begin_s, output, json, how)
 
 
 def _alone(what: str, given: Mapping[str, object], but: tuple[str, ...]) -> None:
@@ -100,29 +129,39 @@ def _check_picture(output: Path) -> None:
 
 
 def _config(log: LogReader, file: str | None, settings: list[str]) -> Config | None:
+    if file is None and not settings:
+        return None
+    text, name = log.config_text, f"{log.path}:{log.config_name}"
     if file is not None:
         _, text, path = load_text(file)
-        return with_settings(text, str(path), settings)
-    return with_settings(log.config_text, f"{log.path}:{log.config_name}", settings) if settings else None
+        name = str(path)
+    found = with_settings(text, name, [s for setting in settings for s in settings_of(setting)])
+    for doubt in doubts_of(found):
+        print(f"pneud: warning: {doubt}", file=sys.stderr)
+    return found
 
 
-def _again(log: LogReader, what_if: Config | None, begin_s: float, output: Path | None, json: bool) -> int:
+def _again(
+    log: LogReader, what_if: Config | None, begin_s: float, output: Path | None, json: bool, how: str
+) -> int:
     differences = None
     if what_if is not None or output is not None:
         differences = Differences(exact=log.metadata.get("detail") == "full")
-    outcome = run(log, what_if, begin_s, differences.add if differences is not None else None)
+    told = differences if what_if is not None else None
+    with progress(how) as report:
+        watch(report, log)
+        outcome = run(log, what_if, begin_s, differences.add if differences is not None else None)
+        timing = in_words(gather(log)) if not json and told is None and outcome.ticks else []
     if differences is not None and output is not None:
         courses.write(differences.points, ("log", "replay"), output)
-    told = differences if what_if is not None else None
     if json:
         print(json_.dumps(_result(outcome) | ({} if told is None else {"differences": _spreads(told)})))
     else:
         _say(outcome)
         if told is not None:
             _tell(told)
-        elif outcome.ticks:
-            for line in in_words(gather(log)):
-                print(line)
+        for line in timing:
+            print(line)
     return 0 if outcome.good else 1
 
 
@@ -173,8 +212,10 @@ def _tell(d: Differences) -> None:
         print(f"and {len(spreads) - _ROWS} more (--json lists all)")
 
 
-def _against(one: LogReader, other: LogReader, output: Path | None, json: bool) -> int:
-    c = compare(one, other)
+def _against(one: LogReader, other: LogReader, output: Path | None, json: bool, how: str) -> int:
+    with progress(how) as report:
+        watch(report, one)
+        c = compare(one, other)
     d = c.differences
     if output is not None:
         courses.write(d.points, (one.path.name, other.path.name), output)
@@ -217,7 +258,7 @@ def _channel(name: str) -> str:
     return channel
 
 
-def _play(log: LogReader, channel: str, speed: float, begin_s: float, json: bool) -> int:
+def _play(log: LogReader, channel: str, speed: float, begin_s: float, json: bool, how: str) -> int:
     stopped = False
 
     def stop(*_: object) -> None:
@@ -229,7 +270,9 @@ def _play(log: LogReader, channel: str, speed: float, begin_s: float, json: bool
         refuse_if_driven(link, ids, what="another node answers there")
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, stop)
-        done = play(log, link, speed, begin_s, lambda: stopped)
+        with progress(how) as report:
+            watch(report, log)
+            done = play(log, link, speed, begin_s, lambda: stopped)
     if json:
         result = {"schema": 1, "frames": done.frames, "failed": done.failed, "late_ms": done.late_ms}
         print(json_.dumps({**result, "truncated": log.truncated}))

@@ -15,15 +15,19 @@ from pneud.report.gather import Window, gather
 from pneud.report.page import is_reference, page
 from pneud.rt.inputs import read_whole
 from pneud.rt.outputs import require_folder, write_whole
-from pneud.verbs import whole
+from pneud.verbs import LogsArgument, ProgressOption, require_suffix, watch, whole
+from pneud.view.progress import progress
 
 _BUCKETS = 8192  # of a page, shared by its logs
 _FEWEST = 1024
 
 
 def report(
-    logs: Annotated[list[str], typer.Argument(metavar="LOG…", help="Logs; several are compared.")],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="The page (.html).")],
+    logs: LogsArgument,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="The page; default the log's name with .html."),
+    ] = None,
     png: Annotated[
         bool, typer.Option("--png", help="Write the figures as PNG beside the page, too.")
     ] = False,
@@ -37,6 +41,7 @@ def report(
     end: Annotated[
         float | None, typer.Option("--to", metavar="S", help="End so long after the first tick.")
     ] = None,
+    how: ProgressOption = "auto",
 ) -> int:
     """Write a report on one log, or a comparison of several.
 
@@ -46,13 +51,17 @@ def report(
     window = Window(begin or 0.0, float("inf") if end is None else end)
     if not window.begin_s < window.end_s:
         raise ConfigError(f"--from {window.begin_s:g} --to {window.end_s:g}: there is nothing between them")
+    output = output or Path(f"{read_log(logs[0]).path.stem}.html")
+    require_suffix(output, ".html", "a report is a page of HTML")
     require_folder(output)
     if png:
         pictures.require()
     setting = _reference(reference) if reference is not None else None
     buckets = max(_FEWEST, _BUCKETS // len(logs))
     readers = [read_log(log) for log in logs]
-    runs = [gather(reader, window, buckets) for reader in readers]
+    with progress(how) as told:
+        watch(told, *readers)
+        runs = [gather(reader, window, buckets) for reader in readers]
     write_whole(output, page(runs, setting))
     for path in (output, *(pictures.write(runs, output.with_suffix("")) if png else ())):
         print(path)

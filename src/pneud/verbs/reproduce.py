@@ -17,7 +17,8 @@ from pneud.rt.outputs import write_whole
 from pneud.study import paper
 from pneud.study.paper_figures import pictures, require
 from pneud.study.paper_page import page, words
-from pneud.verbs import JsonOption
+from pneud.verbs import JsonOption, ProgressOption
+from pneud.view.progress import progress
 
 PAGE = "paper.html"
 
@@ -27,6 +28,7 @@ def reproduce(
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="Write page and figures here.")
     ] = None,
     json: JsonOption = False,
+    how: ProgressOption = "auto",
 ) -> int:
     """Run the cases, say what came out, and write page and figures where a folder is given.
 
@@ -41,7 +43,8 @@ def reproduce(
             "pneud: without numba this takes minutes; install it with: pip install 'pneud[sim]'",
             file=sys.stderr,
         )
-    found = paper.reproduce()
+    with progress(how) as report:
+        found = paper.reproduce(report)
     if output is not None:
         drawn = pictures(found)
         for picture in drawn:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import os
+import sys
+
 from pneud.daemon.preparation import RunOptions, prepared
 from pneud.daemon.result import tell
 from pneud.daemon.session import Session
+from pneud.rt import setup
+from pneud.rt.notify import restarting
 
 __all__ = ["RunOptions", "run"]
 
 
 def run(o: RunOptions) -> int:
-    """Run until told to stop.
+    """Run until told to stop; where an operator has asked for it, all begins anew in this process.
 
     Returns:
         Exit status: 0, or 1 where there was a fault or the axis never came to track.
@@ -18,6 +23,14 @@ def run(o: RunOptions) -> int:
     Raises:
         Exception: as for `prepared`, which refuses what cannot be run.
     """
+    allowed = os.sched_getaffinity(0)
     with prepared(o) as ready:
         session = Session(ready)
-        return tell(session, session.run())
+        lane = session.run()
+        status = tell(session, lane)
+    if lane.again:
+        sys.stdout.flush()
+        restarting()
+        setup.leave(allowed)
+        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
+    return status

@@ -12,13 +12,20 @@ from typing import Annotated, Any
 
 import typer
 
+from pneud.axis.stops import soft_limits
+from pneud.config.conversions import axis_of
 from pneud.config.sections import ConfigError
+from pneud.console import profiles
+from pneud.console.profiles import ProfileError
+from pneud.control.reference import Bounds, Septic
 from pneud.loading import Loaded, load
 from pneud.log.files.naming import log_path, new_log
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import SNAPSHOT_S, LogHeader
 from pneud.loop.summary import in_words, summarise
 from pneud.loop.tally import Tally
+from pneud.replay.following import Following
+from pneud.replay.following import in_words as followed
 from pneud.replay.lockstep import Simulation, backend_of
 from pneud.replay.moves import Course, moves_of
 from pneud.replay.moves import in_words as moves_in_words
@@ -29,21 +36,44 @@ from pneud.scenario.format import Scenario
 from pneud.signals import RequestKind, State
 from pneud.study.comparison import as_json, compare
 from pneud.study.comparison import in_words as compared
-from pneud.verbs import JsonOption, ScenarioOption, SeedOption, VerbError
+from pneud.verbs import (
+    JsonOption,
+    ProgressOption,
+    ScenarioOption,
+    SeedOption,
+    VerbError,
+    complete_config,
+    require_suffix,
+)
+from pneud.view.progress import Report, progress
 
 DURATION_S = 10.0
 MOVE_S = 20.0  # at most, of each
 MOST_REST_S = 600.0
 NO_LOG = -1
+CHIRP_M, CHIRP_HZ, CHIRP_S = 0.01, (0.2, 2.0), 20.0
+DWELL_S = 1.0  # at each of the steps
+TOLD_TICKS = 100
 GotoOption = Annotated[
     str | None,
     typer.Option("--goto", metavar="MM[@MM_S],…", help="Go to positions in turn, in place of tracking."),
+]
+TrackOption = Annotated[
+    str | None,
+    typer.Option(
+        "--track",
+        metavar="PROFILE",
+        help="Follow FILE.csv, FILE.json, chirp, or steps:MM,MM,… in place of the reference.",
+    ),
 ]
 
 
 def sim(
     config_file: Annotated[
-        str | None, typer.Argument(metavar="FILE", help="Configuration; default virtual.toml.")
+        str | None,
+        typer.Argument(
+            metavar="FILE", help="Configuration; default virtual.toml.", autocompletion=complete_config
+        ),
     ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="LOG", help="Write a log (.mcap).")
@@ -52,6 +82,7 @@ def sim(
         float | None, typer.Option("--duration", metavar="S", help="Simulated time; default 10 s.")
     ] = None,
     goto: GotoOption = None,
+    track: TrackOption = None,
     scenario_file: ScenarioOption = None,
     seed: SeedOption = 0,
     laws: Annotated[
@@ -61,41 +92,51 @@ def sim(
         ),
     ] = False,
     json: JsonOption = False,
+    how: ProgressOption = "auto",
 ) -> int:
     """Simulate an axis, or compare its laws.
 
     Returns:
-        Exit status: 0 where the axis tracks until the end, or has come to all positions; 1 where not.
+        Exit status: 0 where the axis tracks until the end, or has come to all positions, or to the end of the
+        profile; 1 where not.
 
     Raises:
         ConfigError: the configuration cannot be used.
         DatabaseError: the DBC cannot be used.
         LogError: the log cannot be written.
         BuildError: the compiled law is required and cannot be had.
+        MovesError: the positions make no sense.
         VerbError: an option does not go with another.
     """
+    if output is not None and output.suffix and not output.is_dir():  # else it is a folder
+        require_suffix(output, ".mcap", "a log is an MCAP file")
     if laws:
-        if output is not None or seed or scenario_file is not None or goto is not None:
+        if output is not None or seed or any(given is not None for given in (scenario_file, goto, track)):
             raise VerbError(
-                "--compare writes no log and has its own seed; leave out -o, --seed, --scenario and --goto"
+                "--compare writes no log and has its own seed; leave out -o, --seed, --scenario, --goto and"
+                " --track"
             )
-        return _compare(config_file or "virtual.toml", DURATION_S if duration_s is None else duration_s, json)
-    if scenario_file is not None and goto is not None:
-        raise VerbError("--goto: a scenario's verdict is on tracking; leave out --scenario")
+        rest_s = DURATION_S if duration_s is None else duration_s
+        return _compare(config_file or "virtual.toml", rest_s, json, how)
+    if [scenario_file, goto, track].count(None) < 2:
+        raise VerbError("--goto, --track: a scenario's verdict is on tracking; give one of the three")
     scenario = _playable(scenario_file) if scenario_file is not None else None
-    course = Course(moves_of(goto)) if goto is not None else None
+    loaded = load_axis(config_file, None, scenario)
+    course = _operator(goto, track, loaded)
     if duration_s is None:
         duration_s = _usual_s(scenario, course)
     if not 0.0 < duration_s <= 1e6:
         raise ConfigError(f"--duration {duration_s:g}: must lie between 0 and 1,000,000 s")
-    loaded = load_axis(config_file, None, scenario)
-    how = backend_of(loaded)
+    law = backend_of(loaded)
     operator = course.ask if course is not None else None
-    run = Simulation(loaded, duration_s, seed, how, scenario=scenario, operator=operator)
+    run = Simulation(loaded, duration_s, seed, law, scenario=scenario, operator=operator)
     path = log_path(str(output), loaded.config.name) if output is not None else None
-    with new_log(path) if path is not None else nullcontext(NO_LOG) as descriptor:
-        writer = _writer(descriptor, loaded, seed, how.name) if path is not None else None
-        tally, seen = _run(run, loaded.config.loop.rate_hz, writer, course)
+    with (
+        new_log(path) if path is not None else nullcontext(NO_LOG) as descriptor,
+        progress(how) as report,
+    ):
+        writer = _writer(descriptor, loaded, seed, law.name) if path is not None else None
+        tally, seen = _run(run, duration_s, loaded.config.loop.rate_hz, writer, course, report)
         whole = writer is None or (writer.close() and not writer.unwritten)
     if writer is not None and not whole:
         why = os.strerror(writer.error) if writer.error > 0 else "some ticks fit into no log"
@@ -114,7 +155,7 @@ def sim(
         run.engine.settle()
         summary["scenario"] = verdict.judge(scenario, loaded.config, seen, run.engine.effects.as_dict())
     if course is not None:
-        summary["moves"] = course.results
+        summary["moves" if isinstance(course, Course) else "profile"] = course.results
     never = tally.never_armed() if course is None or not course.begun else None
     if never is not None:
         summary["never_armed"] = never
@@ -133,8 +174,35 @@ def _playable(scenario_file: str) -> Scenario:
     return scenario
 
 
-def _usual_s(scenario: Scenario | None, course: Course | None) -> float:
-    """How long a run is, unless `--duration` says otherwise [s]; moves end it before."""
+def _operator(goto: str | None, track: str | None, loaded: Loaded) -> Course | Following | None:
+    """Who asks for something else than to track the reference."""
+    if goto is not None:
+        return Course(moves_of(goto))
+    if track is None:
+        return None
+    c = loaded.config
+    p = axis_of(c, loaded.codecs.command_lsb_v)
+    try:
+        pieces = _profile(track, c.plant.initial_x1_m - c.cylinder.dead_length_1_m, p.motion)
+        profiles.check(pieces, p.motion, *soft_limits(p))
+    except ProfileError as e:
+        raise VerbError(f"--track {track}: {e}") from None
+    return Following(profiles.requests(pieces), profiles.duration_s(pieces))
+
+
+def _profile(text: str, stands_m: float, bounds: Bounds) -> list[Septic]:
+    if text == "chirp":
+        return profiles.chirp(stands_m, CHIRP_M, *CHIRP_HZ, CHIRP_S)
+    if text.startswith("steps:"):
+        places_m = [move.to_m for move in moves_of(text.removeprefix("steps:"))]
+        return profiles.steps(places_m, DWELL_S, bounds)
+    return profiles.from_file(Path(text))
+
+
+def _usual_s(scenario: Scenario | None, course: Course | Following | None) -> float:
+    """How long a run is, unless `--duration` says otherwise [s]; moves and profiles end it before."""
+    if isinstance(course, Following):
+        return DURATION_S + MOVE_S + course.lasts_s
     if course is not None:
         return DURATION_S + MOVE_S * len(course.results) + course.longest_s
     return scenario.duration_s if scenario is not None else DURATION_S
@@ -146,17 +214,26 @@ def _in_words(summary: dict[str, Any]) -> str:
         lines.append(verdict.in_words(summary["scenario"]))
     if "moves" in summary:
         lines.append(moves_in_words(summary["moves"]))
+    if "profile" in summary:
+        lines.append(followed(summary["profile"]))
     return "\n".join(lines)
 
 
 def _run(
-    run: Simulation, rate_hz: float, writer: LogWriter | None, course: Course | None
+    run: Simulation,
+    duration_s: float,
+    rate_hz: float,
+    writer: LogWriter | None,
+    course: Course | Following | None,
+    report: Report,
 ) -> tuple[Tally, verdict.Observed]:
     """All ticks, counted and written down."""
     tally = Tally(truth=True, timed=False, sync=run.inbox.sync)
     seen = verdict.Observed()
     snapshot_ticks, written = max(1, round(SNAPSHOT_S * rate_hz)), 0
-    for record in run.records():
+    for number, record in enumerate(run.records()):
+        if number % TOLD_TICKS == 0:
+            report("simulating", number / rate_hz, duration_s, "s")
         tally.add(record, ending=run.shut)
         if course is not None:
             course.see(record)
@@ -194,13 +271,14 @@ def _writer(descriptor: int, loaded: Loaded, seed: int, law: str) -> LogWriter:
     )
 
 
-def _compare(config_file: str, rest_s: float, json: bool) -> int:
+def _compare(config_file: str, rest_s: float, json: bool, how: str) -> int:
     """Run every law through every case and print the tables."""
     if not 1.0 <= rest_s <= MOST_REST_S:
         raise ConfigError(f"--duration {rest_s:g}: with --compare, between 1 and {MOST_REST_S:g} s")
     compiled = importlib.util.find_spec("numba") is not None
     if not compiled:
         print("pneud: three cases only without numba; for all: pip install 'pneud[sim]'", file=sys.stderr)
-    found = compare(load(config_file), rest_s, compiled)
+    with progress(how) as report:
+        found = compare(load(config_file), rest_s, compiled, report=report)
     print(json_.dumps(as_json(found)) if json else compared(found))
     return 0

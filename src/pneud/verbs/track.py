@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
@@ -16,7 +15,6 @@ from pneud.console.profiles import ProfileError
 from pneud.console.protocol import MAX_PIECES
 from pneud.console.results import ask, refused, show
 from pneud.control.reference import Bounds, Septic
-from pneud.rt.inputs import read_whole
 from pneud.verbs import NEGATIVE_NUMBERS, JsonOption, SocketOption
 
 SETTINGS = NEGATIVE_NUMBERS
@@ -56,7 +54,7 @@ def track(
         if name == "steps":
             return profiles.steps([x * _MM for x in positions or []], dwell, bounds)
         if name != "chirp":
-            return _from_file(Path(name))
+            return profiles.from_file(Path(name))
         middle_mm = centre if centre is not None else position_mm
         if middle_mm is None:
             raise ProfileError("the position is not known; give --centre")
@@ -90,22 +88,3 @@ def _upload(client: Client, name: str, make: Callable[[Bounds, float | None], li
         some = [list(piece) for piece in pieces[at : at + MAX_PIECES]]
         client.ask("upload", first=at == 0, last=at + MAX_PIECES >= len(pieces), pieces=some)
     return pieces
-
-
-def _from_file(path: Path) -> list[Septic]:
-    if path.suffix == ".csv":
-        return profiles.from_csv(path)
-    if path.suffix == ".json":
-        return _from_json(path)
-    raise ConfigError(f"track {path}: is none of sine, chirp, steps, profile, FILE.csv, FILE.json")
-
-
-def _from_json(path: Path) -> list[Septic]:
-    """Pieces as `upload` has them: a list of [duration, eight coefficients], seconds and metres."""
-    try:
-        found = json_.loads(read_whole(path))
-        return [Septic._make(map(float, piece)) for piece in found]
-    except OSError as e:
-        raise ProfileError(f"{path}: cannot be read: {e.strerror}") from None
-    except (ValueError, TypeError, OverflowError, RecursionError) as e:
-        raise ProfileError(f"{path}: is no list of pieces [T, c0 … c7]: {e}") from None

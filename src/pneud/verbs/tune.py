@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from pneud.config.reading import load_config
+from pneud.config.reading import load_config, load_with_text, with_settings
 from pneud.config.sections import ConfigError
 from pneud.config.writing import put, rewrite
 from pneud.console.client import Client
 from pneud.console.endpoint import PlaceError
 from pneud.console.results import ask, show
-from pneud.console.tuning import NAMES, Values, difference, keys, values_of
-from pneud.verbs import JsonOption, SocketOption
+from pneud.console.tuning import NAMES, Values, difference, keys, name_of, settings_of, values_of
+from pneud.verbs import JsonOption, SocketOption, complete_tunable
 
 
 def get(socket: SocketOption = None, json: JsonOption = False) -> int:
@@ -24,7 +25,12 @@ def get(socket: SocketOption = None, json: JsonOption = False) -> int:
 
 
 def change(
-    settings: Annotated[list[str], typer.Argument(metavar="NAME=VALUE...", help="As in tune get.")],
+    settings: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="NAME=VALUE...", help="As in tune get, or by keys.", autocompletion=complete_tunable
+        ),
+    ],
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> int:
@@ -35,9 +41,13 @@ def change(
     """
     values: Values = {}
     for setting in settings:
-        name, equals, value = setting.partition("=")
+        key, equals, value = setting.partition("=")
+        name = name_of(key)
         if not equals or name not in NAMES:
-            raise ConfigError(f"{setting!r} is no NAME=VALUE; names are {', '.join(NAMES)}")
+            raise ConfigError(
+                f"{setting!r} is no NAME=VALUE; names are {', '.join(NAMES)}, or their keys in the file,"
+                " whose other values take effect at a restart"
+            )
         values[name] = value
         if name != "law":
             try:
@@ -46,7 +56,23 @@ def change(
                 raise ConfigError(f"{setting!r}: {value!r} is no number") from None
             if not math.isfinite(number):
                 raise ConfigError(f"{setting!r}: {value!r} is no finite number")
-    return ask(socket, json, "tune_set", _changed, gains=values)
+    status = ask(socket, json, "tune_set", _changed, gains=values)
+    if status == 0:
+        for doubt in _doubts(socket):
+            print(f"pneud: warning: {doubt}", file=sys.stderr)
+    return status
+
+
+def _doubts(socket: str | None) -> list[str]:
+    """What `pneud check` would warn of, were the running gains in the file."""
+    from pneud.study.linear import doubts_of  # noqa: PLC0415 - slow to load
+
+    running, path = _running(socket)
+    settings = [s for name, value in running.items() for s in settings_of(f"{name}={value}")]
+    try:
+        return doubts_of(with_settings(load_with_text(path)[1], str(path), settings))
+    except ConfigError:  # what is in the file is not what runs
+        return []
 
 
 def reload(socket: SocketOption = None, json: JsonOption = False) -> int:

@@ -5,8 +5,9 @@ A log is one file, or the parts that a recorder has split it into.
 
 from __future__ import annotations
 
+import os
 from collections import deque
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -95,6 +96,7 @@ class _File:
         self.setup: dict[str, str] = {}
         self.attachments: dict[str, bytes] = {}
         self.damage = ""
+        self.size = 0  # bytes
         self._read_head()
         self.run = self.metadata.get("run", "")
         self.part = int(self.metadata.get("part", "1"))
@@ -102,6 +104,7 @@ class _File:
 
     def _read_head(self) -> None:
         with open_mcap(self.path) as file:
+            self.size = os.fstat(file.fileno()).st_size
             try:
                 for piece in pieces(file, skip_chunks=True):
                     # Another tool may have put parts of the head behind messages: look on until all is there.
@@ -160,11 +163,12 @@ class _File:
                 pass
         return 0
 
-    def messages(self, from_ns: int = 0) -> Iterator[tuple[str, str, LoggedMessage]]:
+    def messages(self, from_ns: int, read: Callable[[int], None]) -> Iterator[tuple[str, str, LoggedMessage]]:
         """Topic, schema and message; ends at the first place that cannot be read.
 
         Args:
             from_ns: begin with the last snapshot not after this time, or at the start where there is none.
+            read: told how many bytes have been read, now and then.
         """
         self.damage = ""
         known = _Definitions()
@@ -177,6 +181,7 @@ class _File:
                     file.seek(start)
                 ended = False
                 for piece in pieces(file):
+                    read(piece.offset)
                     if piece.opcode == Opcode.STATISTICS and not start:
                         self._check_count(piece, count)
                     ended = ended or piece.opcode == Opcode.DATA_END
@@ -266,6 +271,7 @@ class LogReader:
         truncated: after an iteration: a file ends too early or goes on damaged.
         damage: after an iteration: where and why; empty if the files are whole.
         missing: after an iteration: records of the loop that are not in the files, before their last one.
+        watch: told of an iteration, now and then, how many bytes of how many have been read.
     """
 
     def __init__(self, paths: Sequence[Path]) -> None:
@@ -295,6 +301,7 @@ class LogReader:
         self.truncated = False
         self.damage = ""
         self.missing = 0
+        self.watch: Callable[[int, int], None] = lambda _read, _all: None
 
     @property
     def rate_hz(self) -> float:
@@ -350,7 +357,11 @@ class LogReader:
     def _raw(self, file: _File, last: int, from_ns: int) -> Generator[Raw, None, int]:
         waiting: dict[int, TickMessage] = {}
         began = not from_ns  # from the middle, what came before is not missing
-        for topic, schema, message in file.messages(from_ns):
+        before, whole = (
+            sum(f.size for f in self._files if f.part < file.part),
+            sum(f.size for f in self._files),
+        )
+        for topic, schema, message in file.messages(from_ns, lambda read: self.watch(before + read, whole)):
             if message.log_time_ns > _LATEST_NS:
                 self._damaged(f"damaged in a message of {topic}: its time lies behind the year 2262")
                 return last

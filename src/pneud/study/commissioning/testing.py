@@ -40,6 +40,7 @@ class MovementTest:
         self._seen: list[Seen] = []
         self._ticks: list[Tick] = []
         self._quiet = self._hindered = self._age = 0
+        self._awaited = False  # what was asked for has not come to the axis yet
         self.asked: Probe | None = None
         self.verdict: Verdict | None = None
 
@@ -52,9 +53,9 @@ class MovementTest:
         if self.verdict is not None:
             return Request(RequestKind.SHUTDOWN)
         if state == State.PROBING and self.asked is not None:
-            self._age += 1
+            self._age, self._hindered = self._age + 1, 0
             return _request(self.asked) if self._age % (self._lease // 3 + 1) == 0 else None
-        if state != State.DISARMED or present & BLOCKS[RequestKind.PROBE]:
+        if self._awaited or state != State.DISARMED or present & BLOCKS[RequestKind.PROBE]:
             self._quiet, self._hindered = 0, self._hindered + 1
             if self._hindered * self._p.controller.h > PATIENCE_S:
                 self.verdict = judge_rest(present) or Verdict((Finding.BY_FAULT,))
@@ -62,14 +63,18 @@ class MovementTest:
         self._quiet += 1
         if self._quiet * self._p.controller.h < QUIET_S:
             return None
-        self._quiet = self._hindered = self._age = 0
-        self.asked = self._todo.pop(0)
+        self._quiet = self._age = 0
+        self.asked, self._awaited = self._todo.pop(0), True
         return _request(self.asked)
 
     def see(self, tick: Tick) -> None:
         """What became of it."""
         asked = tick.request is not None and tick.request.kind == RequestKind.PROBE
-        if asked and tick.answer != Answer.TAKEN:
+        self._awaited &= not asked
+        if asked and tick.answer == Answer.BLOCKED and self.asked is not None:
+            self._todo.insert(0, self.asked)  # by what came up meanwhile, and may go again
+            self._hindered += round(QUIET_S / self._p.controller.h)
+        elif asked and tick.answer != Answer.TAKEN:
             self.verdict = judge_rest(tick.present) or Verdict((Finding.BY_FAULT,))
         if tick.state == State.PROBING:
             self._ticks.append(tick)

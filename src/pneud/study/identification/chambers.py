@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pneud.physics.gas import LINEAR_FROM, Gas, flow_factor
 from pneud.physics.valve import Valve, spool_transition
+from pneud.study.identification import heat
 
 Floats = NDArray[np.float64]
 Share = Callable[[Floats], tuple[Floats, Floats]]
@@ -22,6 +23,7 @@ Share = Callable[[Floats], tuple[Floats, Floats]]
 
 SUBSTEP_S = 5e-4  # longest step
 WARM_S = 0.03  # before a window, in which only the spool moves
+PLAYS_V = np.geomspace(5e-4, 0.25, 19)  # for which it is computed where the edges are before a window
 _GRID = 4096
 
 
@@ -35,6 +37,8 @@ class Windows(NamedTuple):
     p2_start_pa: Floats
     supply_pa: Floats  # smoothed
     applied_v: Floats
+    behind: Floats  # of the play, for `PLAYS_V`, where the edges are at first: −1 to 1 (window, play)
+    warmth: Floats  # of the air, for rates of the wall: (window, rate, chamber, tick)
     warm: int  # ticks before the start
 
 
@@ -68,10 +72,12 @@ class Guess(NamedTuple):
     dead1_m: Floats
     dead2_m: Floats
     exponent: Floats
-    seep: Floats  # of each closed edge, relative to a fully open one
+    seep: Floats  # of each closed edge from the supply, relative to a fully open one
+    seep_out: Floats  # and of those to the atmosphere
     play_v: Floats  # half of the spool's hysteresis
     exhaust: Floats  # flow of the edges to the atmosphere, relative to those from the supply
     critical: Floats  # of ISO 6358; not looked at where the flow is an orifice's
+    wall_1_s: Floats  # rate at which air comes to the wall's temperature; 0: it never does
 
 
 def orifice(g: Gas) -> Share:
@@ -132,13 +138,14 @@ def simulate(w: Windows, guesses: Guess, rig: Rig, iso: bool) -> Floats:
     share = iso6358(column.critical) if iso else orifice(rig.gas)
     moves = [_moves(0, column.delay_s, column, rig), _moves(1, rig.h - column.delay_s, column, rig)]
     y = np.broadcast_to(w.applied_v[:, 0], (count, windows)).copy()
-    rate, felt = np.zeros_like(y), y  # felt: by the edges, behind the play
+    rate, felt = np.zeros_like(y), y + _behind(w, column.play_v)  # felt: by the edges, behind the play
     p1 = np.broadcast_to(w.p1_start_pa, (count, windows)).copy()
     p2 = np.broadcast_to(w.p2_start_pa, (count, windows)).copy()
     out = np.empty((count, 2, windows, samples - w.warm - 1))
     length = rig.stroke_m + column.dead2_m
     inside = np.clip(w.x_m, 0.0, rig.stroke_m)  # whatever the encoder says
     scale = column.exponent * column.flow
+    root, held = _heat(w, column, rig.h)
     for k in range(samples - 1):
         x, step = inside[:, k], inside[:, k + 1] - inside[:, k]
         at, counts = np.zeros_like(column.delay_s), k >= w.warm
@@ -159,12 +166,24 @@ def simulate(w: Windows, guesses: Guess, rig: Rig, iso: bool) -> Floats:
                     p2 = p2 * ((length - a) / (length - m)) ** column.exponent
                     v1 = scale / (rig.area1_m2 * (m + column.dead1_m))
                     v2 = scale / (rig.area2_m2 * (length - m))
-                    p1, p2 = _flows(p1, p2, opening, v1, v2, w.supply_pa[:, k], column, share, h, rig.gas)
+                    leaving = column.exhaust[:, :, None] * root[..., k - w.warm]
+                    edges = _Edges(opening, column.seep, column.seep_out, leaving)
+                    p1, p2 = _flows(p1, p2, edges, v1, v2, w.supply_pa[:, k], share, h, rig.gas)
                     p1 = p1 * ((m + column.dead1_m) / (b + column.dead1_m)) ** column.exponent
                     p2 = p2 * ((length - m) / (length - b)) ** column.exponent
         if counts:
+            p1, p2 = p1 * held[:, 0, :, k - w.warm], p2 * held[:, 1, :, k - w.warm]
             out[:, 0, :, k - w.warm], out[:, 1, :, k - w.warm] = p1, p2
     return out
+
+
+def _behind(w: Windows, play_v: Floats) -> Floats:
+    """How far from the spool the edges are at first: (guess, window) [V]."""
+    place = np.interp(np.log(np.maximum(play_v[:, 0], 1e-9)), np.log(PLAYS_V), np.arange(len(PLAYS_V)))
+    low = np.minimum(place.astype(int), len(PLAYS_V) - 2)
+    part = (place - low)[:, None]
+    found: Floats = play_v * ((1.0 - part) * w.behind.T[low] + part * w.behind.T[low + 1])
+    return found
 
 
 def spool(w: Windows, guess: Guess, rig: Rig) -> Floats:
@@ -172,7 +191,7 @@ def spool(w: Windows, guess: Guess, rig: Rig) -> Floats:
     column = Guess._make(np.atleast_1d(np.asarray(value, dtype=float))[:, None] for value in guess)
     moves = [_moves(0, column.delay_s, column, rig), _moves(1, rig.h - column.delay_s, column, rig)]
     y = w.applied_v[None, :, 0]
-    rate, felt = np.zeros_like(y), y
+    rate, felt = np.zeros_like(y), y + _behind(w, column.play_v)
     out = np.empty((w.x_m.shape[0], w.x_m.shape[1] - 1))
     for k in range(out.shape[1]):
         for late, _, n, (ee, er, re, rr) in moves:
@@ -197,17 +216,40 @@ def _moves(late: int, span: Floats, column: Guess, rig: Rig) -> tuple[int, Float
     return late, h, n, tuple(np.array(values)[:, None] for values in zip(*found, strict=True))
 
 
+def _heat(w: Windows, column: Guess, h: float) -> tuple[Floats, Floats]:
+    """How much faster warm air leaves, what the wall leaves of a pressure: (guess, chamber, window, tick)."""
+    if not np.any(column.wall_1_s > 0.0):
+        none = np.ones((1, 2, 1, w.p1_pa.shape[1]))
+        return none, none
+    warmth = heat.at(w.warmth, column.wall_1_s[:, 0])
+    taken = -np.expm1(-h * column.wall_1_s)[:, :, None, None]
+    return np.exp(0.5 * warmth), 1.0 + taken * np.expm1(-warmth)
+
+
+class _Edges(NamedTuple):
+    """The valve for a step."""
+
+    opening: Floats
+    seep: Floats
+    seep_out: Floats
+    leaving: Floats  # flow to the atmosphere relative to that from the supply: (guess, chamber, window)
+
+
 def _flows(
-    p1: Floats, p2: Floats, opening: Floats, v1: Floats, v2: Floats, supply: Floats, c: Guess,
-    share: Share, h: Floats, g: Gas,
-) -> tuple[Floats, Floats]:  # fmt: skip
+    p1: Floats, p2: Floats, e: _Edges, v1: Floats, v2: Floats, supply: Floats, share: Share, h: Floats, g: Gas
+) -> tuple[Floats, Floats]:
     """Both pressures after a step at fixed volumes."""
-    out = opening > 0.0
-    wide = np.abs(opening) + c.seep
-    one, two = np.where(out, 1.0, c.exhaust), np.where(out, c.exhaust, 1.0)
-    p1 = _exchange(p1, np.where(out, supply, g.atmosphere_pa), v1 * one * wide, share, h)
-    p2 = _exchange(p2, np.where(out, g.atmosphere_pa, supply), v2 * two * wide, share, h)
-    if np.any(c.seep > 0.0):  # the edge that is shut
-        p1 = _exchange(p1, np.where(out, g.atmosphere_pa, supply), v1 * two * c.seep, share, h)
-        p2 = _exchange(p2, np.where(out, supply, g.atmosphere_pa), v2 * one * c.seep, share, h)
+    out, wide = e.opening > 0.0, np.abs(e.opening)
+    leaving1, leaving2 = e.leaving[:, 0], e.leaving[:, 1]
+    into, from1, from2 = wide + e.seep, leaving1 * (wide + e.seep_out), leaving2 * (wide + e.seep_out)
+    p1 = _exchange(p1, np.where(out, supply, g.atmosphere_pa), v1 * np.where(out, into, from1), share, h)
+    p2 = _exchange(p2, np.where(out, g.atmosphere_pa, supply), v2 * np.where(out, from2, into), share, h)
+    if np.any(e.seep > 0.0) or np.any(e.seep_out > 0.0):  # the edges that are shut
+        from1, from2 = leaving1 * e.seep_out, leaving2 * e.seep_out
+        p1 = _exchange(
+            p1, np.where(out, g.atmosphere_pa, supply), v1 * np.where(out, from1, e.seep), share, h
+        )
+        p2 = _exchange(
+            p2, np.where(out, supply, g.atmosphere_pa), v2 * np.where(out, e.seep, from2), share, h
+        )
     return p1, p2

@@ -19,8 +19,9 @@ SCHEMA = 1
 TOLERANCES: Mapping[str, tuple[float, float]] = {
     key.AREA: (0.1, 0.0), key.CONDUCTANCE: (0.1, 0.0), key.CRITICAL: (0.0, 0.1), key.EXHAUST: (0.1, 0.0),
     key.PLUS: (0.0, 0.03), key.MINUS: (0.0, 0.03), key.HALF: (0.0, 0.03), key.CENTRE: (0.0, 0.03),
-    key.BANDWIDTH: (0.3, 0.0), key.DELAY: (0.0, 500.0), key.SEEP: (0.0, 0.002), key.PLAY: (0.0, 0.03),
-    key.DEAD1: (0.2, 0.002), key.DEAD2: (0.2, 0.002), key.EXPONENT: (0.0, 0.1),
+    key.BANDWIDTH: (0.3, 0.0), key.DELAY: (0.0, 500.0), key.SEEP: (0.0, 0.002),
+    key.SEEP_OUT: (0.0, 0.002), key.PLAY: (0.0, 0.03),
+    key.DEAD1: (0.2, 0.002), key.DEAD2: (0.2, 0.002), key.EXPONENT: (0.0, 0.1), key.WALL: (0.5, 0.0),
     key.MASS: (0.1, 0.0), key.LOAD: (0.1, 5.0), key.COULOMB: (0.3, 0.0), key.STATIC: (0.3, 0.0),
     key.STRIBECK: (1.0, 0.0), key.VISCOUS: (0.3, 0.0), key.STIFFNESS: (2.0, 0.0), key.DAMPING: (5.0, 0.0),
 }  # fmt: skip

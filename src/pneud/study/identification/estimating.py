@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from pneud.config.flow import gas_of
 from pneud.config.models import Config
 from pneud.study.identification import chambers, forces
 from pneud.study.identification import parameters as key
-from pneud.study.identification.fitting import Fit, fit
+from pneud.study.identification.fitting import Fit, Found, Unknown, fit
 from pneud.study.identification.parameters import Estimate
 from pneud.study.identification.table import Table
 from pneud.study.identification.windows import chamber_windows
@@ -31,7 +32,8 @@ LEAST_WINDOWS = 5  # with motion, where it is about that
 WIDER, SHIFTS = 1.4, 2.0  # smoothing of the second fit; what it differs by counts so many times
 FEW = 24  # windows, with which the fit begins
 PINNED = 1e-3  # as good as known
-ISO_BETTER = 0.9  # of the orifice's misfit, from which on the flow is said to be that of ISO 6358
+BETTER = 0.9  # of a simpler model's misfit, from which on a further one is said to be the rig's
+STIFFER = 3.0  # Maxwell elements are together than bristles that do as well
 EXPLAINED = 1.5  # times the noise is what a model that explains all leaves
 
 
@@ -41,14 +43,13 @@ class Valved(NamedTuple):
     fit: Fit
     windows: chambers.Windows
     rig: chambers.Rig
-    iso: bool
+    structure: key.Structure
     misfit_pa: float
 
     @property
     def guess(self) -> chambers.Guess:
         """The parameters found."""
-        values = [*self.fit.x] if self.iso else [*self.fit.x, 0.0]
-        return chambers.Guess(*(np.asarray(value) for value in values))
+        return _guess(self.fit.keys, self.fit.x, self.rig)
 
     @property
     def seconds(self) -> float:
@@ -61,8 +62,10 @@ class Moved(NamedTuple):
 
     fit: Fit
     windows: forces.Forces
+    slips: bool  # by Maxwell elements, rather than bristles
     left_n: Floats  # of the force: (window, tick)
     misfit_n: float
+    step_m: float = 0.0  # of the encoder
 
 
 class Identified(NamedTuple):
@@ -85,7 +88,7 @@ def identify(t: Table, c: Config) -> Identified:
     valved, moved = of_valve(t, c, noise_pa), of_load(t, c, noise_pa)
     if valved is not None:
         found |= _valve_estimates(valved, c, config)
-        sizes = {"flow": key.CONDUCTANCE} if valved.iso else {}
+        sizes = {"flow": key.CONDUCTANCE} if valved.structure.iso else {}
         linked += _named(valved.fit, {**_CHAMBER_KEYS, **sizes})
     else:
         notes.append("valve and chambers: too few whole windows")
@@ -107,75 +110,101 @@ def pressure_noise_pa(t: Table) -> float:
 
 def of_valve(t: Table, c: Config, noise_pa: float) -> Valved | None:
     """The fit of valve and chambers, with the flow that explains more."""
-    w = chamber_windows(t)
+    k = c.cylinder
+    w = chamber_windows(t, c, (k.dead_length_1_m, k.dead_length_2_m))
     if len(w.x_m) < LEAST_WINDOWS:
         return None
     few = chambers.some(w, FEW)
-    configured_iso = c.valve.flow == "iso6358"
-    plain = _fit_valve(few, t, c, noise_pa, configured_iso, {}, False)
-    first = plain
-    if plain.misfit_pa > EXPLAINED * noise_pa and not configured_iso:
-        iso = _fit_valve(few, t, c, noise_pa, True, _values(plain), False)
-        first = iso if iso.misfit_pa < ISO_BETTER * plain.misfit_pa else plain
-    return _fit_valve(w, t, c, noise_pa, first.iso, _values(first), True)
+    plain = key.Structure(c.valve.flow == "iso6358", False)
+    found = _fit_valve(few, t, c, noise_pa, plain, {}, False)
+    for structure in (plain._replace(heat=True), plain._replace(iso=True), key.Structure(True, True)):
+        if found.misfit_pa > EXPLAINED * noise_pa and structure not in (plain, found.structure):
+            other = _fit_valve(few, t, c, noise_pa, structure, _values(found), False)
+            found = other if other.misfit_pa < BETTER * found.misfit_pa else found
+    known = _values(found)
+    if found.structure.heat:
+        w = chamber_windows(t, c, (known["dead1_m"], known["dead2_m"]))
+    return _fit_valve(w, t, c, noise_pa, found.structure, known, True)
 
 
 def _values(valved: Valved) -> dict[str, float]:
     return dict(zip(valved.fit.keys, valved.fit.x.tolist(), strict=True))
 
 
+def _guess(keys: Sequence[str], columns: Floats, rig: chambers.Rig) -> chambers.Guess:
+    """Guesses from columns of some parameters; the others are as where there is nothing of the kind."""
+    others = {"exponent": rig.gas.k, "critical": 0.0, "wall_1_s": 0.0}
+    given = {name: np.full_like(columns[0], x) for name, x in others.items()}
+    return chambers.Guess(**{**given, **dict(zip(keys, columns, strict=True))})
+
+
 def _fit_valve(
-    w: chambers.Windows, t: Table, c: Config, noise_pa: float, iso: bool, first: dict[str, float], whole: bool
-) -> Valved:
+    w: chambers.Windows, t: Table, c: Config, noise_pa: float, structure: key.Structure,
+    first: dict[str, float], whole: bool,
+) -> Valved:  # fmt: skip
     k, v = c.cylinder, c.valve
     rig = chambers.Rig(
         k.piston_area_1_m2, k.piston_area_2_m2, k.stroke_m, v.u_max_v, v.damping, gas_of(c), t.h
     )
     measured = np.array([w.p1_pa, w.p2_pa])
-
-    def predict(guesses: Floats) -> Floats:
-        columns = list(guesses.T) if iso else [*guesses.T, np.zeros(len(guesses))]
-        off = (chambers.simulate(w, chambers.Guess(*columns), rig, iso) - measured) / noise_pa
-        return np.concatenate([off[:, 0], off[:, 1]], axis=2)
-
-    unknowns = key.chamber_unknowns(c, t.delay_s, first, iso)
+    unknowns = key.chamber_unknowns(c, t.delay_s, first, structure)
     if not whole:  # with edges of several sizes an orifice could pass for what it is not
         unknowns = [
             u._replace(low=u.prior - PINNED, high=u.prior + PINNED) if u.key == "exhaust" else u
             for u in unknowns
         ]
+    keys = [u.key for u in unknowns]
+
+    def predict(guesses: Floats) -> Floats:
+        off = (chambers.simulate(w, _guess(keys, guesses.T, rig), rig, structure.iso) - measured) / noise_pa
+        return np.concatenate([off[:, 0], off[:, 1]], axis=2)
+
     done = fit(predict, unknowns)
-    return Valved(done, w, rig, iso, noise_pa * _usual(done.residuals))
+    return Valved(done, w, rig, structure, noise_pa * _usual(done.residuals))
 
 
 def of_load(t: Table, c: Config, noise_pa: float) -> Moved | None:
-    """The fit of the moving load; what depends on how much is smoothed is less sure."""
-    moved = _fit_load(t, c, noise_pa, 1.0)
-    other = _fit_load(t, c, noise_pa, WIDER) if moved is not None else None
-    if moved is None or other is None:
-        return None
-    return moved._replace(fit=moved.fit._replace(shift=SHIFTS * (other.fit.x - moved.fit.x)))
+    """The fit of the moving load, with the friction that explains more.
 
-
-def _fit_load(t: Table, c: Config, noise_pa: float, wider: float) -> Moved | None:
+    What depends on how much is smoothed is less sure.
+    """
     k, f = c.cylinder, c.control.friction
-    w = forces.windows(t, balance(c), wider)
+    w = forces.windows(t, balance(c))
     if int((np.abs(w.sliding_m_s) > forces.LEAVES_M_S).any(axis=1).sum()) < LEAST_WINDOWS:
         return None
     known = (k.moving_mass_kg, k.resistance_n, f.coulomb_n, f.viscous_n_s_m)
     first = forces.at_once(w, FAST * f.stribeck_speed_m_s) or known
     noise_n = max(noise_pa * k.piston_area_1_m2, FORCE_NOISE * abs(first[2]))
+    fast_m_s = SLIDES * f.stribeck_speed_m_s
+    unknowns = key.slide_unknowns(c, first)
+    moved = _fit_load(w, unknowns, noise_n, fast_m_s, False)
+    slipping = _fit_load(w, _from(moved.fit, unknowns, STIFFER), noise_n, fast_m_s, True)
+    if slipping.misfit_n < BETTER * moved.misfit_n:
+        moved = slipping
+    wider = forces.windows(t, balance(c), WIDER)
+    other = _fit_load(wider, _from(moved.fit, unknowns), noise_n, fast_m_s, moved.slips)
+    shift = SHIFTS * (other.fit.x - moved.fit.x)
+    return moved._replace(fit=moved.fit._replace(shift=shift), step_m=forces.encoder_step_m(t))
 
+
+def _from(found: Fit, unknowns: Sequence[Unknown], stiffer: float = 1.0) -> list[Unknown]:
+    """The unknowns, to be sought from what has been found."""
+    starts = zip(unknowns, found.x.tolist(), strict=True)
+    return [u._replace(start=x * (stiffer if u.key == "stiffness" else 1.0)) for u, x in starts]
+
+
+def _fit_load(
+    w: forces.Forces, unknowns: Sequence[Unknown], noise_n: float, fast_m_s: float, slips: bool
+) -> Moved:
     # what a load does before it slides is the hardest to explain, and has to spoil neither mass nor friction
-    slides = np.abs(w.sliding_m_s) > SLIDES * f.stribeck_speed_m_s
-    counts = np.where(slides, 1.0, PRESLIDING) / noise_n
+    counts = np.where(np.abs(w.sliding_m_s) > fast_m_s, 1.0, PRESLIDING) / noise_n
 
     def predict(guesses: Floats) -> Floats:
-        return (forces.predicted(w, forces.Slide(*guesses.T)) - w.force_n) * counts
+        return (forces.predicted(w, forces.Slide(*guesses.T), slips) - w.force_n) * counts
 
-    done = fit(predict, key.slide_unknowns(c, first))
+    done = fit(predict, unknowns)
     left_n = -done.residuals / counts
-    return Moved(done, w, left_n, _usual(left_n))
+    return Moved(done, w, slips, left_n, _usual(left_n))
 
 
 def balance(c: Config) -> forces.Balance:
@@ -204,9 +233,10 @@ def _usual(residuals: Floats) -> float:
 
 
 _CHAMBER_KEYS = {
-    "flow": key.AREA, "plus": key.PLUS, "minus": key.MINUS, "bandwidth": key.BANDWIDTH, "delay": key.DELAY,
-    "dead1": key.DEAD1, "dead2": key.DEAD2, "exponent": key.EXPONENT, "seep": key.SEEP,
-    "play": key.PLAY, "exhaust": key.EXHAUST,     "critical": key.CRITICAL,
+    "flow": key.AREA, "plus_v": key.PLUS, "minus_v": key.MINUS, "bandwidth_hz": key.BANDWIDTH,
+    "delay_s": key.DELAY, "dead1_m": key.DEAD1, "dead2_m": key.DEAD2, "exponent": key.EXPONENT,
+    "seep": key.SEEP, "seep_out": key.SEEP_OUT, "play_v": key.PLAY, "exhaust": key.EXHAUST,
+    "critical": key.CRITICAL, "wall_1_s": key.WALL,
 }  # fmt: skip
 _SLIDE_KEYS = {
     "mass": key.MASS, "load": key.LOAD, "coulomb": key.COULOMB, "static": key.STATIC,
@@ -222,7 +252,7 @@ def _named(f: Fit, names: dict[str, str]) -> list[tuple[str, str, float]]:
 
 def _valve_estimates(valved: Valved, c: Config, config: dict[str, float]) -> dict[str, Estimate]:
     f, g = valved.fit, gas_of(c)
-    if valved.iso:
+    if valved.structure.iso:
         flows = {
             key.CONDUCTANCE: f.found(flow=1.0 / key.flow_of_conductance(1.0, g)),
             key.CRITICAL: f.found(critical=1.0),
@@ -231,21 +261,30 @@ def _valve_estimates(valved: Valved, c: Config, config: dict[str, float]) -> dic
         flows = {key.AREA: f.found(flow=1.0 / key.flow_of_area(1.0, g))}
     found = {
         **flows,
-        key.PLUS: f.found(plus=1.0),
-        key.MINUS: f.found(minus=-1.0),
-        key.HALF: f.found(plus=0.5, minus=-0.5),
-        key.CENTRE: f.found(plus=0.5, minus=0.5),
-        key.BANDWIDTH: f.found(bandwidth=1.0),
-        key.DELAY: f.found(delay=1e6),
+        key.PLUS: f.found(plus_v=1.0),
+        key.MINUS: f.found(minus_v=-1.0),
+        key.HALF: f.found(plus_v=0.5, minus_v=-0.5),
+        key.CENTRE: f.found(plus_v=0.5, minus_v=0.5),
+        key.BANDWIDTH: f.found(bandwidth_hz=1.0),
+        key.DELAY: f.found(delay_s=1e6),
         key.SEEP: f.found(seep=1.0),
-        key.PLAY: f.found(play=2.0),
+        key.SEEP_OUT: f.found(seep_out=1.0),
+        key.PLAY: f.found(play_v=2.0),
         key.EXHAUST: f.found(exhaust=1.0),
-        key.DEAD1: f.found(dead1=1.0),
-        key.DEAD2: f.found(dead2=1.0),
-        key.EXPONENT: f.found(exponent=1.0),
+        key.DEAD1: f.found(dead1_m=1.0),
+        key.DEAD2: f.found(dead2_m=1.0),
+        **_heat_estimates(valved),
     }
     span = float(np.ptp(valved.windows.x_m)) / c.cylinder.stroke_m
     return {name: key.estimate(name, one, config, _by_travel(name, span, c)) for name, one in found.items()}
+
+
+def _heat_estimates(valved: Valved) -> dict[str, Found]:
+    if not valved.structure.heat:
+        return {key.EXPONENT: valved.fit.found(exponent=1.0)}
+    rate = float(valved.guess.wall_1_s)
+    # a reciprocal, by its differential
+    return {key.WALL: valved.fit.found(wall_1_s=-1.0 / rate**2).moved(2.0 / rate)}
 
 
 def _by_travel(name: str, span: float, c: Config) -> float:

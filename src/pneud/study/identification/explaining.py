@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from pneud.config.flow import gas_of
 from pneud.config.models import Config
-from pneud.study.identification import chambers
+from pneud.study.identification import chambers, heat
 from pneud.study.identification.estimating import Moved, Valved
 
 Floats = NDArray[np.float64]
@@ -21,6 +22,10 @@ SUPPLY_SHARE = (
     1e-3  # this share of the supply: RMS of pressures that is left, at most, where all is explained
 )
 FORCE_SHARE = 0.06  # of Coulomb friction: RMS of forces
+STEP_SHARE, MOST_BY_STEP = (
+    0.3,
+    0.15,
+)  # standard deviation of a step; share of Coulomb friction that it explains
 SURE = 4.0  # standard deviations of a mean
 BENT, ROUGH = 0.05, 0.1  # deviation of a flow, and of a friction in shares of Coulomb's, that is worth a word
 BY_PRESSURE = 0.015  # share of Coulomb friction that a bar more adds, worth a word
@@ -55,13 +60,20 @@ def unexplained(valved: Valved | None, moved: Moved | None, noise_pa: float, c: 
         found += _bent(flow_map(valved, c))
     if moved is not None:
         coulomb = max(float(moved.fit.x[2]), 1e-9)
-        if moved.misfit_n > max(FORCE_SHARE * coulomb, noise_pa * c.cylinder.piston_area_1_m2):
+        if moved.misfit_n > _explained_n(moved, coulomb, noise_pa, c):
             found.append(
                 f"forces: {moved.misfit_n:.2g} N RMS are left, of {coulomb:.3g} N of Coulomb friction"
             )
         found += _rough(friction_map(moved), coulomb)
         found += _by_pressure(moved, coulomb)
     return found
+
+
+def _explained_n(moved: Moved, coulomb_n: float, noise_pa: float, c: Config) -> float:
+    """RMS of forces that may be left: by the model, the sensors, an encoder's step that bends bristles."""
+    stiffness = float(moved.fit.x[moved.fit.keys.index("stiffness")])
+    by_step = min(STEP_SHARE * stiffness * moved.step_m, MOST_BY_STEP * coulomb_n)
+    return math.hypot(max(FORCE_SHARE * coulomb_n, noise_pa * c.cylinder.piston_area_1_m2), by_step)
 
 
 def _bent(bins: list[Bin]) -> list[str]:
@@ -119,24 +131,33 @@ def friction_map(moved: Moved) -> list[Bin]:
     return _binned(v, measured, measured - moved.left_n, _spans(2e-3, float(np.abs(v).max(initial=0.0)), 8))
 
 
-def flow_map(valved: Valved, c: Config) -> list[Bin]:
-    """Relative opening over the spool's position, by the rates of the pressures where it stands still."""
+def flow_map(valved: Valved, c: Config, spans: Sequence[tuple[float, float]] = ()) -> list[Bin]:
+    """Relative opening over the spool's position, by the rates of the pressures where it stands still.
+
+    Args:
+        valved: the fit.
+        c: the configuration.
+        spans: of the spool [V], from one point to the next; by default up to its end.
+    """
     w, g, rig, gas = valved.windows, valved.guess, valved.rig, gas_of(c)
     width = max(1, round(RATE_S / rig.h))
     inner = slice(width, w.p1_pa.shape[1] - width)
     y = chambers.spool(w, g, rig)
     still = _moved(y, max(width, round(STEADY_S / rig.h)))[:, inner] < STEADY * np.abs(y[:, inner])
     y, x = y[:, inner], w.x_m[:, w.warm + 1 :]
-    share = chambers.iso6358(g.critical) if valved.iso else chambers.orifice(gas)
+    share = chambers.iso6358(g.critical) if valved.structure.iso else chambers.orifice(gas)
     supply = w.supply_pa[:, w.warm + 1 :][:, inner]
+    warmth = heat.at(w.warmth, np.array([g.wall_1_s]))[0][:, :, inner]
     sums, weights = np.zeros_like(y), np.zeros_like(y)
-    for p, area, length, sign in (
-        (w.p1_pa, rig.area1_m2, x + g.dead1_m, 1.0),
-        (w.p2_pa, rig.area2_m2, rig.stroke_m + g.dead2_m - x, -1.0),
+    for p, area, length, sign, warm in (
+        (w.p1_pa, rig.area1_m2, x + g.dead1_m, 1.0, warmth[0]),
+        (w.p2_pa, rig.area2_m2, rig.stroke_m + g.dead2_m - x, -1.0, warmth[1]),
     ):
         here = p[:, inner]
+        cooled = -np.expm1(-warm) * g.wall_1_s * here
         flows = area * (
-            _rate(p, width, rig.h) * length[:, inner] / g.exponent + here * _rate(length, width, rig.h)
+            (_rate(p, width, rig.h) + cooled) * length[:, inner] / g.exponent
+            + here * _rate(length, width, rig.h)
         )
         other = np.where(sign * y > 0.0, supply, gas.atmosphere_pa)
         high = np.maximum(here, other)
@@ -146,7 +167,7 @@ def flow_map(valved: Valved, c: Config) -> list[Bin]:
         weights += most * most
     good = still & (weights > 0.1 * weights.max(initial=0.0))
     opening = np.where(good, np.sign(y) * sums / np.where(good, weights, 1.0), math.nan)
-    return _binned(y, opening, chambers.openings(y, g, rig.u_max_v), _spans(0.3, rig.u_max_v, 8))
+    return _binned(y, opening, chambers.openings(y, g, rig.u_max_v), spans or _spans(0.3, rig.u_max_v, 8))
 
 
 def _rate(values: Floats, width: int, h: float) -> Floats:
@@ -166,7 +187,7 @@ def _spans(least: float, most: float, count: int) -> list[tuple[float, float]]:
     return [(-b, -a) for a, b in pairwise(edges)][::-1] + list(pairwise(edges))
 
 
-def _binned(at: Floats, measured: Floats, model: Floats, spans: list[tuple[float, float]]) -> list[Bin]:
+def _binned(at: Floats, measured: Floats, model: Floats, spans: Sequence[tuple[float, float]]) -> list[Bin]:
     found = []
     for low, high in spans:
         inside = (at >= low) & (at < high) & np.isfinite(measured)

@@ -1,4 +1,4 @@
-"""The force on the piston under the measured motion: mass, load and LuGre friction, for many guesses at once.
+"""The force on the piston under the measured motion: mass, load and friction, for many guesses at once.
 
 Pressures are known better than accelerations, so the force is what is predicted. Motion and force are
 smoothed alike; friction is computed from hardly smoothed motion and smoothed afterwards, since it is no
@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pneud.physics.slip import K1, K2, K3, K4
 from pneud.study.identification.table import Piece, Table
 from pneud.study.identification.windows import chosen, smoothed
 
@@ -24,6 +25,7 @@ LEAST_S, MOST_S = 0.004, 0.01  # of that of force and acceleration: encoders of 
 PEAK_S = 0.003  # of that where a peak is looked for
 STANDS_M_S, LEAVES_M_S = 1e-3, 1e-2  # a load stands below, and slides beyond
 BEFORE_S, STOOD_S, LEAVES_S = 0.3, 0.05, 0.03  # it stood for so long, so short before it slid for so long
+SHARES = (K1, K2, K3, K4)  # of the stiffness
 ENDS = 0.015  # of the stroke, where cushions may be
 
 
@@ -118,32 +120,59 @@ def _quantities(
     return v, 0.5 * (a[1:] + a[:-1]), 0.5 * (force[1:] + force[:-1])
 
 
-def friction(w: Forces, g: Slide) -> Floats:
-    """Friction of LuGre's model in the ticks that count: (guess, window, tick) [N]."""
+def friction(w: Forces, g: Slide, slips: bool) -> Floats:
+    """Friction in the ticks that count: (guess, window, tick) [N].
+
+    Args:
+        w: the motion.
+        g: the guesses.
+        slips: by Maxwell elements that slip one after another; otherwise by LuGre's bristles.
+    """
     c = Slide._make(np.asarray(value, dtype=float)[:, None, None] for value in g)
-    v, h = w.v_m_s[None], w.h
+    v = w.v_m_s[None]
     dry = c.coulomb_n * (1.0 + c.static * np.exp(-((v / c.stribeck_m_s) ** 2)))
+    first = Slide._make(part[:, :, 0] for part in c)
+    held = w.start_n - first.mass_kg * w.start_a_m_s2 - first.load_n - first.viscous_n_s_m * v[:, :, 0]
+    held = np.clip(held, -dry[:, :, 0], dry[:, :, 0])
+    force = (_elements if slips else _bristles)(v, dry, held, c, w.h) + c.viscous_n_s_m * v
+    found: Floats = smoothed(force, w.more)[:, :, w.margin : force.shape[2] - w.margin]
+    return found
+
+
+def _bristles(v: Floats, dry: Floats, held: Floats, c: Slide, h: float) -> Floats:
+    """Dry friction of LuGre's model; `held` is what it bears at first."""
     a = c.stiffness_n_m * np.abs(v) / dry
     ah = np.maximum(a * h, 1e-9)
     decay = -np.expm1(-ah) / ah
     kept, gained = np.exp(-ah), h * decay * v
     z = np.empty((v.shape[2] + 1, *dry.shape[:2]))
-    first = Slide._make(part[:, :, 0] for part in c)
-    held = w.start_n - first.mass_kg * w.start_a_m_s2 - first.load_n - first.viscous_n_s_m * v[:, :, 0]
-    z[0] = np.clip(held, -dry[:, :, 0], dry[:, :, 0]) / first.stiffness_n_m
+    z[0] = held / c.stiffness_n_m[:, :, 0]
     for k in range(v.shape[2]):
         z[k + 1] = kept[:, :, k] * z[k] + gained[:, :, k]
     begin = np.moveaxis(z[:-1], 0, 2)
     mean = decay * begin + (1.0 - decay) / np.maximum(a, 1e-9 / h) * v
-    force = c.stiffness_n_m * mean + c.damping_n_s_m * decay * (v - a * begin) + c.viscous_n_s_m * v
-    found: Floats = smoothed(force, w.more)[:, :, w.margin : force.shape[2] - w.margin]
-    return found
+    force: Floats = c.stiffness_n_m * mean + c.damping_n_s_m * decay * (v - a * begin)
+    return force
 
 
-def predicted(w: Forces, g: Slide) -> Floats:
+def _elements(v: Floats, dry: Floats, held: Floats, c: Slide, h: float) -> Floats:
+    """Dry friction of the elements of `pneud.physics.slip`; `held` is what they bear at first."""
+    most = np.moveaxis(0.25 * dry, 2, 0)[:, None]
+    moved = np.moveaxis(h * c.stiffness_n_m * v, 2, 0)[:, None] * np.array(SHARES)[:, None, None]
+    bears = np.empty((v.shape[2] + 1, len(SHARES), *dry.shape[:2]))
+    bears[0] = 0.25 * held
+    for k in range(v.shape[2]):
+        np.clip(bears[k] + moved[k], -most[k], most[k], out=bears[k + 1])
+    sticks = np.moveaxis((np.abs(bears[:-1] + 0.5 * moved) < most).mean(axis=1), 0, 2)
+    mean = np.moveaxis(0.5 * (bears[:-1] + bears[1:]).sum(axis=1), 0, 2)
+    force: Floats = mean + c.damping_n_s_m * sticks * v
+    return force
+
+
+def predicted(w: Forces, g: Slide, slips: bool) -> Floats:
     """The force on the piston: (guess, window, tick) [N]."""
     mass, load = (np.asarray(value, dtype=float)[:, None, None] for value in (g.mass_kg, g.load_n))
-    found: Floats = mass * w.a_m_s2 + load + friction(w, g)
+    found: Floats = mass * w.a_m_s2 + load + friction(w, g, slips)
     return found
 
 

@@ -6,12 +6,15 @@ import html
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+from pneud.config.models import Config
 from pneud.study.identification.comparing import OFF, Row
-from pneud.study.identification.explaining import Bin
+from pneud.study.identification.estimating import Identified
+from pneud.study.identification.explaining import Bin, flow_map, friction_map
 from pneud.study.identification.words import HEAD, cells
 
 WIDTH, HEIGHT, LEFT, BOTTOM, TOP, RIGHT = 640, 320, 70, 45, 15, 15
 TICKS = 4  # of a scale, about
+EDGE_SPANS = tuple((0.05 * i, 0.05 * (i + 1)) for i in range(-16, 16))  # of the spool [V]
 STYLE = (
     "body{font:15px/1.5 sans-serif;max-width:1000px;margin:2em auto;padding:0 1em}text{font:12px sans-serif}"
     "table{border-collapse:collapse;font-size:13px}td,th{padding:2px 12px 2px 0;text-align:right;"
@@ -29,33 +32,60 @@ class Picture(NamedTuple):
     bins: Sequence[Bin]
 
 
-def page(title: str, lines: Iterable[str], rows: Sequence[Row], pictures: Iterable[Picture]) -> str:
+class Table(NamedTuple):
+    """Rows of text under a heading; True beside those that stand out."""
+
+    title: str
+    head: Sequence[str]
+    rows: Sequence[tuple[Sequence[str], bool]]
+
+
+def page(title: str, lines: Iterable[str], tables: Iterable[Table], pictures: Iterable[Picture]) -> str:
     """The page.
 
     Args:
         title: what was identified.
         lines: verdict and notes.
-        rows: the parameters.
+        tables: of the parameters, and others.
         pictures: maps.
     """
     said = "".join(f"<p>{html.escape(line)}</p>" for line in lines)
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
-        f"<style>{STYLE}</style></head><body>\n<h1>{html.escape(title)}</h1>{said}\n{_table(rows)}\n"
-        + "\n".join(_figure(*picture) for picture in pictures)
+        f"<style>{STYLE}</style></head><body>\n<h1>{html.escape(title)}</h1>{said}\n"
+        + "\n".join([*(_table(*table) for table in tables), *(_figure(*picture) for picture in pictures)])
         + "\n</body></html>\n"
     )
 
 
-def _table(rows: Sequence[Row]) -> str:
-    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in (*HEAD, "before"))
+def parameters(rows: Iterable[Row], title: str = "") -> Table:
+    """The parameters as a table."""
+    told = [(cells(row), row.verdict == OFF or row.worn) for row in rows]
+    return Table(title, (*HEAD, "before"), told)
+
+
+def maps(found: Identified, c: Config) -> list[Picture]:
+    """Friction, the valve's flow, and its edges, as far as they have been fitted."""
+    drawn = []
+    if found.moved is not None:
+        drawn.append(Picture("Friction", "speed [m/s]", "friction [N]", friction_map(found.moved)))
+    if found.valved is not None:
+        for name, spans in (("Flow", ()), ("Edges", EDGE_SPANS)):
+            bins = flow_map(found.valved, c, spans)
+            drawn.append(Picture(name, "spool [V]", "opening, relative", bins))
+    return drawn
+
+
+def _table(title: str, head: Sequence[str], rows: Sequence[tuple[Sequence[str], bool]]) -> str:
+    heading = f"<h2>{html.escape(title)}</h2>" if title else ""
+    top = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
     body = "".join(
-        f"<tr{' class=off' if row.verdict == OFF or row.worn else ''}>"
-        + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells(row))
+        f"<tr{' class=off' if stands_out else ''}>"
+        + "".join(f"<td>{html.escape(cell)}</td>" for cell in row)
         + "</tr>"
-        for row in rows
+        for row, stands_out in rows
     )
-    return f"<table><tr>{head}</tr>{body}</table>"
+    return f"{heading}<table><tr>{top}</tr>{body}</table>"
 
 
 def _figure(title: str, across: str, up: str, bins: Sequence[Bin]) -> str:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from pneud.config.conversions import command_delay_s
+from pneud.config.conversions import command_delay_s, valve_of
 from pneud.config.flow import L_S_BAR, area_of, conductance_of, gas_of
 from pneud.config.models import Config
 from pneud.config.sections import GRAVITY_M_S2
@@ -19,9 +19,10 @@ CRITICAL, EXHAUST = "valve.critical_ratio", "valve.exhaust_ratio"
 PLUS, MINUS = "valve.dead_zone_positive_v", "valve.dead_zone_negative_v"
 CENTRE, HALF = "valve.centre_v", "valve.dead_zone_v"
 BANDWIDTH, DELAY = "valve.bandwidth_hz", "bus.command_delay_us"
-SEEP, PLAY = "plant.valve.leakage", "plant.valve.hysteresis_v"
+SEEP, SEEP_OUT = "plant.valve.leakage", "plant.valve.leakage_exhaust"
+PLAY = "plant.valve.hysteresis_v"
 DEAD1, DEAD2 = "cylinder.dead_length_1_m", "cylinder.dead_length_2_m"
-EXPONENT = "plant.polytropic_exponent"
+EXPONENT, WALL = "plant.polytropic_exponent", "plant.wall_time_s"
 MASS, LOAD = "cylinder.moving_mass_kg", "cylinder.load_n"
 COULOMB, STATIC = "control.friction.coulomb_n", "control.friction.static_n"
 STRIBECK, VISCOUS = "control.friction.stribeck_speed_m_s", "control.friction.viscous_n_s_m"
@@ -33,8 +34,8 @@ DAMPING = "control.friction.bristle_damping_n_s_m"
 FLOORS: Mapping[str, tuple[float, float]] = {
     AREA: (0.005, 0.0), CONDUCTANCE: (0.005, 0.0), CRITICAL: (0.0, 0.01), EXHAUST: (0.005, 0.0),
     PLUS: (0.005, 0.001), MINUS: (0.005, 0.001), CENTRE: (0.0, 0.001), HALF: (0.005, 0.001),
-    BANDWIDTH: (0.04, 0.0), DELAY: (0.0, 60.0), SEEP: (0.1, 5e-5), PLAY: (0.1, 0.001),
-    DEAD1: (0.01, 1e-4), DEAD2: (0.01, 1e-4), EXPONENT: (0.0, 0.003),
+    BANDWIDTH: (0.04, 0.0), DELAY: (0.0, 60.0), SEEP: (0.1, 5e-5), SEEP_OUT: (0.1, 5e-5),
+    PLAY: (0.1, 0.001), DEAD1: (0.01, 1e-4), DEAD2: (0.01, 1e-4), EXPONENT: (0.0, 0.003), WALL: (0.05, 0.0),
     MASS: (0.005, 0.0), LOAD: (0.0, 0.1), COULOMB: (0.01, 0.02), STATIC: (0.05, 0.02),
     STRIBECK: (0.1, 0.0), VISCOUS: (0.01, 0.0), STIFFNESS: (0.05, 0.0),
     DAMPING: (0.1, 0.0),
@@ -47,10 +48,12 @@ LACKING: Mapping[str, str] = {
     PLUS: "the command does not pass that edge", MINUS: "the command does not pass that edge",
     CENTRE: "the command does not pass both edges", HALF: "the command does not pass both edges",
     BANDWIDTH: "the command does not change fast", DELAY: "the command does not change fast",
-    SEEP: "no rest with the valve shut", PLAY: "the command does not go to and fro",
+    SEEP: "no rest with the valve shut", SEEP_OUT: "no rest with the valve shut",
+    PLAY: "the command does not go to and fro",
     DEAD1: "the load does not come near the rear end, or travels little",
     DEAD2: "the load does not come near the front end, or travels little",
-    EXPONENT: "too little motion", MASS: "no acceleration", LOAD: "no motion both ways",
+    EXPONENT: "too little motion", WALL: "too little motion",
+    MASS: "no acceleration", LOAD: "no motion both ways",
     COULOMB: "no motion", STATIC: "no motion slow enough to stick",
     STRIBECK: "no motion at speeds about it", VISCOUS: "no motion at several speeds",
     STIFFNESS: "no reversals", DAMPING: "no reversals",
@@ -58,6 +61,13 @@ LACKING: Mapping[str, str] = {
 
 
 OF_NO_USE = 0.5  # of a value: it is not told where it is less sure than that
+
+
+class Structure(NamedTuple):
+    """What valve and chambers are like, apart from numbers."""
+
+    iso: bool  # the flow is that of ISO 6358, not an orifice's
+    heat: bool  # air takes the wall's temperature, rather than being compressed with an exponent
 
 
 class Estimate(NamedTuple):
@@ -85,8 +95,10 @@ def flow_of_conductance(c_l_s_bar: float, g: Gas) -> float:
     return c_l_s_bar * L_S_BAR * DENSITY_ANR_KG_M3 * g.R * math.sqrt(TEMPERATURE_ANR_K * g.temperature_k)
 
 
-def chamber_unknowns(c: Config, delay_s: float, first: Mapping[str, float], iso: bool) -> list[Unknown]:
-    """Those of valve and chambers, in the order of `chambers.Guess`; `first` has better guesses."""
+def chamber_unknowns(
+    c: Config, delay_s: float, first: Mapping[str, float], structure: Structure
+) -> list[Unknown]:
+    """Those of valve and chambers, by the names of `chambers.Guess`; `first` has better guesses."""
     g, k, v = gas_of(c), c.cylinder, c.valve
     flow = flow_of_area(area_of(c), g)
     plus, minus = configured_edges_v(c)
@@ -98,27 +110,32 @@ def chamber_unknowns(c: Config, delay_s: float, first: Mapping[str, float], iso:
     exhaust = v.exhaust_ratio
     found = [
         Unknown("flow", flow, flow, flow, 0.02 * flow, 20.0 * flow),
-        Unknown("plus", plus, plus, 0.3, -reach, reach),
-        Unknown("minus", minus, minus, 0.3, -reach, reach),
-        Unknown("bandwidth", band, band, band, 5.0, 2000.0),
-        Unknown("delay", delay_s, delay_s, 2e-4, 0.0, h),
+        Unknown("plus_v", plus, plus, 0.3, -reach, reach),
+        Unknown("minus_v", minus, minus, 0.3, -reach, reach),
+        Unknown("bandwidth_hz", band, band, band, 5.0, 2000.0),
+        Unknown("delay_s", delay_s, delay_s, 2e-4, 0.0, h),
         *(
             Unknown(name, dead, dead, dead + 0.01 * k.stroke_m, least, dead + most_m)
-            for name, dead in (("dead1", k.dead_length_1_m), ("dead2", k.dead_length_2_m))
+            for name, dead in (("dead1_m", k.dead_length_1_m), ("dead2_m", k.dead_length_2_m))
         ),
-        Unknown("exponent", exponent, exponent, 0.1, 1.0, 1.6),
-        Unknown("seep", 0.0, 0.0, 1e-3, 0.0, 0.05),
-        Unknown("play", 0.0, 0.0, 0.02, 0.0, 0.5),
+        Unknown("seep", 0.0, 0.0, 3e-3, 0.0, 0.05),
+        Unknown("seep_out", 0.0, 0.0, 3e-3, 0.0, 0.05),
+        Unknown("play_v", 0.0, 0.0, 0.02, 0.0, 0.5),
         Unknown("exhaust", exhaust, exhaust, 0.1, 0.2, 5.0),
     ]
-    if iso:
+    if structure.heat:
+        found.append(Unknown("wall_1_s", 3.0, 3.0, 5.0, 0.1, 30.0))
+    else:
+        found.append(Unknown("exponent", exponent, exponent, 0.1, 1.0, 1.6))
+    if structure.iso:
         found.append(Unknown("critical", 0.35, 0.35, 0.15, 0.0, 0.6))
     return [u._replace(start=first.get(u.key, u.start)) for u in found]
 
 
 def configured_edges_v(c: Config) -> tuple[float, float]:
     """Commands at which the configured valve begins to open either way [V]."""
-    return c.valve.dead_zone_v, -c.valve.dead_zone_v
+    v = valve_of(c)
+    return v.centre_v + v.dead_zone_v, v.centre_v - v.dead_zone_v
 
 
 def slide_unknowns(c: Config, first: tuple[float, float, float, float]) -> list[Unknown]:
@@ -157,7 +174,8 @@ def configured(c: Config) -> dict[str, float]:
         AREA: area_of(c), CONDUCTANCE: conductance_of(c) / L_S_BAR,
         PLUS: plus, MINUS: -minus, CENTRE: 0.5 * (plus + minus), HALF: 0.5 * (plus - minus),
         EXHAUST: v.exhaust_ratio,
-        BANDWIDTH: v.bandwidth_hz, DELAY: 1e6 * command_delay_s(c.bus), SEEP: 0.0, PLAY: 0.0,
+        BANDWIDTH: v.bandwidth_hz, DELAY: 1e6 * command_delay_s(c.bus), SEEP: 0.0, SEEP_OUT: 0.0,
+        PLAY: 0.0,
         DEAD1: k.dead_length_1_m, DEAD2: k.dead_length_2_m,
         EXPONENT: c.plant.polytropic_exponent or c.gas.heat_capacity_ratio,
         MASS: k.moving_mass_kg, LOAD: k.load_n,

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_opening
 
 from pneud.config.models import Config
 from pneud.config.reading import parse
@@ -16,7 +17,7 @@ from pneud.config.sections import ConfigError
 from pneud.log.files.columns import blocks
 from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LogReader
-from pneud.signals import ALL_SOURCES, ValveState
+from pneud.signals import ALL_SOURCES, Source, ValveState
 
 Floats = NDArray[np.float64]
 
@@ -24,6 +25,7 @@ COLUMNS = ("position_m", "p1_pa", "p2_pa", "supply_pa", "applied_v")
 FRAME_BITS, STUFFING = 111, 1.1  # of the command, on the wire
 LEAST_TICKS = 200  # of a piece that is of use
 LEAST_S = 2.0  # of all pieces
+BRIDGED = 3  # ticks in a row in which position or pressures may be missing
 
 
 class Piece(NamedTuple):
@@ -85,15 +87,13 @@ def _pieces(log: LogReader, config: Config) -> tuple[list[Piece], float]:
     """Pieces of one log, and the delay of its commands [s]."""
     period_ns = round(1e9 / log.rate_hz)
     columns: list[list[Floats]] = [[] for _ in COLUMNS]
-    good, t_ns, spent_ns = [], [], []
+    fresh, listens, t_ns, spent_ns = [], [], [], []
     for block in blocks(log):
         for column, name in zip(columns, COLUMNS, strict=True):
             column.append(block.real(f"measurement.{name}"))
         state = block.ticks["measurement.valve_state"]
-        good.append(
-            (block.ticks["measurement.fresh"] == ALL_SOURCES)
-            & ((state == ValveState.ENABLED) | (state == ValveState.CENTRED))
-        )
+        fresh.append(block.ticks["measurement.fresh"])
+        listens.append((state == ValveState.ENABLED) | (state == ValveState.CENTRED))
         t_ns.append(block.ticks["t_ns"].astype(np.int64))
         # all nodes sample when SYNC has arrived, as the encoder says
         spent = sum(block.real(f"timing.{n}") for n in ("set_ns", "cycle_ns", "send_ns"))
@@ -101,7 +101,11 @@ def _pieces(log: LogReader, config: Config) -> tuple[list[Piece], float]:
     if not t_ns:
         return [], 0.0
     whole = [np.concatenate(column) for column in columns]
-    sound = np.concatenate(good) & np.isfinite(whole).all(axis=0)
+    sources = np.concatenate(fresh)
+    complete = (sources == ALL_SOURCES) & np.isfinite(whole).all(axis=0)
+    whole = _bridged(whole, complete)
+    sound = complete | (_short(~complete) & (sources & Source.VALVE != 0))
+    sound &= np.concatenate(listens)
     follows = np.diff(np.concatenate(t_ns)) < 3 * period_ns // 2
     frame_s = FRAME_BITS * STUFFING / config.bus.bitrate_bit_s
     if math.isinf(config.bus.bitrate_bit_s):
@@ -114,3 +118,20 @@ def _pieces(log: LogReader, config: Config) -> tuple[list[Piece], float]:
         if end - begin >= LEAST_TICKS and sound[begin]
     ]
     return found, min(max(delay_s, 0.0), 1e-9 * period_ns)
+
+
+def _short(missing: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Where a few ticks in a row at most are missing."""
+    whole = np.ones(BRIDGED + 1, dtype=bool)
+    long: NDArray[np.bool_] = binary_opening(missing, whole)
+    return missing & ~long
+
+
+def _bridged(columns: list[Floats], complete: NDArray[np.bool_]) -> list[Floats]:
+    """The columns with what is missing put in between; the valve's output, the last, is as it is."""
+    there, missing = np.flatnonzero(complete), np.flatnonzero(~complete)
+    if not len(there):
+        return columns
+    for column in columns[:-1]:
+        column[missing] = np.interp(missing, there, column[there])
+    return columns

@@ -1,0 +1,258 @@
+"""The whole of a commissioning: movement test, steps, estimates, gains, what is written, and verification."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+from pneud.axis.state import AxisParameters
+from pneud.config import conversions
+from pneud.config.models import Config
+from pneud.loading import Loaded
+from pneud.loop.summary import finite
+from pneud.signals import Record, Request
+from pneud.study.commissioning.bench import Bench
+from pneud.study.commissioning.movement import MOVE_M, SPEED_M_S, Verdict
+from pneud.study.commissioning.testing import MovementTest
+
+if TYPE_CHECKING:  # the movement test alone goes without scipy
+    from pneud.study.commissioning.estimated import Values
+    from pneud.study.commissioning.gains import Chosen
+    from pneud.study.commissioning.playing import Played
+    from pneud.study.commissioning.steps import Step
+    from pneud.study.commissioning.verification import Verified
+    from pneud.study.commissioning.written import Change
+    from pneud.study.identification.estimating import Identified
+
+SHORT, STOPPED = 3, "stopped"  # motions of the verification that are tried beforehand: a sine, and rest
+SLOWER = 0.2  # of limits.motion, where nothing has been found out about quick motion
+
+
+class Wishes(NamedTuple):
+    """How a commissioning is to be done."""
+
+    movement: bool = True  # the movement test; it has been passed where not
+    steps: bool = True  # more than that
+    dynamic: bool = True  # quick motion, too
+    write: bool = True
+
+
+class Talk(Protocol):
+    """The person who looks on."""
+
+    def say(self, words: str) -> None:
+        """Tell of what is done."""
+
+    def agreed(self, changes: list[Change]) -> bool:
+        """Ask whether the configuration is to be written."""
+
+
+class Found(NamedTuple):
+    """What the steps have told."""
+
+    identified: Identified
+    values: Values  # to be written
+    chosen: Chosen | None
+    changes: list[Change]
+    text: str  # of the configuration with all that
+    unexplained: list[str]  # what the model cannot explain
+
+
+class Outcome(NamedTuple):
+    """What a commissioning has come to."""
+
+    verdict: str
+    movement: Verdict | None = None
+    failure: str = ""  # what ended it
+    faults: tuple[str, ...] = ()
+    found: Found | None = None
+    before: Verified | None = None
+    after: Verified | None = None
+    written: bool = False
+
+    @property
+    def good(self) -> bool:
+        """All that was to be done has been, and holds."""
+        return self.verdict in ("passed", "identified")
+
+
+def commission(bench: Bench, wishes: Wishes, talk: Talk) -> Outcome:
+    """From the movement test to an axis that works.
+
+    Raises:
+        LogError: the steps have left too little in the log.
+        ConfigError: what has been found makes no configuration.
+        OSError: a file cannot be written.
+    """
+    movement: Verdict | None = None
+    if wishes.movement:
+        movement = _movement(bench)
+        if wishes.write:
+            bench.prove(movement)
+        if not movement.passed:
+            return Outcome("failed", movement, faults=movement.faults)
+    if not wishes.steps:
+        return Outcome("passed", movement)
+    played = _played(bench, wishes, talk)
+    if not played.whole:
+        return Outcome("interrupted", movement, played.failure, played.faults)
+    before = _verified(bench, talk, SHORT) if wishes.dynamic else None
+    if before is not None and before.failure == STOPPED:
+        return Outcome("interrupted", movement, before.failure)
+    talk.say("estimates and gains")
+    found = _found(bench, wishes)
+    so_far = Outcome("identified", movement, found=found, before=before)
+    keep = wishes.write and talk.agreed(found.changes)
+    if not keep and not bench.tries:
+        return so_far
+    bench.adopt(found.text, keep)
+    after = _verified(bench, talk)
+    words = "passed" if after.holds else "missed" if not after.failure else "interrupted"
+    return so_far._replace(verdict=words, after=after, failure=after.failure, written=keep)
+
+
+def planned(loaded: Loaded, wishes: Wishes) -> list[str]:
+    """What will move, how far and how fast: a line for each step."""
+    p, lines = axis_of(loaded), []
+    if wishes.movement:
+        words = "the load is pushed both ways, and moves some"
+        lines.append(f"movement test: {words} {1e3 * MOVE_M:g} mm at {1e3 * SPEED_M_S:g} mm/s at most")
+    if wishes.steps:
+        lines += map(_announced, _steps(p, wishes))
+        lines.append("verification: a sine, rest and steps about the middle of the travel")
+    return lines
+
+
+def _steps(p: AxisParameters, wishes: Wishes) -> list[Step]:
+    from pneud.study.commissioning.steps import dynamic, static  # noqa: PLC0415
+
+    return static(p) + (dynamic(p) if wishes.dynamic else [])
+
+
+def axis_of(loaded: Loaded) -> AxisParameters:
+    """The axis of a configuration."""
+    return conversions.axis_of(loaded.config, loaded.codecs.command_lsb_v)
+
+
+def _played(bench: Bench, wishes: Wishes, talk: Talk) -> Played:
+    from pneud.study.commissioning.playing import Played, Player  # noqa: PLC0415
+    from pneud.study.commissioning.steps import length_s  # noqa: PLC0415
+
+    p = axis_of(bench.loaded)
+    steps = _steps(p, wishes)
+    talk.say(f"{len(steps)} steps, {length_s(steps):.0f} s")
+    player = Player(steps, p.controller.h, lambda step: talk.say(_announced(step)))
+    bench.play(player)
+    return player.verdict or Played("it has not come to its end")
+
+
+class _Tested:
+    """The movement test, which looks at ticks alone."""
+
+    def __init__(self, p: AxisParameters) -> None:
+        self._test = MovementTest(p)
+
+    @property
+    def verdict(self) -> Verdict | None:
+        return self._test.verdict
+
+    def ask(self, state: int, present: int) -> Request | None:
+        return self._test.ask(state, present)
+
+    def see(self, record: Record) -> None:
+        self._test.see(record.tick)
+
+
+def _movement(bench: Bench) -> Verdict:
+    test = _Tested(axis_of(bench.loaded))
+    bench.play(test)
+    return test.verdict or Verdict(())
+
+
+def _announced(step: Step) -> str:
+    return f"{step.name}: {step.words}, {step.seconds:.0f} s"
+
+
+def _found(bench: Bench, wishes: Wishes) -> Found:
+    from pneud.study.commissioning import estimated, gains, written  # noqa: PLC0415
+    from pneud.study.identification import estimating, explaining, table  # noqa: PLC0415
+
+    loaded, c = bench.loaded, bench.loaded.config
+    measured, _ = table.read(bench.logs())
+    identified = estimating.identify(measured, c)
+    told, step_m = identified.parameters, estimated.encoder_step_m(measured)
+    values = estimated.believed(told, step_m, c)
+    values |= _in_place(values, c)
+    believed = estimated.changed(c, values)
+    slips = identified.moved is not None and identified.moved.slips
+    values |= estimated.rig(told, step_m, identified.noise_pa, believed, slips)
+    chosen = None
+    if wishes.dynamic:
+        believed = estimated.changed(c, values)
+        chosen = gains.choose(believed, told, loaded.codecs.command_lsb_v)
+        values |= chosen.values(believed)
+    else:
+        values |= _slower(c)
+    source = f"{bench.log_name}, {time.strftime('%Y-%m-%d')}"
+    changes = written.changes(c, loaded.text, values, told)
+    text = written.text_with(loaded.text, str(loaded.path), changes, source)
+    odd = explaining.unexplained(identified.valved, identified.moved, identified.noise_pa, c)
+    return Found(identified, values, chosen, changes, text, odd)
+
+
+def _in_place(values: Values, c: Config) -> Values:
+    """Places in the paper's coordinate, which begins with the dead length, stay where they are."""
+    by_m = values.get("cylinder.dead_length_1_m", c.cylinder.dead_length_1_m) - c.cylinder.dead_length_1_m
+    return {
+        "reference.effective_centre_m": round(c.reference.effective_centre_m + by_m, 7),
+        "plant.initial_x1_m": round(c.plant.initial_x1_m + by_m, 7),
+    }
+
+
+def _slower(c: Config) -> Values:
+    """Limits of motion for an axis of which only slow motion is known."""
+    return {f"limits.motion.{name}": SLOWER * getattr(c.limits.motion, name) for name in _BOUNDS}
+
+
+_BOUNDS = ("speed_m_s", "acceleration_m_s2", "jerk_m_s3")
+
+
+def _verified(bench: Bench, talk: Talk, most: int | None = None) -> Verified:
+    """What the axis is worth, by all motions or the first ones."""
+    from pneud.study.commissioning.verification import Verification, Verified, course  # noqa: PLC0415
+    from pneud.study.judging import tolerances  # noqa: PLC0415
+
+    p, c = axis_of(bench.loaded), bench.loaded.config
+    parts = course(p, c.cylinder.stroke_m)[:most]
+    talk.say(f"verification: {'; '.join(part.words for part in parts if part.name)}")
+    check = Verification(p, parts, tolerances(c.control.motion.encoder_resolution_m))
+    bench.play(check)
+    return check.verdict or Verified((), "it has not come to its end")
+
+
+def as_json(o: Outcome) -> dict[str, Any]:
+    """For scripts."""
+    found = o.found
+    parameters = {} if found is None else found.identified.parameters
+    return {
+        "schema": 1,
+        "verdict": o.verdict,
+        "parameters": {name: finite(e._asdict()) for name, e in parameters.items()},
+        "changes": [] if found is None else [finite(c._asdict()) for c in found.changes],
+        "gains": None if found is None or found.chosen is None else _gains(found.chosen),
+        "before": {} if o.before is None else o.before.as_json(),
+        "after": {} if o.after is None else o.after.as_json(),
+        "unexplained": [] if found is None else found.unexplained,
+        "failure": o.failure or None,
+        "faults": list(o.faults),
+        "written": o.written,
+    }
+
+
+def _gains(chosen: Chosen) -> dict[str, Any]:
+    return {
+        "bandwidth_rad_s": chosen.bandwidth_rad_s,
+        "holds": chosen.holds,
+        "doubts": list(chosen.doubts),
+        "missed": sorted({f"{j.case}: {f.part} {f.what}" for j in chosen.judged for f in j.missed}),
+    }

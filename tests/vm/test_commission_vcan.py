@@ -1,0 +1,83 @@
+"""Commissioning over real SocketCAN: a daemon, a plant in a process of its own, and the candump of it all."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from pneud import resources
+
+pytestmark = pytest.mark.vm
+PNEUD = [sys.executable, "-m", "pneud.cli"]
+CONFIG = "vcan.toml"
+
+
+def pneud(*args: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    words = [*PNEUD, *map(str, args)]
+    return subprocess.run(words, capture_output=True, text=True, timeout=300, check=False, cwd=cwd)
+
+
+@contextmanager
+def running(*args: object, cwd: Path) -> Iterator[subprocess.Popen[str]]:
+    """A command, told to stop in the end."""
+    with (cwd / "said.txt").open("a") as said:
+        process = subprocess.Popen(list(map(str, args)), cwd=cwd, text=True, stdout=said, stderr=said)
+        try:
+            yield process
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.wait(60)
+
+
+@contextmanager
+def rig(folder: Path, wiring: str) -> Iterator[Path]:
+    """A daemon on vcan0, disarmed, with a plant that is wired so; its socket."""
+    text = (resources.configs() / CONFIG).read_text()
+    (folder / CONFIG).write_text(f"{text}\n[plant.wiring]\n{wiring}\n")
+    (folder / "pneud.dbc").write_bytes((resources.configs() / "pneud.dbc").read_bytes())
+    socket, on = folder / "s", ("--config", CONFIG, "--bus", "socketcan:vcan0")
+    daemon = (*on, "--headless", "--socket", socket, "--log", "run.mcap")
+    with running(*PNEUD, "plant", *on, cwd=folder), running(*PNEUD, *daemon, cwd=folder) as process:
+        for _ in range(600):
+            assert process.poll() is None, (folder / "said.txt").read_text()
+            done = pneud("status", "--socket", socket, "--json", cwd=folder)
+            if done.returncode == 0 and json.loads(done.stdout)["state"] == "disarmed":
+                break
+            time.sleep(0.1)
+        yield socket
+
+
+def test_a_rig_on_vcan_is_commissioned_and_candump_tells_it_again(tmp_path: Path) -> None:
+    seen = tmp_path / "bus.log"
+    with rig(tmp_path, "") as socket, seen.open("w") as log:
+        candump = subprocess.Popen(["candump", "-L", "vcan0"], stdout=log)
+        done = pneud("commission", "--movement-test", "--yes", "--json", "--socket", socket, cwd=tmp_path)
+        time.sleep(1.0)  # candump shares the one CPU
+        candump.send_signal(signal.SIGINT)
+        candump.wait(10)
+    print(done.stdout, done.stderr, (tmp_path / "said.txt").read_text())
+    assert done.returncode == 0
+    assert json.loads(done.stdout)["findings"] == []
+    assert json.loads((tmp_path / "vcan.proof.json").read_text())["passed"] is True
+    bus = ("--dbc", "pneud.dbc", "--config", CONFIG, "-o", "heard.mcap")
+    done = pneud("import", seen, *bus, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout.split(": ")[1].split()[0]) > 100
+
+
+def test_swapped_hoses_are_named_on_vcan(tmp_path: Path) -> None:
+    with rig(tmp_path, "swapped_hoses = true") as socket:
+        done = pneud("commission", "--movement-test", "--yes", "--json", "--socket", socket, cwd=tmp_path)
+        armed = pneud("arm", "--socket", socket, "--json", cwd=tmp_path)
+    print(done.stdout, done.stderr, armed.stdout, armed.stderr)
+    assert done.returncode == 1
+    assert [f["name"] for f in json.loads(done.stdout)["findings"]] == ["swapped_hoses"]
+    assert json.loads((tmp_path / "vcan.proof.json").read_text())["passed"] is False
