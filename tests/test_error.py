@@ -120,7 +120,7 @@ def test_in_summary_and_report(log: Path, truth: bool) -> None:
     for record in followed(1200):
         tally.add(record, ending=False)
     found = tally.tracking.tracking_mm()
-    assert found["periods"] == 3
+    assert found["periods"] >= 2
     assert max(found["rms"], found["max"]) < 1e3 * ZERO_M
     if truth:
         run = gather(read_log(log))

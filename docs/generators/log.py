@@ -63,7 +63,8 @@ which the position was sampled, `measurement.encoder_offset_ns` after SYNC; the 
 taken back to it by its derivatives.
 
 `tracking_mm` in the summary (`--json`) and in the report is over whole periods of a reference that repeats, from 5 s of tracking on
-(`periods`), so that it does not hang on where a run ends; where there is none, over the motions that came to their end.
+(`periods`, `after_s`), so that it does not hang on where a run ends. Of a run that is too short it is over the last whole period
+before; where there is none, over the motions that came to their end.
 `motions` has the last hundred of these, each with `rms` and `max`: moves, jogs, uploaded profiles. `against` says what the error is
 taken against: the `plant` (its true position), or the `encoder` (the estimate made of it). Where there is nothing to judge, `rms` and
 `max` are null and `reason` says why. `command_v` is of the same ticks; `saturated_ticks` and `amiss` are of the whole run.
