@@ -31,6 +31,7 @@ from pneud.replay.lockstep import Simulation, backend_of
 from pneud.replay.moves import Course, moves_of
 from pneud.rig.dynamics import advance, initial_state
 from pneud.safety.faults import FAULT_NAMES
+from pneud.study.commissioning.truths import Truth, drawn, rig_text
 from pneud.study.identification import chambers, comparing, estimating, forces, heat, motions, table, words
 from pneud.study.identification import parameters as key
 from pneud.study.identification.fitting import Fit, Unknown, fit
@@ -396,3 +397,43 @@ def test_wear_is_told_beside_an_earlier_estimate(log: Path, found: dict[str, Any
     page = (tmp_path / "page.html").read_text()
     assert page.count("<svg") == 3  # friction, flow, edges
     assert "<script" not in page
+
+
+COURSE = "10@400,90@400,10@150,50@50,49@10,50@20,60@400,50@400,60@400,95@100,30@400,85@200,10@400,20@40"
+
+
+@pytest.mark.slow
+def test_a_hidden_truth_of_the_twelve_is_found(tmp_path: Path) -> None:
+    truth = Truth("small", 6)
+    config = tmp_path / "axis.toml"
+    config.write_text(rig_text(truth.rig), encoding="utf-8")
+    tables = drawn(load(config).config, truth.seed)
+    c = logged(tmp_path / "run.mcap", str(config), tables["plant"], 30.0, COURSE)
+    found = estimating.identify(*table.read([read_log(tmp_path / "run.mcap")]))
+    plant, valve, stroke_m = plant_of(c), c.plant.valve, c.cylinder.stroke_m
+    dead2_m = plant.cylinder.L - plant.cylinder.x_e1 - stroke_m
+    size = valve.sonic_conductance_l_s_bar
+    assert size is not None
+    assert found.valved is not None
+    assert found.moved is not None
+    assert (found.valved.structure.heat, found.moved.slips) == (plant.detail.wall_s > 0.0, plant.detail.slips)
+    centre_v, half_v = plant.valve.centre_v, plant.valve.dead_zone_v
+    weight_n = key.weight_share(c) * plant.cylinder.M
+    inside = 0
+    bounds = {
+        key.CONDUCTANCE: (size, 0.05 * size), key.CRITICAL: (plant.gas.critical_ratio, 0.05),
+        key.PLUS: (centre_v + half_v, 0.015), key.MINUS: (half_v - centre_v, 0.015),
+        key.CENTRE: (centre_v, 0.015),
+        key.BANDWIDTH: (valve.bandwidth_hz, 0.2 * valve.bandwidth_hz),
+        key.DEAD1: (plant.cylinder.x_e1, max(0.1 * plant.cylinder.x_e1, 0.01 * stroke_m)),
+        key.DEAD2: (dead2_m, max(0.1 * dead2_m, 0.01 * stroke_m)),
+        key.MASS: (plant.cylinder.M, 0.05 * plant.cylinder.M), key.LOAD: (plant.load_n - weight_n, 3.0),
+        key.COULOMB: (plant.friction.coulomb_n, 0.1 * plant.friction.coulomb_n),
+        key.STATIC: (plant.friction.static_n, 0.2 * plant.friction.static_n),
+        key.SEEP: (valve.leakage, 0.001),
+    }  # fmt: skip
+    for name, (true, within) in bounds.items():
+        e = found.parameters[name]
+        assert e.value == pytest.approx(true, abs=within), name
+        inside += e.low <= true <= e.high
+    assert inside >= 0.85 * len(bounds)

@@ -27,8 +27,8 @@ def export(
             "-o",
             "--output",
             metavar="FILE",
-            help="Frames as .log (candump), .asc or .blf; ticks as .csv or .parquet; .mcap for viewers; default"
-            " .csv.",
+            help="Frames as .log (candump), .asc or .blf; ticks as .csv or .parquet, or .mcap for viewers;"
+            " default .csv.",
         ),
     ] = None,
     how: ProgressOption = "auto",

@@ -98,7 +98,7 @@ def rig(
         "centre_v": c.valve.centre_v,
         "hysteresis_v": v.get(key.PLAY, 0.0),
         "leakage": v.get(key.SEEP, 0.0),
-        "leakage_exhaust": v.get(key.SEEP_OUT, v.get(key.SEEP, 0.0)),
+        "leakage_exhaust": v.get(key.SEEP_OUT, 0.0),
         "dac_bits": c.plant.valve.dac_bits,
     }
     exponent = min(max(v.get(key.EXPONENT, 1.0), 1.0), c.gas.heat_capacity_ratio)

@@ -159,15 +159,22 @@ def flow_map(valved: Valved, c: Config, spans: Sequence[tuple[float, float]] = (
             (_rate(p, width, rig.h) + cooled) * length[:, inner] / g.exponent
             + here * _rate(length, width, rig.h)
         )
-        other = np.where(sign * y > 0.0, supply, gas.atmosphere_pa)
-        high = np.maximum(here, other)
-        flow = g.flow * np.where(sign * y > 0.0, 1.0, g.exhaust)
-        most = np.copysign(high * share(np.minimum(here, other) / high)[0] * flow, other - here)
+        came = g.flow * _through(here, supply, share)
+        left = g.flow * g.exhaust * _through(here, np.asarray(gas.atmosphere_pa), share)
+        most = np.where(sign * y > 0.0, came, left)
+        flows = flows - g.seep * came - g.seep_out * left
         sums += flows * most  # the opening by least squares over both chambers
         weights += most * most
     good = still & (weights > 0.1 * weights.max(initial=0.0))
     opening = np.where(good, np.sign(y) * sums / np.where(good, weights, 1.0), math.nan)
     return _binned(y, opening, chambers.openings(y, g, rig.u_max_v), spans or _spans(0.3, rig.u_max_v, 8))
+
+
+def _through(here: Floats, other: Floats, share: chambers.Share) -> Floats:
+    """Flow into a chamber through an edge that is open to the end, relative to its size [Pa]."""
+    high = np.maximum(here, other)
+    found: Floats = np.copysign(high * share(np.minimum(here, other) / high)[0], other - here)
+    return found
 
 
 def _rate(values: Floats, width: int, h: float) -> Floats:
