@@ -10,10 +10,9 @@ if len(sys.argv) != 2:
     sys.exit(__doc__)
 log = pneud.read_log(sys.argv[1])
 ticks = list(log)
-t_s = np.array([tick.t_ns for tick in ticks]) * 1e-9
-error_mm = 1e3 * np.array([tick.reference.position_m - tick.estimate.position_m for tick in ticks])
+error_mm = 1e3 * np.array([tick.error_m for tick in ticks])
 command_v = np.array([tick.command.voltage_v for tick in ticks])
-print(f"{len(ticks)} ticks over {t_s[-1] - t_s[0]:.1f} s on {log.metadata['bus']}")
+print(f"{len(ticks)} ticks over {ticks[-1].t_s:.1f} s on {log.metadata['bus']}")
 print(f"error {np.sqrt(np.nanmean(error_mm**2)):.3f} mm RMS, command up to {np.abs(command_v).max():.2f} V")
 if log.truncated:
     print(f"cut short: {log.damage}")

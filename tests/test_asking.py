@@ -14,7 +14,7 @@ from pneud.axis.stops import soft_limits
 from pneud.console import profiles
 from pneud.control.plan import FOLLOWING, RESTING
 from pneud.control.profile import MOST_PIECES
-from pneud.control.reference import Bounds, Septic, at, rest, septic
+from pneud.control.reference import Bounds, Septic, Shunned, at, rest, septic
 from pneud.safety import supervisor
 from pneud.safety.faults import CENTRES, F
 from pneud.signals import Answer, RequestKind, State, Tick
@@ -60,6 +60,17 @@ def test_an_armed_axis_holds_still_where_it_is() -> None:
     assert {t.state for t in ticks} == {State.HOLDING}
     assert {t.reference for t in ticks} == {first.reference}
     assert max(abs(t.estimate.position_m - before) for t in ticks) <= 10e-6
+
+
+def test_a_short_goto_from_rest_does_not_peak_at_a_speed_that_is_shunned_unless_asked_to() -> None:
+    took = []
+    for low_m_s, asked in ((0.0, ()), (0.01, ()), (0.01, (0.4, 0.0, 0.0))):
+        rig = holding()
+        rig.axis.parameters = rig.axis.parameters._replace(shunned=Shunned(low_m_s, 4.0 * low_m_s))
+        assert rig.tick(GOTO, target(rig, 1e-3), *asked).answer == Answer.TAKEN
+        took.append(rig.axis.state.path.T)
+    assert took[0] == took[2] < 0.08
+    assert took[1] == pytest.approx(0.2, rel=0.01)
 
 
 def test_a_goto_arrives_and_holds() -> None:

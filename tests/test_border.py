@@ -432,7 +432,7 @@ WORKING = [*SAYING, "sim --duration 0.01 --json", "sim --help", "doctor", "docto
 WORKING += ["replay LOG --json", "replay LOG --against LOG", "replay LOG --set control.k1=1"]
 WORKING += ["export LOG -o OUT.csv", "export LOG -o OUT.log", "import RECORDING --dbc DBC -o OUT.mcap"]
 WORKING += ["scenarios", "scenarios --json", "logs .", "logs . --json"]
-WORKING += ["commission --virtual", "commission --virtual --json"]
+WORKING += ["commission --virtual --movement-test", "commission --virtual --movement-test --json"]
 WORKING += ["recover LOG -o OUT.mcap", "report LOG -o OUT.html", "install-service --destdir OUT"]
 WORKING += [f"learnt {GOLDEN}", f"learnt {GOLDEN} --json", NEW, f"{NEW} --json"]
 WORKING += ["design virtual.toml --bandwidth 50 --error-mm 1", "bench --pairs 1 --disturb --json"]
@@ -447,7 +447,7 @@ MUTE = {
     "reproduce",
     "identify",
     "restart",
-}  # says nothing until its end; draw; take long
+}  # silent; they draw; take long
 
 
 class Console(Daemon):

@@ -11,7 +11,8 @@ from pneud.config.conversions import plant_of, valve_of
 from pneud.config.models import Config
 from pneud.config.sections import ConfigError
 from pneud.loading import load
-from pneud.study import judging
+from pneud.study import fastest, judging, trial
+from pneud.study.commissioning import gains
 from pneud.study.commissioning import page as pages
 from pneud.study.commissioning.estimated import believed, changed, encoder_step_m, rig
 from pneud.study.commissioning.gains import SPREADS, Chosen, choose, spread, with_sine
@@ -78,6 +79,15 @@ def test_the_rig_that_is_tried_is_the_one_that_is_believed_in(found: Config) -> 
     assert (plant.cylinder.M, plant.load_n, plant.polytropic_exponent) == (20.0, -30.0, 1.25)
     assert (plant.encoder_resolution_m, plant.pressure_noise_pa) == (STEP_M, NOISE_PA)
     assert plant.detail.leak_in_v == pytest.approx(0.002 * 5.0)
+    assert not plant.detail.slips
+
+
+def test_the_rig_may_slip_and_keep_its_heat(virtual: Config) -> None:
+    warm = {key.WALL: told(0.3), key.SEEP: told(0.001), key.SEEP_OUT: told(0.002)}
+    plant = plant_of(changed(virtual, rig(warm, STEP_M, NOISE_PA, virtual, slips=True)))
+    assert plant.detail.slips
+    assert plant.detail.wall_s == 0.3
+    assert (plant.detail.leak_in_v, plant.detail.leak_out_v) == pytest.approx((0.005, 0.01))
 
 
 def test_a_valve_that_overlaps_nothing_has_no_dead_zone(virtual: Config) -> None:
@@ -127,6 +137,14 @@ def sessions(missed: float, calm: float) -> judging.Judge:
             yield Judged(task.case, (Figure("sine", "rms_m", 2e-4 if bad else 1e-6, 1e-4),))
 
     return judge  # type: ignore[return-value]
+
+
+def test_gains_stay_where_nothing_can_be_tried(found: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trial, "compiled", lambda: (trial.trial, "no compiler"))
+    chosen = choose(found, FOUND, 0.0)
+    assert chosen.values(found) == {}
+    assert "no compiler" in chosen.doubts[0]
+    assert not chosen.holds
 
 
 @pytest.mark.slow
@@ -183,7 +201,11 @@ def test_the_page_shows_before_and_after() -> None:
 
 
 @pytest.mark.slow
-def test_gains_for_the_packaged_axis_hold(virtual: Config) -> None:
+def test_gains_for_the_packaged_axis_hold(virtual: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search made short: two bandwidths, and the spread of one parameter."""
+    monkeypatch.setattr(fastest, "SLOWEST_RAD_S", 80.0)
+    monkeypatch.setattr(fastest, "CUTS", 0)
+    monkeypatch.setattr(gains, "SPREADS", SPREADS[:1])
     c = virtual
     exact = {
         key.MASS: told(15.0, 0.02), key.HALF: told(0.1, 0.05), key.BANDWIDTH: told(100.0),
@@ -193,4 +215,4 @@ def test_gains_for_the_packaged_axis_hold(virtual: Config) -> None:
     c = changed(c, believed(exact, 1e-6, c))
     chosen = choose(changed(c, rig(exact, 1e-6, NOISE_PA, c)), exact, 0.0)
     assert not [f for j in chosen.judged if j.case == NOMINAL for f in j.missed if f.part == "sine"]
-    assert len(chosen.as_json()["judged"]) == 15
+    assert len(chosen.as_json()["judged"]) == 5

@@ -395,7 +395,7 @@ def test_wear_is_told_beside_an_earlier_estimate(log: Path, found: dict[str, Any
     assert "verdict: worn" in done.stdout
     assert re.search(rf"{key.COULOMB} .*30 worn", done.stdout)
     page = (tmp_path / "page.html").read_text()
-    assert page.count("<svg") == 2
+    assert page.count("<svg") == 3  # friction, flow, edges
     assert "<script" not in page
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -97,3 +98,15 @@ def test_one_viewer_is_named(programs: Path) -> None:
     for options in ((), ("--rerun", "--foxglove")):
         done = pneud_here("view", GOLDEN / "composite.mcap", *options)
         assert (done.returncode, done.stdout) == (2, "")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("rerun") is None, reason="no rerun")
+def test_rerun_opens_a_log(tmp_path: Path) -> None:
+    recording = tmp_path / "log.rrd"
+    subprocess.run(["rerun", GOLDEN / "composite.mcap", "--save", recording], check=True, timeout=60)
+    stats = subprocess.run(
+        ["rerun", "rrd", "stats", recording], capture_output=True, text=True, timeout=60, check=True
+    )
+    for topic in ("/axis/tick", "/can/frames"):
+        assert topic in stats.stdout

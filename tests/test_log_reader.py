@@ -224,7 +224,7 @@ def test_foreign_files_are_refused_in_one_line(tmp_path: Path) -> None:
         (text, "not an MCAP file"),
         (empty, "is empty"),
         (foreign, "no log of pneud"),
-        (newer, "has log schema 9, this pneud reads 3"),
+        (newer, "has log schema 9, this pneud reads 4"),
     ):
         with pytest.raises(LogError, match=words) as caught:
             read_log(path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -127,3 +128,23 @@ def test_keys_that_are_offered_exist() -> None:
     assert {f"{'.'.join(keys(n)[0])}=" for n in ("k1", "lambda0", "gain_n_s2")} <= set(
         complete_key("control.")
     )
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
+def test_bash_completes_by_the_script_that_is_installed(tmp_path: Path) -> None:
+    command = tmp_path / "pneud"
+    command.write_text(f"#!{sys.executable}\nfrom pneud.cli import main\nmain()\n")
+    command.chmod(0o755)
+    script = (
+        'source <(_PNEUD_COMPLETE=source_bash pneud); COMP_WORDS=(pneud "$@"); COMP_CWORD=$#;'
+        ' _pneud_completion pneud; echo "${COMPREPLY[@]}"'
+    )
+    done = subprocess.run(
+        ["bash", "--norc", "-c", script, "bash", "sim", "--scenario", "hose"],
+        env={**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stdout.split() == ["hose-burst", "hose-burst-rod-side"], done.stderr

@@ -119,3 +119,15 @@ def test_verbs_that_take_long_tell_it(
 
 def test_progress_stays_out_of_the_result(hasty: None) -> None:
     assert object_of(pneud_here("replay", GOLDEN, "--json", "--progress", "json"))["identical"]
+
+
+def test_what_makes_a_log_tells_it_too(hasty: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    told = ("--progress", "json")
+    assert pneud_here("export", GOLDEN, "-o", "x.log").returncode == 0
+    for words, unit in ((("recover", GOLDEN), "MB"), (("import", "x.log"), "frames")):
+        done = pneud_here(*words, *told)
+        assert done.returncode == 0, done
+        lines = [json.loads(line) for line in done.stderr.splitlines() if line.startswith("{")]
+        assert lines[-1]["unit"] == unit
+        assert lines[-1]["done"] > lines[0]["done"]

@@ -12,6 +12,7 @@ from pneud.control.reference import (
     LEAST_S,
     ROOM,
     Bounds,
+    Shunned,
     Sine,
     Way,
     along,
@@ -25,6 +26,7 @@ from pneud.control.reference import (
     stop,
     to_rest,
     transfer,
+    unhurried,
     way,
 )
 from pneud.signals import Reference
@@ -134,6 +136,16 @@ def test_from_rest_to_rest_keeps_every_bound_and_reaches_one(start: float, end: 
     assert all(low - 1e-9 <= r.position_m <= high + 1e-9 for r in seen)
     assert along(0.0, w) == rest(start)
     assert_smooth(w, rest(start), b)
+
+
+@given(st.floats(0.0, 0.5), bounds)
+def test_a_move_peaks_at_no_speed_that_is_shunned_unless_it_is_told_to(distance: float, b: Bounds) -> None:
+    shunned = Shunned(9e-3, 37e-3)
+    gentler = unhurried(b, distance, shunned)
+    top = max(abs(r.velocity_m_s) for r in look(move(rest(0.0), distance, gentler)))
+    assert gentler == b or top == pytest.approx(shunned.low_m_s)
+    assert top <= 1.001 * shunned.low_m_s or top >= 0.999 * min(shunned.high_m_s, b.speed_m_s)
+    assert unhurried(b, distance, Shunned()) == b
 
 
 @pytest.mark.parametrize("b", [STANDARD, Bounds(0.02, 0.1, 1.0), Bounds(2.0, 20.0, 1000.0)])

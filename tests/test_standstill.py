@@ -252,13 +252,14 @@ def ticks_of() -> tuple[Any, Any]:
 
 
 def rig(
-    step_m: float, bristles_n_m: float, standstill: bool = True, creep: bool = True
+    step_m: float, bristles_n_m: float, standstill: bool = True, creep: bool = True, **cylinder: float
 ) -> tuple[Controller, PlantParameters]:
     """virtual.toml with another encoder, and truly other bristles."""
     here = load(
         "virtual.toml",
         None,
         {
+            "cylinder": cylinder,
             "control": {"standstill": standstill, "creep": creep, "motion": {"encoder_resolution_m": step_m}},
             "plant": {
                 "sensors": {"encoder_resolution_m": step_m},
@@ -299,6 +300,15 @@ def test_a_load_at_rest_neither_hunts_nor_stands_beside_its_target(
     assert v.rms_m <= 15e-6
     assert v.max_m <= 50e-6
     assert v.step_v <= RESTLESS.get((step_m, bristles_n_m), 0.005)
+
+
+def test_a_load_whose_swing_dies_at_once_is_left_alone_at_once() -> None:
+    c, plant = rig(5e-6, 5e5, moving_mass_kg=3.0)
+    pair, _ = move(trial.begin(0.44, c, plant), True, 0.45, c, plant, 1_000, 0, 1e-3)
+    for to_m in (0.46, 0.45, 0.46, 0.45):
+        pair, v = move(pair, False, to_m, c, plant, 600, 300, 20e-6)
+        assert v.outside < 500
+        assert v.step_v <= 0.03  # the law alone: 0.1 to 0.2
 
 
 def test_without_it_the_load_hunts() -> None:

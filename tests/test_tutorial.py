@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 PNEUD = [sys.executable, "-m", "pneud.cli"]
+COMMISSIONED = ((0, "commission: passed, written"), (1, "commission: missed, written"))
 TEXT = (Path(__file__).parent.parent / "docs" / "tutorial.md").read_text(encoding="utf-8")
 
 
@@ -29,7 +30,7 @@ def test_the_tutorial_has_its_way_from_nothing_to_a_tuned_axis() -> None:
 @pytest.mark.slow
 @pytest.mark.realtime
 def test_a_newcomer_comes_to_its_end(tmp_path: Path) -> None:
-    env = os.environ | {"PNEUD_SOCKET": str(tmp_path / "socket"), "XDG_STATE_HOME": str(tmp_path / "state")}
+    env = os.environ | {"PNEUD_SOCKET": str(tmp_path / "socket"), "STATE_DIRECTORY": str(tmp_path)}
     daemon = None
     try:
         for words in commands():
@@ -45,10 +46,17 @@ def test_a_newcomer_comes_to_its_end(tmp_path: Path) -> None:
                 env=env,
                 capture_output=True,
                 text=True,
-                timeout=300,
+                timeout=900,
                 check=False,
             )
-            assert done.returncode == 0, (words, done.stdout, done.stderr)
+            said = (words, done.stdout, done.stderr)
+            if (
+                words[0] == "commission"
+            ):  # the law may miss a limit; estimates and gains are there all the same
+                verdict = done.stdout.splitlines()[-1]
+                assert (done.returncode, verdict) in COMMISSIONED, said
+                continue
+            assert done.returncode == 0, said
     finally:
         if daemon is not None:
             daemon.terminate()

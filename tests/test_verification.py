@@ -57,6 +57,7 @@ def ticked(
         reference=Reference(reference_m, 0.0, 0.0, 0.0),
         command=r.tick.command._replace(voltage_v=volts),
         state=int(state),
+        estimate=r.tick.estimate._replace(position_m=position_m),
         request=None,
         latched=0,
     )

@@ -26,7 +26,7 @@ from generators import log as document
 from mangled import simulated
 from pneud.config.toml import flat
 from pneud.log.files.reader import read_log
-from pneud.log.format.schema import tick_fields, topics
+from pneud.log.format.schema import DERIVED, tick_fields, topics
 from pneud.resources import configs
 from pneud.view.viewers import Listener
 
@@ -177,18 +177,20 @@ def test_the_document_of_the_log_is_made_from_the_schema() -> None:
     written = (Path(__file__).parent.parent / "docs" / "log.md").read_text()
     assert written == document.text(), "python docs/generators/log.py > docs/log.md"
     assert field_names() == set(document.MEANINGS)
+    assert all(f"| `{field.name}` |" in written for field in DERIVED)
     for topic in topics("compact"):
         assert f"`{topic.topic}`" in written
 
 
 def test_layouts_show_what_there_is() -> None:
+    known = field_names() | {field.name for field in DERIVED}
     foxglove = (VIEWERS / "foxglove.json").read_text()
     paths = re.findall(r'"value": "(.*?)"', foxglove)
     assert len(paths) > 15
-    assert {path.removeprefix("/axis/tick.") for path in paths} <= field_names()
+    assert {path.removeprefix("/axis/tick.") for path in paths} <= known
     layout = json.loads(foxglove)
     placed = set(re.findall(r'"(\w+!\w+)"', json.dumps(layout["layout"])))
     assert placed == set(layout["configById"])
     curves = [c.get("name", "") for c in ElementTree.parse(VIEWERS / "plotjuggler.xml").iter("curve")]
     assert len(curves) > 15
-    assert {c.removeprefix("/axis/tick/").replace("/", ".") for c in curves} <= field_names()
+    assert {c.removeprefix("/axis/tick/").replace("/", ".") for c in curves} <= known

@@ -6,83 +6,18 @@ from collections.abc import Iterator
 
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto as F
 
-from pneud.log.format.schema import SCHEMA, Field, tick_fields
+from pneud.log.format.meanings import MEANINGS, meaning_of, unit_of
+from pneud.log.format.schema import DERIVED, SCHEMA, Field, tick_fields
 
-# Meaning of every field; the unit stands at the end of its name
-MEANINGS = {
-    "t_ns": "this tick's SYNC, CLOCK_MONOTONIC",
-    "measurement.t_ns": "the same",
-    "measurement.fresh": "bits of the sources that answered this tick's SYNC: 1 encoder, 2 pressure, 4 valve status",
-    "measurement.position_m": "newest valid encoder reading, stroke coordinate, 0 at the rear end stop",
-    "measurement.p1_pa": "pressure of chamber 1 (cap end), absolute",
-    "measurement.p2_pa": "pressure of chamber 2 (rod end), absolute",
-    "measurement.supply_pa": "supply pressure, absolute",
-    "measurement.applied_v": "what the valve's DAC put out",
-    "measurement.encoder_status": "bits: 1 referenced, 2 warning, 4 error",
-    "measurement.valve_state": "0 boot, 1 centred, 2 enabled, 3 timed out, 4 fault",
-    "measurement.encoder_age_ns": "from the sampling of the encoder's last valid value to SYNC; 0 where it is fresh",
-    "measurement.pressure_age_ns": "likewise for the pressures",
-    "measurement.valve_age_ns": "likewise for the valve status",
-    "measurement.encoder_defects": "why newer frames were not used: 1 corrupt, 2 counter frozen, 4 late;"
-    " 16 held back as odd, 32 confirmed the one before",
-    "measurement.pressure_defects": "likewise",
-    "measurement.valve_defects": "likewise",
-    "measurement.encoder_offset_ns": "sampling instant of the position, after SYNC;"
-    " what SYNC waits for the own last command is in it",
-    "measurement.skipped": "ticks skipped just before this one",
-    "measurement.host": "bits of what the machine has to say (`Host` in `signals.py`)",
-    "estimate.position_m": "position at the instant at which it was sampled",
-    "estimate.velocity_m_s": "velocity",
-    "estimate.force_n": "F̂, unmatched force acting on the load",
-    "estimate.x3_n": "P1 A1 − P2 A2",
-    "estimate.x3_hat_n": "x̂3 of the observer",
-    "estimate.d_hat_n_s": "d̂ of the observer",
-    "estimate.innovation_m": "encoder minus prediction",
-    "estimate.opening_v": "command that the valve's spool is believed to follow",
-    "reference.position_m": "where the load should be at that instant; NaN where there is no reference",
-    "reference.velocity_m_s": "its first derivative",
-    "reference.acceleration_m_s2": "its second derivative",
-    "reference.jerk_m_s3": "its third derivative",
-    "command.voltage_v": "what left for the valve, signed about its centre",
-    "command.enable": "1 where the valve may follow, else 0",
-    "command.saturated": "1 where the law asked for more than the output chain let through",
-    "command.law_v": "what the law asked for; NaN where it was not asked",
-    "command.s": "sliding variable",
-    "command.ustar": "u* of the law",
-    "timing.lateness_ns": "wake-up after the ideal grid",
-    "timing.set_ns": "SYNC sent to set complete, or given up",
-    "timing.cycle_ns": "the cycle itself",
-    "timing.send_ns": "encoding and sending the command",
-    "timing.latency_ns": "kernel stamp of the newest sensor frame to command sent",
-    "timing.record_ns": "handing over the record of the tick before",
-    "state": "state of the axis",
-    "present": "bits of the fault table that hold now; their names stand in the metadata `faults`",
-    "latched": "bits of the fault table that hold the axis in fault",
-    "answer": "what became of this tick's request",
-    "truth_m": "true position at SYNC, where a software plant tells it, else NaN",
-    "check": "CRC-32 over the doubles of estimate, reference and command (voltage, law, s, u*), little-endian",
-    "in_position": "1 where the load has come to rest at the end of the reference, within the tolerances",
-    "hunting": "at its target the load or the command swings: what it most likely comes from",
-    "request.kind": "what was asked for; only ticks with a request have it",
-    "request.values": "its numbers",
-}
-_UNITS = (
-    ("_m_s3", "m/s³"),
-    ("_m_s2", "m/s²"),
-    ("_m_s", "m/s"),
-    ("_n_s", "N/s"),
-    ("_ns", "ns"),
-    ("_pa", "Pa"),
-    ("_m", "m"),
-    ("_n", "N"),
-    ("_v", "V"),
-)
+__all__ = ["MEANINGS", "text"]
+
 _TYPES = {
     F.TYPE_FLOAT: "float",
     F.TYPE_DOUBLE: "double",
     F.TYPE_FIXED32: "fixed32",
     F.TYPE_FIXED64: "fixed64",
     F.TYPE_SFIXED64: "sfixed64",
+    F.TYPE_STRING: "string",
 }
 
 _HEAD = f"""# Logs
@@ -107,13 +42,36 @@ fingerprint; `setup` holds the report of the real-time set-up.
 Reals are floats of 32 bits in `pneud.Tick` (of estimate and reference but their positions, and of `law_v`, `s`, `ustar`, the
 last byte is zero) and doubles in `pneud.FullTick`; `check` is of the doubles in both, so that a replay compares to the
 bit. Units are SI and stand at the end of each name. Negative times mean that there was none;
-an age of 2⁶² ns means that the source has never been heard. Logs of schema 2 lack `in_position` and `hunting`, which read as 0 then.
+an age of 2⁶² ns means that the source has never been heard. Logs of schema 2 lack `in_position` and `hunting`, which read as 0 then; those of schema 3
+lack the comments in their schemas, no more.
+
+| field | unit | type | meaning |
+|---|---|---|---|
+"""
+
+_DERIVED = """
+What follows from these fields is in no log, which would grow by a tenth. It stands behind them in the messages of `--live` and of
+`pneud export run.mcap -o viewers.mcap`, in tables (`.csv`, `.parquet`), and on the ticks of `read_log`:
 
 | field | unit | type | meaning |
 |---|---|---|---|
 """
 
 _TAIL = """
+`error_m` and `true_error_m` are the errors of screen, `status`, summary and report as well. The reference belongs to the instant at
+which the position was sampled, `measurement.encoder_offset_ns` after SYNC; the true position belongs to SYNC, so the reference is
+taken back to it by its derivatives.
+
+`tracking_mm` in the summary (`--json`) and in the report is over whole periods of a reference that repeats, from 5 s of tracking on
+(`periods`, `after_s`), so that it does not hang on where a run ends. Of a run that is too short it is over the last whole period
+before; where there is none, over the motions that came to their end.
+`motions` has the last hundred of these, each with `rms` and `max`: moves, jogs, uploaded profiles. `against` says what the error is
+taken against: the `plant` (its true position), or the `encoder` (the estimate made of it). Where there is nothing to judge, `rms` and
+`max` are null and `reason` says why. `command_v` is of the same ticks; `saturated_ticks` and `amiss` are of the whole run.
+
+Unit and meaning of each field stand as comments in the schemas of the file, and as metadata (`unit`, `description`) of the columns
+of a `.parquet`.
+
 ## `/can/frames`
 
 `received`, `before` and `sent` count the frames of each tick: those received, those among them that were drained
@@ -132,32 +90,35 @@ recorder died or failed or the disk took nothing to the last, says why and ends 
 ## In Python
 
     from pneud import read_log
-    from pneud.log.columns import blocks
+    from pneud.log.files.columns import blocks
 
     for tick in read_log("run.mcap"):          # objects, one by one
-        print(tick.t_ns, tick.measurement.position_m, len(tick.frames))
+        print(tick.t_s, tick.state_name, tick.error_m, tick.fault_names)
     for block in blocks(read_log("run.mcap")): # arrays, thousands of ticks at a time
         print(block.real("estimate.force_n").max())
 
 ## In other tools
 
-    pneud report run.mcap -o report.html       # one page; several logs are compared
+    pneud logs                                 # which there are; --json
+    pneud report run.mcap                      # one page, run.html; several logs are compared
     pneud report run.mcap -o part.html --from 120 --to 125
     pneud bench --json > bench.json            # what this machine can do …
     pneud report run.mcap -o report.html --reference bench.json   # … beside the run's own timing
     pneud export run.mcap -o run.parquet       # or .csv: a row a tick
+    pneud export run.mcap -o viewers.mcap      # for viewers: with errors and names in the ticks
     pneud export run.mcap -o run.log           # frames: candump log; or .asc, .blf
     cantools decode configs/pneud.dbc < run.log
 
 A report draws at most 8192 buckets of ticks for each line, with the least and the greatest value of each: every peak is
 kept, whatever the length. `--from` and `--to` show a part with every tick.
 
-Foxglove, [Lichtblick](https://github.com/lichtblick-suite/lichtblick) and PlotJuggler open the `.mcap` itself. Layouts
+Foxglove, [Lichtblick](https://github.com/lichtblick-suite/lichtblick) and PlotJuggler open the `.mcap` itself; what `pneud export`
+writes for viewers has errors and names in its ticks as well. Layouts
 are in `configs/viewers`: `foxglove.json` for the first two (import it as a layout), `plotjuggler.xml` for the third.
-`rerun mcap convert` reads it, too.
+`pneud view run.mcap --foxglove` starts Lichtblick, else Foxglove, with a log; `pneud view run.mcap --rerun` starts rerun.
 
 `pneud --virtual --live` (or the daemon on a rig; `pip install 'pneud[live]'`) serves the run as it goes at
-ws://127.0.0.1:8765 to viewers that speak `foxglove.sdk.v1`: `/axis/tick`, `/can/frames` and `/events`, with the configuration as
+ws://127.0.0.1:8765, as it says on standard error with a link for the browser, to viewers that speak `foxglove.sdk.v1`: `/axis/tick`, `/can/frames` and `/events`, with the configuration as
 parameters that cannot be changed. Viewers look; nothing that they say reaches the axis. `--live-at ADDRESS:PORT` serves
 elsewhere, over IPv6 too (`[::1]:8765`). Who may look:
 
@@ -204,7 +165,7 @@ def _rows(fields: list[Field], nested: dict[str, list[Field]], group: str = "") 
         if field.type == F.TYPE_MESSAGE:
             yield from _rows(nested[field.of.rpartition(".")[2]], nested, f"{name}.")
             continue
-        unit = next((unit for end, unit in _UNITS if field.name.endswith(end)), "")
+        unit = unit_of(field.name)
         if field.type == F.TYPE_ENUM:
             kind = f"`{field.of}`"
         elif field.type == F.TYPE_FLOAT:
@@ -212,13 +173,13 @@ def _rows(fields: list[Field], nested: dict[str, list[Field]], group: str = "") 
         else:
             kind = _TYPES[field.type]
         repeated = ", repeated" if field.repeated else ""
-        yield f"| `{name}` | {unit} | {kind}{repeated} | {MEANINGS[name]} |\n"
+        yield f"| `{name}` | {unit} | {kind}{repeated} | {meaning_of(name)} |\n"
 
 
 def text() -> str:
     """The document."""
     _, fields, nested = tick_fields("compact")
-    return _HEAD + "".join(_rows(fields, nested)) + _TAIL
+    return _HEAD + "".join(_rows(fields, nested)) + _DERIVED + "".join(_rows(list(DERIVED), {})) + _TAIL
 
 
 if __name__ == "__main__":

@@ -91,6 +91,11 @@ class State(IntEnum):
         return self.name.lower()
 
 
+def state_name(state: int) -> str:
+    """A state as people and scripts read it; one that this version does not know by its number."""
+    return State(state).label if 0 <= state < len(State) else f"state {state}"
+
+
 ENGAGED = (State.TRACKING, State.MOVING, State.HOLDING, State.HOMING, State.STOPPING, State.PROBING)
 
 
@@ -271,7 +276,7 @@ class Tick(NamedTuple):
     @property
     def state_name(self) -> str:
         """The state as people and scripts read it."""
-        return State(self.state).label
+        return state_name(self.state)
 
 
 class Frame(NamedTuple):

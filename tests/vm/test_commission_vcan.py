@@ -59,7 +59,7 @@ def test_a_rig_on_vcan_is_commissioned_and_candump_tells_it_again(tmp_path: Path
     seen = tmp_path / "bus.log"
     with rig(tmp_path, "") as socket, seen.open("w") as log:
         candump = subprocess.Popen(["candump", "-L", "vcan0"], stdout=log)
-        done = pneud("commission", "--yes", "--json", "--socket", socket, cwd=tmp_path)
+        done = pneud("commission", "--movement-test", "--yes", "--json", "--socket", socket, cwd=tmp_path)
         time.sleep(1.0)  # candump shares the one CPU
         candump.send_signal(signal.SIGINT)
         candump.wait(10)
@@ -75,7 +75,7 @@ def test_a_rig_on_vcan_is_commissioned_and_candump_tells_it_again(tmp_path: Path
 
 def test_swapped_hoses_are_named_on_vcan(tmp_path: Path) -> None:
     with rig(tmp_path, "swapped_hoses = true") as socket:
-        done = pneud("commission", "--yes", "--json", "--socket", socket, cwd=tmp_path)
+        done = pneud("commission", "--movement-test", "--yes", "--json", "--socket", socket, cwd=tmp_path)
         armed = pneud("arm", "--socket", socket, "--json", cwd=tmp_path)
     print(done.stdout, done.stderr, armed.stdout, armed.stderr)
     assert done.returncode == 1

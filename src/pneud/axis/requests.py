@@ -38,6 +38,7 @@ from pneud.control.reference import (
     stays,
     still,
     transfer,
+    unhurried,
     way,
 )
 from pneud.control.step import Controller
@@ -284,6 +285,8 @@ def _goto(values: tuple[float, ...], now: Reference, now_ns: int, p: AxisParamet
     low_m, high_m = soft_limits(p)
     if not low_m <= values[0] <= high_m:
         return Asked(OUT_OF_TRAVEL)
+    if bounds == p.motion and now == rest(now.position_m):
+        bounds = unhurried(bounds, abs(values[0] - now.position_m), p.shunned)
     path = _within(bounds, now, values[0], p)
     return Asked(TAKEN, GOTO, Plan(GOING, now_ns, path)) if path is not None else Asked(OUT_OF_TRAVEL)
 

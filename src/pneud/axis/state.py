@@ -10,7 +10,7 @@ from pneud.control.homing import NOWHERE, Homing, HomingParameters
 from pneud.control.plan import IDLE, Plan
 from pneud.control.probe import NO_PROBE, Probe
 from pneud.control.profile import Profile
-from pneud.control.reference import Bounds, Sine, Way
+from pneud.control.reference import Bounds, Shunned, Sine, Way
 from pneud.control.step import Controller, ControllerState
 from pneud.safety import supervisor, watch
 from pneud.safety.checks import Limits
@@ -62,6 +62,7 @@ class AxisParameters(NamedTuple):
     stop_centres: bool  # after a stop that was asked for
     join_at_once: bool  # start on the reference without a transfer
     learnt: Learnt = Learnt()  # in an earlier run: where adaptation starts
+    shunned: Shunned = Shunned()  # speeds at which no short way to a position peaks
 
 
 class AxisState(NamedTuple):

@@ -20,7 +20,7 @@ from pneud.control.homogeneous import Feedback, feedback
 from pneud.control.laws.sliding import Sliding
 from pneud.control.laws.slot import IN_SLOT, SLIDING, Slot
 from pneud.control.motion import MotionFilter, kalman, quickened, triple_pole
-from pneud.control.reference import Bounds, Sine
+from pneud.control.reference import Bounds, Shunned, Sine
 from pneud.control.standstill import Standstill
 from pneud.control.step import Controller
 from pneud.physics import cylinder as cyl
@@ -37,7 +37,8 @@ LEAST_STILL_M, STILL_STEPS = 5e-5, 10.0  # travel that a reading cannot hide: at
 LEAST_HELD_M = 5e-6  # error that may be left rather than cross the dead zone, at least
 BALANCE = 0.03  # of dry friction that may be out of balance while a load counts as held by it
 SMOOTH_S = 0.02  # of force and speed of a standing load
-SETTLE_S = 1.0  # that the law has, before it gives way
+SETTLE_S = 1.0  # that the law has, before it gives way to a load that would swing on its bristles
+DIED = 3.0  # time constants until a swing has died
 SHUT = 0.02  # of the greatest command, up to which the law keeps the valve shut at rest
 GRACE_S = 0.08  # that a load has to come to rest when the valve is closed
 RESTLESS_V = 0.03  # mean step of the command that is hunting
@@ -51,6 +52,7 @@ MEAN_STEP_S = 0.3  # in which the mean step of the command is taken
 FAST = 16.0  # times the lead: a loop that swings faster is as fast as the valve
 FAST_S = 0.01  # where there is no lead
 STEEPEST = 0.858  # slope of exp(−(v/v_s)²), times v_s
+SHUNNED = (0.35, 1.6)  # times v_s, between which friction falls steeply
 PASSING_S = 0.1  # a reference that passes the Stribeck speed in less does not creep
 BLOCKED_KG = 1e9  # nothing moves that
 BLEND_S = 0.1  # in which one set of gains gives way to another
@@ -268,18 +270,31 @@ def controller_of(c: Config) -> Controller:
     )
 
 
+def behind_of(c: Config) -> float:
+    """How far the motion filter lags behind friction that falls with speed: its lag times that pole."""
+    f, h = c.control.friction, 1.0 / c.loop.rate_hz
+    fall_n = max(0.0, f.static_n - f.coulomb_n)
+    if f.bristle_stiffness_n_m <= 0.0 or fall_n == 0.0:
+        return 0.0
+    pole_rad_s = STEEPEST * fall_n / (f.stribeck_speed_m_s * c.cylinder.moving_mass_kg)
+    omega_rad_s: float = motion_of(c).gamma ** (1.0 / 3.0) / h  # of a triple pole
+    return pole_rad_s * 3.0 / omega_rad_s
+
+
+def shunned_of(c: Config) -> Shunned:
+    """Speeds at which no short move should peak, where friction's pole is faster than the motion filter."""
+    v_s = c.control.friction.stribeck_speed_m_s
+    return Shunned(SHUNNED[0] * v_s, SHUNNED[1] * v_s) if behind_of(c) > 1.0 else Shunned()
+
+
 def creep_of(c: Config) -> Creep:
     """Where the load's own speed is fed forward: as far as the motion filter knows it in time.
 
     Friction that falls with speed makes a pole; where the filter lags behind it, it would be fed too late.
     """
-    f, h = c.control.friction, 1.0 / c.loop.rate_hz
-    fall_n = max(0.0, f.static_n - f.coulomb_n)
-    if not c.control.creep or f.bristle_stiffness_n_m <= 0.0 or fall_n == 0.0:
+    f, behind = c.control.friction, behind_of(c)
+    if not c.control.creep or behind == 0.0:
         return Creep()
-    pole_rad_s = STEEPEST * fall_n / (f.stribeck_speed_m_s * c.cylinder.moving_mass_kg)
-    omega_rad_s = motion_of(c).gamma ** (1.0 / 3.0) / h  # of a triple pole
-    behind = pole_rad_s * 3.0 / omega_rad_s
     return Creep(1.0 / (1.0 + behind**8), 3.0 * f.stribeck_speed_m_s, f.stribeck_speed_m_s / PASSING_S)
 
 
@@ -304,6 +319,7 @@ def standstill_of(c: Config) -> Standstill:
     # a force that friction does not hold would have moved the load by more than that in this time
     stick = max(8, math.ceil(math.sqrt(2.0 * M * stick_m / (BALANCE * f.coulomb_n)) / h))
     swing_s = 2.0 * math.pi / omega
+    dies_out = 0.5 * f.bristle_damping_n_s_m / M * GRACE_S >= DIED
     return Standstill(
         enter_m=enter_m,
         leave_m=max(11e-6, 1.3 * step_m),
@@ -324,7 +340,7 @@ def standstill_of(c: Config) -> Standstill:
         stick_m=stick_m,
         stick=stick,
         held=1.0 - math.exp(-h / 0.01),
-        settle=round(SETTLE_S / h),
+        settle=round((GRACE_S if dies_out else SETTLE_S) / h),
         shut_v=SHUT * c.valve.u_max_v,
     )
 
@@ -464,6 +480,7 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
         stop_centres=limits.stop_then == "centre",
         join_at_once=c.reference.join == "at_once",
         learnt=start_of(c),
+        shunned=shunned_of(c),
     )
 
 

@@ -41,6 +41,13 @@ class Bounds(NamedTuple):
     jerk_m_s3: float
 
 
+class Shunned(NamedTuple):
+    """Speeds between which no short move should peak: friction falls there faster than anybody sees."""
+
+    low_m_s: float = 0.0
+    high_m_s: float = 0.0  # none are shunned where both are zero
+
+
 class Septic(NamedTuple):
     """The polynomial Σ c_i (t/T)^i over 0 ≤ t ≤ T."""
 
@@ -190,6 +197,17 @@ def move(start: Reference, end_m: float, bounds: Bounds) -> Way:
             pieces.append(Septic(cruise_s, begin_m, side * top * cruise_s, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
         pieces.append(septic(last, braking, rest(end_m)))
     return way(*pieces) if pieces else still(end_m)
+
+
+def unhurried(bounds: Bounds, distance_m: float, shunned: Shunned) -> Bounds:
+    """The bounds for a move from rest to rest, with less jerk where it would peak at a speed that is shunned.
+
+    It then peaks at the lowest of them. One that gets no further than the bound on speed is left as it is.
+    """
+    top = _cruise(0.0, distance_m, bounds)
+    if not shunned.low_m_s < top < min(shunned.high_m_s, bounds.speed_m_s):
+        return bounds
+    return bounds._replace(jerk_m_s3=5.7736 * shunned.low_m_s**3 / distance_m**2)
 
 
 def _ramp(x: float, before: float, after: float, bounds: Bounds) -> Septic:

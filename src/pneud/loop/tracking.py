@@ -12,7 +12,7 @@ from typing import Any
 
 from pneud.signals import Request, RequestKind, State
 
-AFTER_S = 5.0  # of tracking, the way to join the reference included, before periods are judged
+AFTER_S = 5.0  # of tracking before periods are judged; where a run is too short, the last one before it is
 MOTIONS = 100  # kept, the newest ones
 AGAINST = {"plant": "true position", "encoder": "encoder"}  # in words
 
@@ -57,10 +57,10 @@ class _Sums:
 class _Period:
     """From a turn of the acceleration to the next one of its kind."""
 
-    __slots__ = ("high_m", "low_m", "rising", "sums", "tick_s", "v", "x")
+    __slots__ = ("after_s", "high_m", "low_m", "rising", "sums", "tick_s", "v", "x")
 
-    def __init__(self, rising: bool, x: float, v: float, tick_s: float) -> None:
-        self.rising, self.x, self.v, self.tick_s = rising, x, v, tick_s
+    def __init__(self, after_s: float, rising: bool, x: float, v: float, tick_s: float) -> None:
+        self.after_s, self.rising, self.x, self.v, self.tick_s = after_s, rising, x, v, tick_s
         self.low_m = self.high_m = x
         self.sums = _Sums()
 
@@ -75,13 +75,13 @@ class Tracking:
 
     Attributes:
         has_truth: the error is taken against a software plant's true position, else against the encoder.
-        periods: whole ones of a reference that repeats, from `AFTER_S` of tracking on.
     """
 
     def __init__(self, has_truth: bool) -> None:
         """Nothing has been followed."""
         self.has_truth = has_truth
-        self.periods = 0
+        self._whole = 0
+        self._early: _Period | None = None  # the last one that began too early
         self._led = False
         self._of_periods, self._of_motions = _Sums(), _Sums()
         self._motions: deque[dict[str, Any]] = deque(maxlen=MOTIONS)
@@ -118,8 +118,8 @@ class Tracking:
             self._motion[1].add(error_m, voltage_v, self._last_v)
         elif state != _TRACKING:
             return
-        elif t_ns - self._since_ns >= AFTER_S * 1e9:
-            self._follow(reference, (t_ns - self._last_ns) * 1e-9)
+        else:
+            self._follow(t_ns, reference)
             if self._period is not None:
                 self._period.sums.add(error_m, voltage_v, self._last_v)
         self._last_ns, self._last_v = t_ns, voltage_v
@@ -142,7 +142,7 @@ class Tracking:
         elif state == _TRACKING and kind == _TRACK and values and values[0] == 1.0:
             self._motion = {"kind": "track", "to_mm": None}, _Sums()  # an uploaded profile, which ends
 
-    def _follow(self, reference: tuple[float, ...], tick_s: float) -> None:
+    def _follow(self, t_ns: int, reference: tuple[float, ...]) -> None:
         """See whether a period begins or ends: with the acceleration's turn, wherever the reference turns."""
         x, v, a, _ = reference
         period, rising = self._period, a > 0.0
@@ -152,25 +152,37 @@ class Tracking:
         self._rising = rising
         if not turns or (period is not None and rising is not period.rising):
             return
+        tick_s = (t_ns - self._last_ns) * 1e-9
         if period is not None and period.repeats(x, v, tick_s):
-            self.periods += 1
-            self._of_periods.take(period.sums)
-        self._period = _Period(rising, x, v, tick_s)
+            if period.after_s >= AFTER_S:
+                self._whole += 1
+                self._of_periods.take(period.sums)
+            else:
+                self._early = period
+        self._period = _Period((t_ns - self._since_ns) * 1e-9, rising, x, v, tick_s)
+
+    @property
+    def periods(self) -> int:
+        """Whole ones of a reference that repeats, over which the figures are."""
+        return self._whole or int(self._early is not None)
 
     @property
     def _judged(self) -> _Sums:
-        return self._of_periods if self.periods else self._of_motions
+        if self._whole or self._early is None:
+            return self._of_periods if self._whole else self._of_motions
+        return self._early.sums
 
     def tracking_mm(self) -> dict[str, Any]:
         """RMS and greatest error over the whole periods, else over the motions; `reason` where both are None.
 
         `motions` are the newest ones that have come to their end, with their own.
         """
+        early = None if self._whole else self._early
         found: dict[str, Any] = {
             **self._judged.error_mm(),
             "periods": self.periods,
             "motions": list(self._motions),
-            "after_s": AFTER_S,
+            "after_s": AFTER_S if early is None else round(early.after_s, 3),
             "against": "plant" if self.has_truth else "encoder",
         }
         return found if found["rms"] is not None else found | {"reason": self._reason()}
@@ -180,7 +192,7 @@ class Tracking:
             return "the axis neither tracked nor moved"
         if self.periods or self._motions:
             return "no position was told"
-        return f"no whole period of the reference from {AFTER_S:g} s of tracking on, and no motion to its end"
+        return "no whole period of the reference, and no motion to its end"
 
     def command_v(self) -> dict[str, float] | None:
         """Greatest command and mean step from tick to tick over the same ticks; None where there are none."""

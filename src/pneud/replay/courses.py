@@ -11,7 +11,7 @@ from pneud.rt.outputs import replacing
 DPI = 120
 SIZE = (10.0, 10.0)
 PANELS: tuple[tuple[str, Callable[[Point, int], float]], ...] = (
-    ("tracking error [mm]", lambda p, i: 1e3 * (p.reference_m[i] - p.position_m[i])),
+    ("tracking error [mm]", lambda p, i: 1e3 * p.error_m[i]),
     ("velocity [m/s]", lambda p, i: p.velocity_m_s[i]),
     ("unmatched force [N]", lambda p, i: p.force_n[i]),
     ("command [V]", lambda p, i: p.voltage_v[i]),

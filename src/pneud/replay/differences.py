@@ -30,8 +30,7 @@ class Point(NamedTuple):
     """One tick of a picture: the first course, then the second."""
 
     t_s: float
-    position_m: tuple[float, float]
-    reference_m: tuple[float, float]
+    error_m: tuple[float, float]
     velocity_m_s: tuple[float, float]
     force_n: tuple[float, float]
     voltage_v: tuple[float, float]
@@ -96,8 +95,7 @@ class Differences:
         self.points.append(
             Point(
                 (one.t_ns - self._start_ns) * 1e-9,
-                (one.estimate.position_m, other.estimate.position_m),
-                (one.reference.position_m, other.reference.position_m),
+                (one.error_m, other.error_m),
                 (one.estimate.velocity_m_s, other.estimate.velocity_m_s),
                 (one.estimate.force_n, other.estimate.force_n),
                 (one.command.voltage_v, other.command.voltage_v),

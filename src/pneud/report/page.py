@@ -22,7 +22,7 @@ from pneud.report.gather import LoggedRun
 from pneud.report.readings import KINDS, SOURCES
 from pneud.report.spans import Span
 from pneud.report.spread import Spread
-from pneud.signals import HUNTING_CURES, State, Timing
+from pneud.signals import HUNTING_CURES, Timing, state_name
 
 Reference = Mapping[str, Any]  # the object that `pneud bench --json` prints
 
@@ -137,7 +137,7 @@ def _run(run: LoggedRun, name: str, shift_s: float, colour: str) -> dict[str, An
             "y": _packed(run.phase.values[:, 1], "<f4"),
         },
         "states": [
-            [*_seconds(span, shift_s), _state(span.value), _state_colour(span.value)]
+            [*_seconds(span, shift_s), state_name(span.value - 1), _state_colour(span.value)]
             for span in run.states[:_SPANS_SHOWN]
         ],
         "faults": [
@@ -161,13 +161,6 @@ def _seconds(span: Span, shift_s: float) -> list[float]:
 def _packed(values: Any, kind: str) -> str:
     with np.errstate(over="ignore"):  # what floats cannot hold becomes infinite
         return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode("ascii")
-
-
-def _state(value: int) -> str:
-    try:
-        return State(value - 1).label
-    except ValueError:
-        return f"state {value - 1}"
 
 
 def _state_colour(value: int) -> str:
@@ -218,7 +211,7 @@ def _summary(runs: Sequence[LoggedRun], names: Sequence[str]) -> str:
         return "–" if found is None or found[name] is None else format(found[name], form)
 
     rows: list[tuple[str, list[str]]] = [
-        ("state", [_state(run.counted.state + 1) if run.counted.ticks else "–" for run in runs]),
+        ("state", [state_name(run.counted.state) if run.counted.ticks else "–" for run in runs]),
         ("faults latched", [", ".join(map(run.fault_name, run.latched)) or "none" for run in runs]),
         ("hunting", [_hunting(run) for run in runs]),
         ("in position [s]", [f"{_seconds_of(run.in_position):.1f}" for run in runs]),

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from pneud.axis.state import AxisParameters
 from pneud.config.conversions import axis_of, plant_of
 from pneud.config.models import Config
-from pneud.control.reference import Sine, Way, move, rest, sine, still, transfer
+from pneud.control.reference import Sine, Way, move, rest, sine, still, transfer, unhurried
 from pneud.physics.plant import PlantParameters
 from pneud.study import trial
 from pneud.study.gains import LARGE_ERROR
@@ -255,7 +255,8 @@ class _Session:
         over: dict[str, float] = {}
         runs: dict[str, list[Verdict]] = {}
         for by_m in c.steps_m:
-            way = move(rest(self.at_m), self.at_m + by_m, self.task.axis.motion)
+            bounds = unhurried(self.task.axis.motion, abs(by_m), self.task.axis.shunned)
+            way = move(rest(self.at_m), self.at_m + by_m, bounds)
             self.at_m += by_m
             v = self.go(way, AFTER_S)
             part = f"{1e3 * abs(by_m):g} mm"

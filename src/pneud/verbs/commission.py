@@ -16,9 +16,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pneud import resources
+from pneud.config.models import Config
 from pneud.config.proof import Proof, digest, proven
 from pneud.console.client import Client, RefusedError
 from pneud.loading import Loaded, load
+from pneud.rt.outputs import require_folder, write_whole
 from pneud.signals import State
 from pneud.study.commissioning.movement import CURES, Verdict
 from pneud.verbs import ConfigOption, JsonOption, SocketOption, VerbError
@@ -48,6 +50,9 @@ def commission(
         int | None,
         typer.Option("--seed", help="With --virtual: a rig unlike its configuration, drawn from it."),
     ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="A page with pictures (.html).")
+    ] = None,
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> int:
@@ -67,14 +72,25 @@ def commission(
     """
     if not test_only and importlib.util.find_spec("scipy") is None:
         raise VerbError("commission needs scipy; install it with: pip install 'pneud[identify]'", 3)
-    from pneud.study.commissioning.procedure import Wishes  # noqa: PLC0415
+    from pneud.study.commissioning.procedure import Wishes, as_json  # noqa: PLC0415
 
+    if output is not None:
+        require_folder(output)
     wishes = Wishes(steps=not test_only, dynamic=not skip_dynamic, write=not dry_run)
-    if virtual:
-        return _tell(_simulated(config_file, seed, wishes, yes), json)
-    if seed is not None:
+    if not virtual and seed is not None:
         raise VerbError("--seed: draws a software rig; give --virtual, too")
-    return _tell(_on_the_rig(socket, config_file, wishes, again, yes), json)
+    if virtual:
+        outcome, c = _simulated(config_file, seed, wishes, yes)
+    else:
+        outcome, c = _on_the_rig(socket, config_file, wishes, again, yes)
+    findings = _findings(outcome.movement)
+    if output is not None and outcome.found is not None:
+        write_whole(output, _page(outcome, c))
+    if json:
+        print(json_.dumps({**as_json(outcome), "findings": findings}))
+    else:
+        print("\n".join(_in_words(outcome, findings)))
+    return 0 if outcome.good else 1
 
 
 class _Talk:
@@ -91,7 +107,9 @@ class _Talk:
         return self._yes or (sys.stdin.isatty() and typer.confirm("write that?", err=True))
 
 
-def _simulated(config_file: str | None, seed: int | None, wishes: Wishes, yes: bool) -> Outcome:
+def _simulated(
+    config_file: str | None, seed: int | None, wishes: Wishes, yes: bool
+) -> tuple[Outcome, Config]:
     from pneud.study.commissioning import procedure, truths  # noqa: PLC0415
     from pneud.study.commissioning.bench import Simulated  # noqa: PLC0415
 
@@ -102,12 +120,13 @@ def _simulated(config_file: str | None, seed: int | None, wishes: Wishes, yes: b
     truth = truths.drawn(loaded.config, seed) if seed is not None else {}
     with tempfile.TemporaryDirectory(prefix="pneud-") as folder:
         rig = Simulated(loaded, truth, seed or 0, Path(folder))
-        return procedure.commission(rig, wishes._replace(write=wishes.write and not packaged), _Talk(yes))
+        wishes = wishes._replace(write=wishes.write and not packaged)
+        return procedure.commission(rig, wishes, _Talk(yes)), loaded.config
 
 
 def _on_the_rig(
     socket: str | None, config_file: str | None, wishes: Wishes, again: bool, yes: bool
-) -> Outcome:
+) -> tuple[Outcome, Config]:
     from pneud.study.commissioning import procedure  # noqa: PLC0415
     from pneud.study.commissioning.live import Live  # noqa: PLC0415
 
@@ -124,7 +143,7 @@ def _on_the_rig(
     _agreed(loaded, wishes, yes)
     rig = Live(lambda: Client(socket), loaded)
     try:
-        return procedure.commission(rig, wishes, _Talk(yes))
+        return procedure.commission(rig, wishes, _Talk(yes)), loaded.config
     except RefusedError as e:
         raise VerbError(f"commission: {e}", 1) from None
     finally:
@@ -161,18 +180,6 @@ def _short(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-def _tell(o: Outcome, json: bool) -> int:
-    """Print what came of it."""
-    from pneud.study.commissioning.procedure import as_json  # noqa: PLC0415
-
-    findings = _findings(o.movement)
-    if json:
-        print(json_.dumps({**as_json(o), "findings": findings}))
-    else:
-        print("\n".join(_in_words(o, findings)))
-    return 0 if o.good else 1
-
-
 def _findings(movement: Verdict | None) -> list[dict[str, str]]:
     found = () if movement is None else movement.findings
     return [{"name": str(f), "cure": CURES[f]} for f in found]
@@ -186,12 +193,33 @@ def _in_words(o: Outcome, findings: list[dict[str, str]]) -> list[str]:
     if o.failure:
         lines.append(f"ended: {o.failure}")
     lines += [f"faults: {', '.join(o.faults)}"] if o.faults else []
-    if o.found is not None:
-        lines += [f"not told: {note}" for note in o.found.identified.notes]
+    return [*lines, *_worth(o), f"commission: {o.verdict}{', written' if o.written else ''}"]
+
+
+def _worth(o: Outcome) -> list[str]:
+    """What was found, and what the axis is worth."""
+    if o.found is None:
+        return []
+    from pneud.study.commissioning import page  # noqa: PLC0415
+
+    lines = [f"not told: {note}" for note in o.found.identified.notes]
+    lines += [f"the model cannot explain {text}" for text in o.found.unexplained]
+    lines += [page.gains(o.found.chosen)] if o.found.chosen is not None else []
     if o.after is not None:
-        lines += [
-            f"{f.part} {f.what}: {f.value:.3g} of {f.limit:.3g}{'' if f.ratio <= 1.0 else ', missed'}"
-            for f in o.after.figures
-        ]
-    lines.append(f"commission: {o.verdict}{', written' if o.written else ''}")
+        table = [page.HEAD, *page.beside(o.before, o.after)]
+        wide = max(len(row[0]) for row in table)
+        lines += [f"{name:<{wide}}  " + "  ".join(f"{cell:>8}" for cell in cells) for name, *cells in table]
+        lines.append(page.verdict(o.after))
     return lines
+
+
+def _page(o: Outcome, c: Config) -> str:
+    from pneud.study.commissioning import page  # noqa: PLC0415
+    from pneud.study.identification import comparing  # noqa: PLC0415
+
+    assert o.found is not None
+    found = o.found.identified
+    lines = [f"commission: {o.verdict}", *_worth(o)]
+    return page.page(
+        f"{c.name}: commission", lines, comparing.rows(found.parameters, {}), found, c, o.before, o.after
+    )

@@ -27,7 +27,8 @@ def export(
             "-o",
             "--output",
             metavar="FILE",
-            help="Frames as .log (candump), .asc or .blf; ticks as .csv or .parquet; default .csv.",
+            help="Frames as .log (candump), .asc or .blf; ticks as .csv or .parquet, or .mcap for viewers;"
+            " default .csv.",
         ),
     ] = None,
     how: ProgressOption = "auto",
@@ -39,8 +40,8 @@ def export(
     """
     output = output or Path(f"{read_log(log).path.stem}.csv")
     suffix = output.suffix
-    if suffix not in (*to.TABLES, *FORMATS):
-        known = ", ".join((*to.TABLES, *FORMATS))
+    if suffix not in (formats := (*to.TABLES, *FORMATS, to.VIEWERS)):
+        known = ", ".join(formats)
         raise ConfigError(f"{output}: no such format; its name must end in one of {known}")
     require_folder(output)
     reader = read_log(log)
@@ -50,6 +51,8 @@ def export(
         watch(report, reader)
         if suffix in to.TABLES:
             done, what = to.table(reader, output), "ticks"
+        elif suffix == to.VIEWERS:
+            done, what = to.for_viewers(reader, output), "ticks"
         else:
             config = parse(reader.config_text, f"{reader.path}:{reader.config_name}")
             codecs = codecs_of(config.bus, reader.dbc_name, reader.dbc)

@@ -24,6 +24,8 @@ from pneud.replay.times import Times
 from pneud.replay.traffic import FORMATS
 from pneud.rt.inputs import read_whole
 from pneud.safety.faults import FAULT_NAMES
+from pneud.verbs import ProgressOption
+from pneud.view.progress import each, progress
 
 _LEAD_NS = 1_000_000_000  # the log's own times begin one second before the first frame
 _NEVER_NS = 1 << 62  # the year 2116
@@ -62,6 +64,7 @@ def import_(
         str | None,
         typer.Option("--config", metavar="FILE", help="Of the axis; default the exported, else rig.toml."),
     ] = None,
+    how: ProgressOption = "auto",
 ) -> int:
     """Write the log.
 
@@ -94,8 +97,9 @@ def import_(
         extra={"recording": recording.name},
     )
     times = Times(surveyed.start_ns, placed.offset_ns, 1e9 / source.rate_hz, remarks)
-    ticks = Ticks(traffic.read(recording, remarks), codecs, surveyed, times, remarks)
-    with new_log(path) as descriptor:
+    with new_log(path) as descriptor, progress(how) as report:
+        frames = each(traffic.read(recording, remarks), report, recording.name, 0, "frames")
+        ticks = Ticks(frames, codecs, surveyed, times, remarks)
         writer = LogWriter(descriptor, header)
         found = rebuild(ticks, writer, config, codecs, source.known)
         whole = writer.close()

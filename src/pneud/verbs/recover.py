@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from pneud.log.files.recovery import recover as mend
-from pneud.verbs import LogArgument, require_suffix
+from pneud.verbs import LogArgument, ProgressOption, require_suffix
+from pneud.view.progress import progress
 
 
 def recover(
@@ -17,6 +18,7 @@ def recover(
         Path | None,
         typer.Option("-o", "--output", metavar="OUT", help="The mended log; default LOG-recovered.mcap."),
     ] = None,
+    how: ProgressOption = "auto",
 ) -> int:
     """Write what can be read of a log into another one.
 
@@ -25,7 +27,10 @@ def recover(
     """
     output = output or Path(f"{Path(log).stem}-recovered.mcap")
     require_suffix(output, ".mcap", "a log is an MCAP file")
-    report = mend(Path(log), output)
+    source = Path(log)
+    size = source.stat().st_size if source.is_file() else 0
+    with progress(how) as told:
+        report = mend(source, output, lambda read: told(source.name, 1e-6 * read, 1e-6 * size, "MB"))
     chunks = f" from {report.chunks} chunks" if report.chunks else ""
     print(f"{output}: {report.messages} messages{chunks}")
     if report.damaged_chunks:

@@ -66,31 +66,33 @@ TrackOption = Annotated[
         help="Follow FILE.csv, FILE.json, chirp, or steps:MM,MM,… in place of the reference.",
     ),
 ]
+ConfigArgument = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="FILE", help="Configuration; default virtual.toml.", autocompletion=complete_config
+    ),
+]
+LogOption = Annotated[Path | None, typer.Option("-o", "--output", metavar="LOG", help="Write a log (.mcap).")]
+DurationOption = Annotated[
+    float | None, typer.Option("--duration", metavar="S", help="Simulated time; default 10 s.")
+]
+CompareOption = Annotated[
+    bool,
+    typer.Option(
+        "--compare", help="The law against its baselines, case by case; --duration is that of the rest."
+    ),
+]
 
 
 def sim(
-    config_file: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="FILE", help="Configuration; default virtual.toml.", autocompletion=complete_config
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="LOG", help="Write a log (.mcap).")
-    ] = None,
-    duration_s: Annotated[
-        float | None, typer.Option("--duration", metavar="S", help="Simulated time; default 10 s.")
-    ] = None,
+    config_file: ConfigArgument = None,
+    output: LogOption = None,
+    duration_s: DurationOption = None,
     goto: GotoOption = None,
     track: TrackOption = None,
     scenario_file: ScenarioOption = None,
     seed: SeedOption = 0,
-    laws: Annotated[
-        bool,
-        typer.Option(
-            "--compare", help="The law against its baselines, case by case; --duration is that of the rest."
-        ),
-    ] = False,
+    laws: CompareOption = False,
     json: JsonOption = False,
     how: ProgressOption = "auto",
 ) -> int:

@@ -1,8 +1,8 @@
 """The run as it goes, for Foxglove, Lichtblick and whoever speaks their WebSocket protocol.
 
-The same topics and schemas as in the log, but for the snapshots of the axis. A process of its own reads the
-ring and serves; it packs only what somebody has subscribed to. Clients may look at everything and change
-nothing.
+The same topics and schemas as in the log, but for the snapshots of the axis; ticks have what follows from
+their fields behind them. A process of its own reads the ring and serves; it packs only what somebody has
+subscribed to. Clients may look at everything and change nothing.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, cast
 
 from pneud import crew
+from pneud.log.format.derived import Deriver
 from pneud.log.format.events import EventSource
 from pneud.log.format.frames import FramesPacker
 from pneud.log.format.header import LogHeader
@@ -67,6 +68,7 @@ class Listener:
 class _Publisher:
     def __init__(self, header: LogHeader, context: Any, foxglove: Any) -> None:
         self._packer = Packer(header.detail)
+        self._deriver = Deriver(header.fault_names)
         self._frames = FramesPacker()
         self._events = EventSource(header.fault_names, header.realtime_offset_ns)
         self._offset_ns = header.realtime_offset_ns
@@ -77,7 +79,7 @@ class _Publisher:
                 message_encoding="protobuf",
                 context=context,
             )
-            for topic, schema, descriptors, *_ in topics(header.detail)
+            for topic, schema, descriptors, *_ in topics(header.detail, derived=True)
             if topic in TOPICS
         }
 
@@ -85,7 +87,8 @@ class _Publisher:
         for record in records:
             if TICK in wanted:
                 log_time_ns = record.tick.t_ns + self._offset_ns
-                self._channels[TICK].log(self._packer.tick(record), log_time=log_time_ns)
+                packed = self._packer.tick(record) + self._deriver.behind(record)
+                self._channels[TICK].log(packed, log_time=log_time_ns)
             if FRAMES in wanted:
                 self._frames.add(record)
             for event in self._events.after(record):  # which has to see every record

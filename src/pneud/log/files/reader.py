@@ -327,14 +327,17 @@ class LogReader:
         Args:
             from_ns: Unix time; begin with the last snapshot not after it, at the start where there is none.
         """
+        first = next(iter(self), None) if from_ns else None
+        first_ns, names = None if first is None else first.t_ns, self.fault_names
         for raw in self.raw(from_ns):
             if isinstance(raw, LoggedState):
                 yield raw
             elif isinstance(raw, RawBatch):
                 number = raw.ticks[0].number
                 try:
-                    for tick in unpack(raw.ticks, FrameBlock(raw.frames)):
+                    for tick in unpack(raw.ticks, FrameBlock(raw.frames), first_ns, names):
                         number = tick.number
+                        first_ns = tick.t_ns if first_ns is None else first_ns
                         yield tick
                 except (DecodeError, KeyError, ValueError) as e:
                     self.damaged_at(number, e)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import base64
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -47,8 +47,13 @@ class RecoverReport(NamedTuple):
     damage: str  # the first place that could not be read, and why; empty if the source is whole
 
 
-def recover(src: Path, dst: Path) -> RecoverReport:
+def recover(src: Path, dst: Path, read: Callable[[int], None] = lambda _: None) -> RecoverReport:
     """Write what can be read of a log into a new one.
+
+    Args:
+        src: the log.
+        dst: the new one.
+        read: told how many bytes of it have been read, now and then.
 
     Raises:
         LogError: the source is no MCAP file, or the new file exists.
@@ -60,7 +65,7 @@ def recover(src: Path, dst: Path) -> RecoverReport:
         os.fdopen(descriptor, "wb") as target,
     ):
         writer = Writer(target, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        return _Rescue(writer).run(source)
+        return _Rescue(writer).run(source, read)
 
 
 class _Channels:
@@ -122,7 +127,7 @@ class _Rescue:
         self._attachments: dict[str, Attachment] = {}
         self._metadata: list[Metadata] = []
 
-    def run(self, source: IO[bytes]) -> RecoverReport:
+    def run(self, source: IO[bytes], read: Callable[[int], None]) -> RecoverReport:
         self._writer.start(library="pneud recover")
         self._read_head(source)
         for a in self._attachments.values():
@@ -133,6 +138,7 @@ class _Rescue:
         source.seek(len(framing.MAGIC))
         chunks = 0
         for piece in self._pieces(source):
+            read(piece.offset)
             if piece.opcode == Opcode.DATA_END:
                 break
             try:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple
 
@@ -18,7 +18,18 @@ from pneud.log.format.frames import FrameBlock
 from pneud.log.format.header import Detail
 from pneud.log.format.record_layout import NUMBERS, numbers_of, record_of
 from pneud.log.format.schema import REQUEST, Field, Level, message_class, tick_fields
-from pneud.signals import Command, Estimate, Frame, Measurement, Record, Reference, Request, Tick, Timing
+from pneud.signals import (
+    Command,
+    Estimate,
+    Frame,
+    Measurement,
+    Record,
+    Reference,
+    Request,
+    Tick,
+    Timing,
+    state_name,
+)
 
 _CODES = {
     F.TYPE_FLOAT: (5, "f"),
@@ -29,6 +40,7 @@ _CODES = {
     F.TYPE_ENUM: (0, "B"),  # below 128, hence one byte
 }
 _REQUEST = 1 + [field.name for field in tick_fields("compact")[1]].index(REQUEST)  # number of its field
+_PRESENT, _LATCHED = (list(NUMBERS).index(name) for name in ("present", "latched"))
 _SHORT = [bytes((i,)) for i in range(128)]
 
 # Of these a compact log keeps 16 significant bits in place of 24, since nobody needs more and the others are
@@ -220,6 +232,24 @@ class LoggedTick(NamedTuple):
     before: int
     sent: tuple[Frame, ...]
     truth_m: float
+    # what the log adds
+    t_s: float = 0.0  # since the log's first tick
+    fault_names: tuple[str, ...] = ()  # of the bits of `present` and `latched`
+
+    @property
+    def error_m(self) -> float:
+        """Reference − estimated position [m]; NaN without a reference."""
+        return self.record.tick.error_m
+
+    @property
+    def true_error_m(self) -> float:
+        """Reference − true position, both at SYNC [m]; NaN where nobody tells."""
+        return self.record.true_error_m
+
+    @property
+    def state_name(self) -> str:
+        """The state as people and scripts read it."""
+        return state_name(self.state)
 
     @property
     def skipped(self) -> int:
@@ -247,8 +277,24 @@ class TickMessage(NamedTuple):
     data: bytes
 
 
-def unpack(ticks: list[TickMessage], frames: FrameBlock) -> Iterator[LoggedTick]:
+def names_of(bits: int, names: Sequence[str]) -> tuple[str, ...]:
+    """Names of the faults of these bits; those without one have their number."""
+    if not bits:
+        return ()
+    known = tuple(name for bit, name in enumerate(names) if bits >> bit & 1)
+    return known + tuple(f"fault {bit}" for bit in range(len(names), bits.bit_length()) if bits >> bit & 1)
+
+
+def unpack(
+    ticks: list[TickMessage], frames: FrameBlock, first_ns: int | None = None, fault_names: Sequence[str] = ()
+) -> Iterator[LoggedTick]:
     """Ticks and their frames, put together.
+
+    Args:
+        ticks: their messages.
+        frames: of all of them.
+        first_ns: where `t_s` begins; None for the first of these.
+        fault_names: by bit.
 
     Raises:
         google.protobuf.message.DecodeError: not such messages.
@@ -256,7 +302,9 @@ def unpack(ticks: list[TickMessage], frames: FrameBlock) -> Iterator[LoggedTick]
     """
     values = [LAYOUTS[tick.schema].unpack(tick.data) for tick in ticks]
     parts = frames.ticks(v[0] for v in values)
+    began_ns = values[0][0] if first_ns is None and values else first_ns or 0
     for tick, v, its_frames in zip(ticks, values, parts, strict=True):
         check, request = v[len(NUMBERS) :]
         record = record_of(v, request, *its_frames)
-        yield LoggedTick(tick.number, tick.log_time_ns, check, *record.tick, *record[1:])
+        t_s, names = 1e-9 * (v[0] - began_ns), names_of(v[_PRESENT] | v[_LATCHED], fault_names)
+        yield LoggedTick(tick.number, tick.log_time_ns, check, *record.tick, *record[1:], t_s, names)

@@ -19,11 +19,12 @@ from google.protobuf.descriptor_pb2 import (
 )
 
 from pneud.log.format.header import Detail
+from pneud.log.format.meanings import meaning_of, unit_of
 from pneud.log.format.record_layout import NUMBERS, PARTS
 from pneud.signals import Answer, Hunting, RequestKind, State
 
-SCHEMA = 3
-READABLE = frozenset({"2", "3"})  # fields that a message of one of them lacks are read as 0
+SCHEMA = 4
+READABLE = frozenset({"2", "3", "4"})  # fields that a message of one of them lacks are read as 0
 
 METADATA = "pneud"  # name of the metadata on the run
 SETUP = "setup"  # name of the metadata on the real-time set-up
@@ -39,6 +40,9 @@ FRAMES = "/can/frames"
 EVENTS = "/events"
 
 F = FieldDescriptorProto
+# numbers of the fields of descriptors, of which paths to comments consist
+F_MESSAGE = FileDescriptorProto.MESSAGE_TYPE_FIELD_NUMBER
+M_FIELD, M_NESTED = DescriptorProto.FIELD_FIELD_NUMBER, DescriptorProto.NESTED_TYPE_FIELD_NUMBER
 _PREFIX = ".pneud."
 
 
@@ -55,6 +59,16 @@ _TYPES = {"q": F.TYPE_SFIXED64, "Q": F.TYPE_FIXED64, "I": F.TYPE_FIXED32, "B": F
 _ENUMS = {"state": "State", "answer": "Answer", "hunting": "Hunting"}
 STANDING = ("in_position", "hunting")  # fields that messages of schema 2 lack: they stand behind the others
 WITHOUT_STANDING = frozenset({"2"})
+
+
+DERIVED = (
+    Field("t_s", F.TYPE_DOUBLE),
+    Field("error_m", F.TYPE_DOUBLE),
+    Field("true_error_m", F.TYPE_DOUBLE),
+    Field("state_name", F.TYPE_STRING),
+    Field("fault_names", F.TYPE_STRING, repeated=True),
+)
+"""Fields that follow from the others, behind them in ticks for viewers (`derived`)."""
 
 
 def tick_fields(detail: Detail) -> tuple[str, list[Field], dict[str, list[Field]]]:
@@ -128,22 +142,40 @@ def _enum(name: str, prefix: str, values: Iterable[IntEnum], *, none: bool = Fal
     return enum
 
 
-def _tick_message(detail: Detail) -> DescriptorProto:
+def _tick_message(detail: Detail, derived: bool = False) -> DescriptorProto:
     name, fields, nested = tick_fields(detail)
-    message = _message(name, fields)
+    message = _message(name, [*fields, *(DERIVED if derived else ())])
     message.nested_type.extend(_message(inner, inner_fields) for inner, inner_fields in nested.items())
     return message
 
 
-def _pneud_file() -> FileDescriptorProto:
+def _comment(file: FileDescriptorProto, name: str) -> None:
+    """Unit and meaning of each field of a tick's message, as comments in its schema."""
+    place = [message.name for message in file.message_type].index(name)
+    message = file.message_type[place]
+    groups = {f.type_name.rpartition(".")[2]: f"{f.name}." for f in message.field if f.type == F.TYPE_MESSAGE}
+    own: list[tuple[str, tuple[int, ...], DescriptorProto]] = [("", (F_MESSAGE, place), message)]
+    for number, inner in enumerate(message.nested_type):
+        own.append((groups[inner.name], (F_MESSAGE, place, M_NESTED, number), inner))
+    for group, path, part in own:
+        for number, field in enumerate(part.field):
+            meaning, unit = meaning_of(group + field.name), unit_of(field.name)
+            if meaning:
+                words = f" [{unit}] {meaning}\n" if unit else f" {meaning}\n"
+                file.source_code_info.location.add(
+                    path=(*path, M_FIELD, number), span=(0, 0, 0), leading_comments=words
+                )
+
+
+def _pneud_file(derived: bool = False) -> FileDescriptorProto:
     file = FileDescriptorProto(name="pneud.proto", package="pneud", syntax="proto3")
     # Values of an enumeration share the package's name space, hence the prefixes.
     file.enum_type.append(_enum("State", "STATE_", State))
     file.enum_type.append(_enum("RequestKind", "REQUEST_", RequestKind, none=True))
     file.enum_type.append(_enum("Answer", "ANSWER_", Answer))
     file.enum_type.append(_enum("Hunting", "HUNTING_", Hunting))
-    file.message_type.append(_tick_message("compact"))
-    file.message_type.append(_tick_message("full"))
+    file.message_type.append(_tick_message("compact", derived))
+    file.message_type.append(_tick_message("full", derived))
     file.message_type.append(_message("Column", _COLUMN))
     file.message_type.append(_message("Frames", _FRAMES))
     return file
@@ -216,11 +248,15 @@ class Topic(NamedTuple):
     schema_encoding: str = "protobuf"
 
 
-def topics(detail: Detail) -> Iterator[Topic]:
-    """The topics of a log, in the order of their channels."""
-    own = FileDescriptorSet(file=[_pneud_file()]).SerializeToString(deterministic=True)
-    log = FileDescriptorSet(file=[_timestamp_file(), _log_file()]).SerializeToString(deterministic=True)
-    yield Topic(TICK, f"pneud.{tick_fields(detail)[0]}", own)
-    yield Topic(FRAMES, "pneud.Frames", own)
+def topics(detail: Detail, *, derived: bool = False) -> Iterator[Topic]:
+    """The topics of a log, in the order of their channels; for viewers with the fields `DERIVED`."""
+    tick, name = _pneud_file(derived), tick_fields(detail)[0]
+    _comment(tick, name)
+    own, others, log = (
+        FileDescriptorSet(file=files).SerializeToString(deterministic=True)
+        for files in ([tick], [_pneud_file()], [_timestamp_file(), _log_file()])
+    )
+    yield Topic(TICK, f"pneud.{name}", own)
+    yield Topic(FRAMES, "pneud.Frames", others)
     yield Topic(EVENTS, "foxglove.Log", log)
     yield Topic(STATE, "pneud.State", b'{"type": "object"}', "json", "jsonschema")

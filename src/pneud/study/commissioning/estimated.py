@@ -78,7 +78,9 @@ def _edges(told: Mapping[str, float]) -> Values:
     return values
 
 
-def rig(found: Mapping[str, Estimate], step_m: float, noise_pa: float, c: Config) -> Values:
+def rig(
+    found: Mapping[str, Estimate], step_m: float, noise_pa: float, c: Config, slips: bool = False
+) -> Values:
     """The rig as it has been found: `[plant]`, where it differs from what the controller believes.
 
     Args:
@@ -86,6 +88,7 @@ def rig(found: Mapping[str, Estimate], step_m: float, noise_pa: float, c: Config
         step_m: of the encoder.
         noise_pa: of the pressures, their steps included.
         c: with what the controller believes of it.
+        slips: Maxwell elements explain its friction better than bristles.
     """
     v = {name: e.value for name, e in found.items()}
     valve = {
@@ -101,9 +104,9 @@ def rig(found: Mapping[str, Estimate], step_m: float, noise_pa: float, c: Config
     exponent = min(max(v.get(key.EXPONENT, 1.0), 1.0), c.gas.heat_capacity_ratio)
     values: Values = {
         "plant.polytropic_exponent": exponent if key.EXPONENT in v else None,
-        "plant.wall_time_s": _rounded(v.get(key.WALL, 0.0)),
+        "plant.wall_time_s": _rounded(max(v.get(key.WALL, 0.0), 0.0)),
         "plant.valve": {name: _rounded(value) for name, value in valve.items()},
-        "plant.friction": c.control.friction.model_dump(),
+        "plant.friction": {"model": "gms" if slips else "lugre", **c.control.friction.model_dump()},
         "plant.sensors": {"encoder_resolution_m": step_m, "pressure_noise_pa": _rounded(noise_pa)},
     }
     return values | {f"plant.{table}": {} for table in ("cylinder", "gas", "supply", "hoses", "wiring")}

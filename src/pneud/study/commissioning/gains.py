@@ -9,7 +9,7 @@ from pneud.config.conversions import plant_of
 from pneud.config.models import Config
 from pneud.config.toml import flat
 from pneud.physics.plant import PlantParameters
-from pneud.study import fastest, judging
+from pneud.study import fastest, judging, trial
 from pneud.study import gains as rules
 from pneud.study.commissioning.estimated import Values
 from pneud.study.commissioning.verification import AMPLITUDE, FREQUENCY_HZ, PEAK_M
@@ -79,8 +79,8 @@ class Chosen(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """All that was judged is within its limits."""
-        return not any(j.missed for j in self.judged)
+        """They were tried, and all that was judged is within its limits."""
+        return bool(self.judged) and not any(j.missed for j in self.judged)
 
     @property
     def toml(self) -> str:
@@ -121,12 +121,16 @@ def choose(
 ) -> Chosen:
     """The fastest gains that hold over the spread; those that are there where they miss less.
 
+    Where nothing can be compiled those that are there stay, and nothing is tried.
+
     Args:
         c: with what the controller believes, and the rig as it has been found as its plant.
         found: estimates, whose intervals are the spread.
         command_lsb_v: of the bus.
         processes: at once; by default as many as there are cores.
     """
+    if why := trial.compiled()[1]:
+        return Chosen(c, None, (), (f"nothing can be tried in a reasonable time: {why}",))
     c, plants, before = with_sine(c), spread(plant_of(c), found), c
     error_m, law, alpha = rules.error_scale_m(c), c.control.law, c.control.alpha
     with judging.judges(processes) as judge:

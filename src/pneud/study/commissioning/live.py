@@ -18,7 +18,7 @@ from pneud.safety.supervisor import is_engaged
 from pneud.signals import Record, Request, RequestKind, State
 from pneud.study.commissioning.bench import LONGEST_S, Operator
 from pneud.study.commissioning.movement import Verdict
-from pneud.study.commissioning.steps import LEASE_S
+from pneud.study.commissioning.testing import LEASE_S
 
 LOOK_S = 0.005
 SESSION_S = 20.0  # for a daemon that begins anew, or comes to rest, or has to write its log
@@ -64,6 +64,8 @@ class Live:
             RefusedError: the console lets nobody command.
             PlaceError: the daemon has gone.
         """
+        if self._client.ask("status")["state"] == State.FAULT.label:  # what was tried before it has ended so
+            self._client.ask("clear")
         fields, descriptor = self._client.attach()
         if fields["layout"] != Ring.layout():
             raise PlaceError("the daemon is of another version than this pneud; restart it")

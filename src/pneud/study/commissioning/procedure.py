@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from pneud.axis.state import AxisParameters
 from pneud.config import conversions
@@ -11,17 +11,20 @@ from pneud.config.models import Config
 from pneud.loading import Loaded
 from pneud.loop.summary import finite
 from pneud.signals import Record, Request
-from pneud.study.commissioning import estimated, gains, written
 from pneud.study.commissioning.bench import Bench
 from pneud.study.commissioning.movement import MOVE_M, SPEED_M_S, Verdict
-from pneud.study.commissioning.playing import Player
-from pneud.study.commissioning.steps import Step, dynamic, length_s, static
 from pneud.study.commissioning.testing import MovementTest
-from pneud.study.commissioning.verification import Verification, Verified, course
-from pneud.study.identification import comparing, estimating, table
-from pneud.study.identification.estimating import Identified
-from pneud.study.judging import tolerances
 
+if TYPE_CHECKING:  # the movement test alone goes without scipy
+    from pneud.study.commissioning.estimated import Values
+    from pneud.study.commissioning.gains import Chosen
+    from pneud.study.commissioning.playing import Played
+    from pneud.study.commissioning.steps import Step
+    from pneud.study.commissioning.verification import Verified
+    from pneud.study.commissioning.written import Change
+    from pneud.study.identification.estimating import Identified
+
+SHORT, STOPPED = 3, "stopped"  # motions of the verification that are tried beforehand: a sine, and rest
 SLOWER = 0.2  # of limits.motion, where nothing has been found out about quick motion
 
 
@@ -40,7 +43,7 @@ class Talk(Protocol):
     def say(self, words: str) -> None:
         """Tell of what is done."""
 
-    def agreed(self, changes: list[written.Change]) -> bool:
+    def agreed(self, changes: list[Change]) -> bool:
         """Ask whether the configuration is to be written."""
 
 
@@ -48,10 +51,11 @@ class Found(NamedTuple):
     """What the steps have told."""
 
     identified: Identified
-    values: estimated.Values  # to be written
-    chosen: gains.Chosen | None
-    changes: list[written.Change]
+    values: Values  # to be written
+    chosen: Chosen | None
+    changes: list[Change]
     text: str  # of the configuration with all that
+    unexplained: list[str]  # what the model cannot explain
 
 
 class Outcome(NamedTuple):
@@ -89,18 +93,15 @@ def commission(bench: Bench, wishes: Wishes, talk: Talk) -> Outcome:
             return Outcome("failed", movement, faults=movement.faults)
     if not wishes.steps:
         return Outcome("passed", movement)
-    p = axis_of(bench.loaded)
-    steps = _steps(p, wishes)
-    talk.say(f"{len(steps)} steps, {length_s(steps):.0f} s")
-    player = Player(steps, p.controller.h, lambda step: talk.say(_announced(step)))
-    bench.play(player)
-    played = player.verdict
-    if played is None or not played.whole:
-        why = "it has not come to its end" if played is None else played.failure
-        return Outcome("interrupted", movement, why, () if played is None else played.faults)
+    played = _played(bench, wishes, talk)
+    if not played.whole:
+        return Outcome("interrupted", movement, played.failure, played.faults)
+    before = _verified(bench, talk, SHORT) if wishes.dynamic else None
+    if before is not None and before.failure == STOPPED:
+        return Outcome("interrupted", movement, before.failure)
     talk.say("estimates and gains")
     found = _found(bench, wishes)
-    so_far = Outcome("identified", movement, found=found)
+    so_far = Outcome("identified", movement, found=found, before=before)
     keep = wishes.write and talk.agreed(found.changes)
     if not keep and not bench.tries:
         return so_far
@@ -123,12 +124,26 @@ def planned(loaded: Loaded, wishes: Wishes) -> list[str]:
 
 
 def _steps(p: AxisParameters, wishes: Wishes) -> list[Step]:
+    from pneud.study.commissioning.steps import dynamic, static  # noqa: PLC0415
+
     return static(p) + (dynamic(p) if wishes.dynamic else [])
 
 
 def axis_of(loaded: Loaded) -> AxisParameters:
     """The axis of a configuration."""
     return conversions.axis_of(loaded.config, loaded.codecs.command_lsb_v)
+
+
+def _played(bench: Bench, wishes: Wishes, talk: Talk) -> Played:
+    from pneud.study.commissioning.playing import Played, Player  # noqa: PLC0415
+    from pneud.study.commissioning.steps import length_s  # noqa: PLC0415
+
+    p = axis_of(bench.loaded)
+    steps = _steps(p, wishes)
+    talk.say(f"{len(steps)} steps, {length_s(steps):.0f} s")
+    player = Player(steps, p.controller.h, lambda step: talk.say(_announced(step)))
+    bench.play(player)
+    return player.verdict or Played("it has not come to its end")
 
 
 class _Tested:
@@ -159,6 +174,9 @@ def _announced(step: Step) -> str:
 
 
 def _found(bench: Bench, wishes: Wishes) -> Found:
+    from pneud.study.commissioning import estimated, gains, written  # noqa: PLC0415
+    from pneud.study.identification import estimating, explaining, table  # noqa: PLC0415
+
     loaded, c = bench.loaded, bench.loaded.config
     measured, _ = table.read(bench.logs())
     identified = estimating.identify(measured, c)
@@ -166,7 +184,8 @@ def _found(bench: Bench, wishes: Wishes) -> Found:
     values = estimated.believed(told, step_m, c)
     values |= _in_place(values, c)
     believed = estimated.changed(c, values)
-    values |= estimated.rig(told, step_m, identified.noise_pa, believed)
+    slips = identified.moved is not None and identified.moved.slips
+    values |= estimated.rig(told, step_m, identified.noise_pa, believed, slips)
     chosen = None
     if wishes.dynamic:
         believed = estimated.changed(c, values)
@@ -177,10 +196,11 @@ def _found(bench: Bench, wishes: Wishes) -> Found:
     source = f"{bench.log_name}, {time.strftime('%Y-%m-%d')}"
     changes = written.changes(c, loaded.text, values, told)
     text = written.text_with(loaded.text, str(loaded.path), changes, source)
-    return Found(identified, values, chosen, changes, text)
+    odd = explaining.unexplained(identified.valved, identified.moved, identified.noise_pa, c)
+    return Found(identified, values, chosen, changes, text, odd)
 
 
-def _in_place(values: estimated.Values, c: Config) -> estimated.Values:
+def _in_place(values: Values, c: Config) -> Values:
     """Places in the paper's coordinate, which begins with the dead length, stay where they are."""
     by_m = values.get("cylinder.dead_length_1_m", c.cylinder.dead_length_1_m) - c.cylinder.dead_length_1_m
     return {
@@ -189,7 +209,7 @@ def _in_place(values: estimated.Values, c: Config) -> estimated.Values:
     }
 
 
-def _slower(c: Config) -> estimated.Values:
+def _slower(c: Config) -> Values:
     """Limits of motion for an axis of which only slow motion is known."""
     return {f"limits.motion.{name}": SLOWER * getattr(c.limits.motion, name) for name in _BOUNDS}
 
@@ -197,9 +217,13 @@ def _slower(c: Config) -> estimated.Values:
 _BOUNDS = ("speed_m_s", "acceleration_m_s2", "jerk_m_s3")
 
 
-def _verified(bench: Bench, talk: Talk) -> Verified:
+def _verified(bench: Bench, talk: Talk, most: int | None = None) -> Verified:
+    """What the axis is worth, by all motions or the first ones."""
+    from pneud.study.commissioning.verification import Verification, Verified, course  # noqa: PLC0415
+    from pneud.study.judging import tolerances  # noqa: PLC0415
+
     p, c = axis_of(bench.loaded), bench.loaded.config
-    parts = course(p, c.cylinder.stroke_m)
+    parts = course(p, c.cylinder.stroke_m)[:most]
     talk.say(f"verification: {'; '.join(part.words for part in parts if part.name)}")
     check = Verification(p, parts, tolerances(c.control.motion.encoder_resolution_m))
     bench.play(check)
@@ -213,18 +237,19 @@ def as_json(o: Outcome) -> dict[str, Any]:
     return {
         "schema": 1,
         "verdict": o.verdict,
-        "parameters": {name: comparing.as_json(e) for name, e in parameters.items()},
+        "parameters": {name: finite(e._asdict()) for name, e in parameters.items()},
         "changes": [] if found is None else [finite(c._asdict()) for c in found.changes],
         "gains": None if found is None or found.chosen is None else _gains(found.chosen),
         "before": {} if o.before is None else o.before.as_json(),
         "after": {} if o.after is None else o.after.as_json(),
+        "unexplained": [] if found is None else found.unexplained,
         "failure": o.failure or None,
         "faults": list(o.faults),
         "written": o.written,
     }
 
 
-def _gains(chosen: gains.Chosen) -> dict[str, Any]:
+def _gains(chosen: Chosen) -> dict[str, Any]:
     return {
         "bandwidth_rad_s": chosen.bandwidth_rad_s,
         "holds": chosen.holds,

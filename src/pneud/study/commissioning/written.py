@@ -90,11 +90,9 @@ def text_with(text: str, name: str, what: Sequence[Change], source: str) -> str:
 def _put(document: Any, key: tuple[str, ...], value: Any, note: str) -> None:
     before = _at(document, key)
     item = tomlkit.item(value)
-    kept = ""
-    if before is not None:
-        kept = NOTE.sub("", before.trivia.comment.lstrip("# ").strip())
-        item.trivia.comment_ws = before.trivia.comment_ws or "  "
+    kept = "" if before is None else NOTE.sub("", before.trivia.comment.lstrip("# ").strip())
     item.comment(f"{kept}; {note}" if kept else note)
+    item.trivia.comment_ws = (before.trivia.comment_ws if before is not None else "") or "  "
     put(document, key, item)
 
 
