@@ -399,16 +399,19 @@ def test_wear_is_told_beside_an_earlier_estimate(log: Path, found: dict[str, Any
     assert "<script" not in page
 
 
-COURSE = "10@400,90@400,10@150,50@50,49@10,50@20,60@400,50@400,60@400,95@100,30@400,85@200,10@400,20@40"
+COURSES = {
+    "small": "30@50,70@50,49@10,50@20,60@200,50@200,60@200,95@100,30@300,85@200,10@300,20@40",
+    "upright": "100@60,200@100,199@10,200@20,220@400,200@400,220@400,285@100,90@400,250@200,30@400",
+}  # that a controller can follow which knows nothing of its rig
 
 
 @pytest.mark.slow
-def test_a_hidden_truth_of_the_twelve_is_found(tmp_path: Path) -> None:
-    truth = Truth("small", 6)
+@pytest.mark.parametrize("truth", [Truth("small", 6), Truth("upright", 9)])
+def test_a_hidden_truth_of_the_twelve_is_found(truth: Truth, tmp_path: Path) -> None:
     config = tmp_path / "axis.toml"
     config.write_text(rig_text(truth.rig), encoding="utf-8")
     tables = drawn(load(config).config, truth.seed)
-    c = logged(tmp_path / "run.mcap", str(config), tables["plant"], 30.0, COURSE)
+    c = logged(tmp_path / "run.mcap", str(config), tables["plant"], 30.0, COURSES[truth.rig])
     found = estimating.identify(*table.read([read_log(tmp_path / "run.mcap")]))
     plant, valve, stroke_m = plant_of(c), c.plant.valve, c.cylinder.stroke_m
     dead2_m = plant.cylinder.L - plant.cylinder.x_e1 - stroke_m
