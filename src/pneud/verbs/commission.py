@@ -68,7 +68,7 @@ def commission(
             verdict = _on_the_rig(client, loaded)
         except RefusedError as e:
             raise VerbError(f"commission: {e}", 1) from None
-    proof = None if dry_run else _kept(loaded, verdict, status)
+    proof = None if dry_run or verdict.unfinished else _kept(loaded, verdict, status)
     return _tell(verdict, proof, json)
 
 

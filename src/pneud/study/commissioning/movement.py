@@ -53,6 +53,7 @@ class Finding(StrEnum):
     BLOCKED = "blocked"
     OPEN_AT_REST = "open_at_rest"
     BY_FAULT = "by_fault"
+    STOPPED = "stopped"
     UNDECIDED = "undecided"
 
 
@@ -72,6 +73,7 @@ CURES: dict[Finding, str] = {
     " force explains (a factor of 10 or 25.4)",
     Finding.BLOCKED: "free the load, or couple the encoder to it: pushed both ways, nothing is seen to move",
     Finding.BY_FAULT: "see to the faults that are shown, and test again",
+    Finding.STOPPED: "test again: it was stopped, or its operator was lost",
     Finding.OPEN_AT_REST: "set the valve's centre, or mend it: it lets air through at 0 V and the load does"
     " not stay where it is",
     Finding.UNDECIDED: "test again with the load in the middle of its travel, and nothing that pushes it",
@@ -114,6 +116,11 @@ class Verdict(NamedTuple):
     def passed(self) -> bool:
         """Nothing is wrong."""
         return not self.findings
+
+    @property
+    def unfinished(self) -> bool:
+        """It says nothing of the rig: what was known before still holds."""
+        return bool(self.findings) and {*self.findings} <= {Finding.BY_FAULT, Finding.STOPPED}
 
 
 def expected_of(p: AxisParameters) -> Expected:

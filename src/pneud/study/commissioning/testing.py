@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pneud.axis.state import AxisParameters
 from pneud.control.probe import Probe
+from pneud.safety.faults import F, names
 from pneud.safety.supervisor import BLOCKS
 from pneud.signals import Answer, Request, RequestKind, State, Tick
 from pneud.study.commissioning.movement import (
@@ -22,6 +23,7 @@ from pneud.study.commissioning.movement import (
 QUIET_S, PATIENCE_S = 0.3, 3.0  # at rest before a probe; before what hinders is told
 TRIES = 2  # at what has contradicted itself
 LEASE_S = 0.3
+_STOPS = (RequestKind.STOP, RequestKind.DISARM, RequestKind.SHUTDOWN)
 
 
 class MovementTest:
@@ -81,7 +83,10 @@ class MovementTest:
         elif self._ticks:
             self._seen.append(seen([*self._ticks, tick], self._p))
             self._ticks = []
-            if not self._todo or tick.latched:
+            stopped = tick.request is not None and tick.request.kind in _STOPS
+            if stopped or tick.present & 1 << F.OPERATOR_LOST:
+                self.verdict = Verdict((Finding.STOPPED,), tuple(names(tick.latched)))
+            elif not self._todo or tick.latched:
                 self._conclude()
 
     def _conclude(self) -> None:
