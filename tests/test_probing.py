@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from unittest.mock import ANY
+
 import pytest
 
-from axis_rig import ARM, CLEAR, DISARM, SHUTDOWN, Rig, ready
+from axis_rig import ARM, CLEAR, DISARM, SHUTDOWN, H, Rig, ready
 from pneud.axis.cycle import Axis
-from pneud.control.probe import NO_PROBE, Probe, coast_m, is_allowed, is_over, opening_v
+from pneud.control.probe import NO_PROBE, Probe, Progress, coast_m, is_allowed, opening_v, proceed
 from pneud.safety.faults import F, names
 from pneud.signals import Answer, Estimate, Host, Measurement, RequestKind, State, Tick
 
@@ -73,10 +75,7 @@ def test_what_no_probe_may_do_is_refused(beyond: dict[str, float]) -> None:
         (0, 0.5, 0.0, 0.0, -1, True),
         (21_000_000_000, 0.5, 0.0, 0.0, 0, True),
         (5_100_000_000, 0.5, 0.0, 0.0, 0, True),
-        (0, 0.5, -0.06, 0.0, 0, True),
         (0, 0.5, 0.0, -151.0, 0, True),
-        (0, 0.4979, 0.0, 0.0, 0, True),
-        (0, 0.501, 0.02, 0.0, 0, True),
     ],
 )
 def test_it_is_over_at_every_bound(
@@ -86,8 +85,57 @@ def test_it_is_over_at_every_bound(
     e = Estimate(position_m, velocity_m_s, 0.0, x3_n, x3_n, 0.0, 0.0, 0.0)
     m = ready().tick().measurement
     p = P._replace(from_m=0.5, lease=lease)
-    assert is_over(p, e, m, now_ns, law.cylinder, law.gas) is over
-    assert (coast_m(e, m, law.cylinder, law.gas) > 0.0) is (velocity_m_s != 0.0)
+    found = proceed(p, e, m, now_ns, H, law.cylinder, law.gas)
+    assert found.over is over
+    assert found.probe.braked_ns == 0
+
+
+def going_on(p: Probe, now_ns: int, position_m: float, velocity_m_s: float, x3_n: float) -> Progress:
+    law, e = ready().axis.state.law, Estimate(position_m, velocity_m_s, 0.0, x3_n, x3_n, 0.0, 0.0, 0.0)
+    return proceed(p, e, ready().tick().measurement, now_ns, H, law.cylinder, law.gas)
+
+
+@pytest.mark.parametrize(
+    ("position_m", "velocity_m_s"), [(0.5, -0.06), (0.4979, 0.0), (0.501, 0.02)]
+)  # fmt: skip
+def test_what_moves_is_braked_until_it_is_slow(position_m: float, velocity_m_s: float) -> None:
+    begun = going_on(P._replace(from_m=0.5), 1_000_000_000, position_m, velocity_m_s, 0.0)
+    assert not begun.over
+    assert begun.probe.braked_ns == 1_000_000_000
+    fast = begun.probe._replace(most_n=50.0, fastest_m_s=0.06)
+    assert opening_v(fast, 1_010_000_000) > 0.2 > 0.0 > opening_v(P, 1_000_000_000)
+    assert opening_v(fast, 2_000_000_000) == 1.0
+    assert not going_on(fast, 1_010_000_000, position_m, 0.05, 0.0).over
+    for now_ns, speed_m_s, x3_n, lease in (
+        (1_010_000_000, 0.03, 0.0, 0),  # slow
+        (1_160_000_000, 0.05, 0.0, 0),  # late
+        (1_010_000_000, 0.05, -36.0, 0),  # its force undone
+        (1_010_000_000, 0.05, 36.0, 0),
+        (1_010_000_000, 0.05, 0.0, -1),  # its operator lost
+    ):
+        assert going_on(fast._replace(lease=lease), now_ns, position_m, speed_m_s, x3_n).over
+    lost = going_on(P._replace(from_m=0.5, lease=-1), 1_000_000_000, position_m, velocity_m_s, 0.0)
+    assert lost.over
+    assert lost.probe.braked_ns == 0
+
+
+def test_a_force_that_falls_has_let_a_load_go_whatever_the_encoder_shows() -> None:
+    built = going_on(P._replace(from_m=0.5), 1_000_000_000, 0.5, 0.0, 40.0).probe
+    assert (built.most_n, built.most_ns) == (40.0, 1_000_000_000)
+    assert 0.0 < built.usual_n < 1.0
+    assert going_on(built, 1_100_000_000, 0.5, 0.0, 20.0).probe.braked_ns == 1_100_000_000
+    assert going_on(built, 1_100_000_000, 0.5, 0.0, 35.0).probe.braked_ns == 0
+    assert going_on(built, 1_200_000_000, 0.5, 0.0, 20.0) == (built._replace(usual_n=ANY), False)
+    assert going_on(built, 1_300_000_000, 0.5, 0.0, 20.0) == (built._replace(usual_n=ANY), True)
+    little = built._replace(most_n=14.0)
+    assert going_on(little, 1_300_000_000, 0.5, 0.0, 2.0) == (little._replace(usual_n=ANY), False)
+
+
+def test_without_a_motion_nothing_coasts() -> None:
+    law, m = ready().axis.state.law, ready().tick().measurement
+    still = Estimate(0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert coast_m(still, m, law.cylinder, law.gas) == 0.0
+    assert coast_m(still._replace(velocity_m_s=-0.1), m, law.cylinder, law.gas) > 1e-3
 
 
 def test_it_ends_by_itself_with_the_valve_centred_and_can_be_done_again() -> None:

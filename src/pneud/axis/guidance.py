@@ -68,7 +68,7 @@ def guide(state: AxisState, belief: Belief, m: Measurement, present: int, p: Axi
     elif before == PROBING:
         probed = probed._replace(lease=probed.lease - 1 - m.skipped)
         present |= (probed.lease < 0) << F.OPERATOR_LOST
-        at_rest = probe.is_over(probed, e, m, belief.sampled_ns, law.cylinder, law.gas)
+        probed, at_rest = probe.proceed(probed, e, m, belief.sampled_ns, law.h, law.cylinder, law.gas)
     elif is_engaged(before):
         plan, reference, at_rest = follow(plan, belief.sampled_ns, configured(state, p), state.profile)
         error_m = reference.position_m - e.position_m

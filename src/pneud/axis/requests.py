@@ -216,7 +216,8 @@ def _probe(
     goal_v, rate_v_s, travel_m, speed_m_s, force_n, lease = values
     if not 1.0 <= lease <= LONGEST_LEASE:
         return Asked(MALFORMED)
-    wanted = Probe(goal_v, rate_v_s, travel_m, speed_m_s, force_n, int(lease), now_ns, e.position_m, e.x3_n)
+    asked = Probe(goal_v, rate_v_s, travel_m, speed_m_s, force_n, int(lease))
+    wanted = asked._replace(since_ns=now_ns, from_m=e.position_m, from_n=e.x3_n, usual_n=e.x3_n)
     if not is_allowed(wanted, p.output.u_max_v):
         return Asked(BEYOND_LIMITS)
     if s.state == State.PROBING and wanted[:5] == old[:5]:

@@ -14,19 +14,25 @@ from typing import NamedTuple
 
 from pneud.axis.state import AxisParameters
 from pneud.control.probe import Probe
+from pneud.physics.gas import signed_flow
 from pneud.safety.faults import F, names
 from pneud.safety.supervisor import BLOCKS
 from pneud.signals import RequestKind, State, Tick
 
 HELD = 0.6  # of Coulomb friction: it holds the load on its bristles
-TOUCH_M, MOVE_M, SPEED_M_S = 1e-3, 1e-3, 0.03
+TOUCH_M, MOVE_M, SPEED_M_S = 1e-3, 1e-3, 0.02
 RATE_V_S = 0.1  # so that the valve's edge is passed slowly
 GOAL = 0.25  # of the greatest command
 LOOSE = 4.0  # times static friction: whatever could move has come loose
 STUCK_SHARE = 0.9  # of limits.stuck_force_n, beyond which the axis itself says that it is jammed
 BETWEEN = math.sqrt(10.0)  # a scale is off by ten: nearer to that than to none
 COUNTS = 3.0  # of the encoder, up to which nothing moves
-MEAN_TICKS = 20  # of readings at either end
+MEAN_S, SPAN_S = (
+    0.02,
+    0.3,
+)  # of readings at either end of the last part, which is compared with the one before
+LOOSE_S, NOISE_PA = 0.005, 300.0  # from where a load gives way, readings are few
+DRIFT_M, PRESSED = 1e-4, 0.8  # at rest; of the supply in one chamber while the other is empty
 LEAST_V = 0.5  # opened so far, a valve that works is open
 SILENT_PA, SILENT_SHARE = 500.0, 0.15  # less is no answer, nor so little of the other chamber's
 
@@ -45,7 +51,9 @@ class Finding(StrEnum):
     ENCODER_SCALE_LARGE = "encoder_scale_large"
     ENCODER_SCALE_SMALL = "encoder_scale_small"
     BLOCKED = "blocked"
+    OPEN_AT_REST = "open_at_rest"
     BY_FAULT = "by_fault"
+    STOPPED = "stopped"
     UNDECIDED = "undecided"
 
 
@@ -65,12 +73,18 @@ CURES: dict[Finding, str] = {
     " force explains (a factor of 10 or 25.4)",
     Finding.BLOCKED: "free the load, or couple the encoder to it: pushed both ways, nothing is seen to move",
     Finding.BY_FAULT: "see to the faults that are shown, and test again",
+    Finding.STOPPED: "test again: it was stopped, or its operator was lost",
+    Finding.OPEN_AT_REST: "set the valve's centre, or mend it: it lets air through at 0 V and the load does"
+    " not stay where it is",
     Finding.UNDECIDED: "test again with the load in the middle of its travel, and nothing that pushes it",
 }
 
 
 class Seen(NamedTuple):
-    """What a probe has shown; changes from beginning to end, turned where it opened the other way."""
+    """What a probe has shown, turned where it opened the other way.
+
+    Changes are those of its last part beyond those of the part before it: what drifts is nothing that it did.
+    """
 
     way_m: float  # greatest, as the encoder shows it
     force_n: float
@@ -79,6 +93,9 @@ class Seen(NamedTuple):
     opened_v: float  # most that was asked for
     followed_v: float  # most that the valve's node has put out
     faults: int  # that ended it
+    loose_m: float = 0.0  # way since the load has given way, as the encoder shows it
+    pressed_m: float = 0.0  # as the pressures explain it
+    blur_m: float = 0.0  # how well they can
 
 
 class Expected(NamedTuple):
@@ -99,6 +116,11 @@ class Verdict(NamedTuple):
     def passed(self) -> bool:
         """Nothing is wrong."""
         return not self.findings
+
+    @property
+    def unfinished(self) -> bool:
+        """It says nothing of the rig: what was known before still holds."""
+        return bool(self.findings) and {*self.findings} <= {Finding.BY_FAULT, Finding.STOPPED}
 
 
 def expected_of(p: AxisParameters) -> Expected:
@@ -124,34 +146,74 @@ def _both_ways(p: AxisParameters, travel_m: float, force_n: float, lease: int) -
     return [Probe(way * goal_v, RATE_V_S, travel_m, SPEED_M_S, force_n, lease) for way in (1.0, -1.0)]
 
 
-def seen(ticks: Sequence[Tick]) -> Seen:
+def seen(ticks: Sequence[Tick], p: AxisParameters) -> Seen:
     """What a probe has shown.
 
     Args:
         ticks: of the probe and the one behind it.
+        p: parameters.
     """
-    way = math.copysign(1.0, sum(t.command.voltage_v for t in ticks))
     during = [t for t in ticks if t.state == State.PROBING]
-    first, last = during[:MEAN_TICKS], during[-MEAN_TICKS:]
-    from_m = first[0].measurement.position_m
-    ways = [way * (t.measurement.position_m - from_m) for t in during]
+    way = math.copysign(1.0, next((t.command.voltage_v for t in during if t.command.voltage_v), 1.0))
+    opening = [t for t in during if way * t.command.voltage_v >= 0.0]  # the rest brakes
+    few, span = round(MEAN_S / p.controller.h), round(SPAN_S / p.controller.h)
+    span = max(1, min(span, (len(opening) - few) // 2))
 
     def change(of: str) -> float:
-        return way * (fmean(_value(t, of) for t in last) - fmean(_value(t, of) for t in first))
+        values = [_value(t, of) for t in opening]
+        ends = [fmean(values[max(0, n - few) : n]) for n in (len(values), len(values) - span)]
+        before = fmean(values[max(0, len(values) - 2 * span - few) : max(1, len(values) - 2 * span)])
+        return way * (ends[0] - 2.0 * ends[1] + before)
 
+    from_m = opening[0].measurement.position_m
+    drift_m = opening[-span].measurement.position_m - opening[-2 * span].measurement.position_m
+    ways = [way * (t.measurement.position_m - from_m) for t in during]
+    loose_m, pressed_m, blur_m = _given_way(opening, p)
     return Seen(
-        way_m=max(ways, key=abs),
+        way_m=max(ways, key=abs) - way * drift_m,
         force_n=change("x3_n"),
         p1_pa=change("p1_pa"),
         p2_pa=change("p2_pa"),
-        opened_v=max(abs(t.command.voltage_v) for t in during),
+        opened_v=max(abs(t.command.voltage_v) for t in opening),
         followed_v=max(abs(t.measurement.applied_v) for t in during),
         faults=ticks[-1].latched,
+        loose_m=way * loose_m,
+        pressed_m=way * pressed_m,
+        blur_m=blur_m,
     )
 
 
 def _value(t: Tick, of: str) -> float:
     return float(getattr(t.estimate if of == "x3_n" else t.measurement, of))
+
+
+def _given_way(opening: Sequence[Tick], p: AxisParameters) -> tuple[float, float, float]:
+    """The way from the greatest force on: as the encoder shows it, and as the pressures explain it.
+
+    What flows into one chamber and out of the other is in a ratio that pressures and supply give; with it
+    the flow, of which the valve's size would have to be known, leaves both balances of air; the way stays.
+    """
+    c, g, few = p.controller.cylinder, p.controller.gas, max(1, round(LOOSE_S / p.controller.h))
+    forces = [t.estimate.x3_n for t in opening]
+    peak = max(range(len(opening)), key=lambda n: abs(forces[n] - forces[0]))
+    parts = opening[max(0, peak - few) : peak + 1], opening[-few:]
+
+    def mean(of: str) -> tuple[float, float]:
+        first, last = (fmean(_value(t, of) for t in part) for part in parts)
+        return 0.5 * (first + last), last - first
+
+    (p1, dp1), (p2, dp2), (x, dx), (supply, _) = map(mean, ("p1_pa", "p2_pa", "position_m", "supply_pa"))
+    x1 = min(max(x + c.x_e1, c.x_e1), c.x_e1 + c.stroke_m)
+    v1, v2 = c.A1 * x1, c.A2 * (c.L - x1)
+    fills = opening[-1].command.voltage_v > 0.0
+    one = signed_flow(supply, p1, g) if fills else c.exhaust * signed_flow(p1, g.atmosphere_pa, g)
+    two = c.exhaust * signed_flow(p2, g.atmosphere_pa, g) if fills else signed_flow(supply, p2, g)
+    weight = g.k * (one * p2 * c.A2 - two * p1 * c.A1)
+    least = 0.2 * g.k * (abs(one) * p2 * c.A2 + abs(two) * p1 * c.A1)
+    if abs(weight) <= least:
+        return dx, dx, math.inf
+    blur = NOISE_PA * math.hypot(two * v1, one * v2) / abs(weight)
+    return dx, (two * dp1 * v1 + one * dp2 * v2) / weight, blur
 
 
 def judge_rest(present: int) -> Verdict | None:
@@ -161,6 +223,21 @@ def judge_rest(present: int) -> Verdict | None:
         return None
     shut = hindering & (1 << F.SUPPLY_PRESSURE | 1 << F.SUPPLY_FALLING)
     return Verdict((Finding.SUPPLY_SHUT if shut else Finding.BY_FAULT,), tuple(names(hindering)))
+
+
+def is_driven(rest: Sequence[Tick], p: AxisParameters) -> bool:
+    """Whether the load of a disarmed axis is moved by air, or pressed against an end of its travel.
+
+    Args:
+        rest: ticks without a command.
+        p: parameters.
+    """
+    if not rest:
+        return False
+    first, last = rest[0].measurement, rest[-1].measurement
+    low_pa, high_pa = sorted((last.p1_pa, last.p2_pa))
+    pressed = high_pa >= PRESSED * last.supply_pa and low_pa <= p.controller.gas.atmosphere_pa / PRESSED
+    return pressed or abs(last.position_m - first.position_m) > DRIFT_M + COUNTS * expected_of(p).step_m
 
 
 def judge(probes: Sequence[Seen], x: Expected, loose: bool) -> Verdict:
@@ -202,8 +279,10 @@ def _of_way(probes: Sequence[Seen], x: Expected, loose: bool) -> tuple[Finding, 
     ratios = [abs(s.way_m) * x.stiffness_n_m / max(abs(s.force_n), 1e-9) for s in probes]
     if not loose and min(ratios) > BETWEEN and all(abs(s.way_m) > least_m for s in probes):
         return (Finding.ENCODER_SCALE_LARGE,)
+    if loose and all(_hides(s, least_m) for s in probes):
+        return (Finding.ENCODER_SCALE_SMALL,)
     if all(abs(s.way_m) <= least_m for s in probes):
-        return (Finding.BLOCKED,) if loose or _would_show(probes, x) else ()
+        return (Finding.BLOCKED,) if loose else ()
     if not loose and max(ratios) * BETWEEN < 1.0 and _would_show(probes, x):
         return (Finding.ENCODER_SCALE_SMALL,)
     ways = {_sign(s.way_m, least_m) for s in probes}
@@ -217,6 +296,11 @@ def _of_way(probes: Sequence[Seen], x: Expected, loose: bool) -> tuple[Finding, 
     if len(ways) == len(forces) == 1:
         return table.get((ways.pop(), forces.pop()), () if not loose else (Finding.UNDECIDED,))
     return (Finding.UNDECIDED,) if loose else ()
+
+
+def _hides(s: Seen, least_m: float) -> bool:
+    """Whether the encoder shows less than the pressures have to."""
+    return abs(s.pressed_m) > BETWEEN * (abs(s.loose_m) + least_m) + s.blur_m
 
 
 def _would_show(probes: Sequence[Seen], x: Expected) -> bool:

@@ -12,7 +12,7 @@ from pneud.loading import Loaded
 from pneud.loop.summary import finite
 from pneud.signals import Record, Request
 from pneud.study.commissioning.bench import Bench
-from pneud.study.commissioning.movement import MOVE_M, SPEED_M_S, Verdict
+from pneud.study.commissioning.movement import MOVE_M, SPEED_M_S, Finding, Verdict
 from pneud.study.commissioning.testing import MovementTest
 
 if TYPE_CHECKING:  # the movement test alone goes without scipy
@@ -88,7 +88,7 @@ def commission(bench: Bench, wishes: Wishes, talk: Talk) -> Outcome:
     movement: Verdict | None = None
     if wishes.movement:
         movement = _movement(bench)
-        if wishes.write:
+        if wishes.write and not movement.unfinished:
             bench.prove(movement)
         if not movement.passed:
             return Outcome("failed", movement, faults=movement.faults)
@@ -169,7 +169,7 @@ class _Tested:
 def _movement(bench: Bench) -> Verdict:
     test = _Tested(axis_of(bench.loaded))
     bench.play(test)
-    return test.verdict or Verdict(())
+    return test.verdict or Verdict((Finding.UNDECIDED,))
 
 
 def _announced(step: Step) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pneud.axis.state import AxisParameters
 from pneud.control.probe import Probe
+from pneud.safety.faults import F, names
 from pneud.safety.supervisor import BLOCKS
 from pneud.signals import Answer, Request, RequestKind, State, Tick
 from pneud.study.commissioning.movement import (
@@ -11,6 +12,7 @@ from pneud.study.commissioning.movement import (
     Seen,
     Verdict,
     expected_of,
+    is_driven,
     judge,
     judge_rest,
     moves,
@@ -19,7 +21,9 @@ from pneud.study.commissioning.movement import (
 )
 
 QUIET_S, PATIENCE_S = 0.3, 3.0  # at rest before a probe; before what hinders is told
+TRIES = 2  # at what has contradicted itself
 LEASE_S = 0.3
+_STOPS = (RequestKind.STOP, RequestKind.DISARM, RequestKind.SHUTDOWN)
 
 
 class MovementTest:
@@ -34,7 +38,8 @@ class MovementTest:
         """Nothing has been asked for yet."""
         self._p = p
         self._lease = max(1, round(LEASE_S / p.controller.h))
-        self._loose = False
+        self._loose, self._tries = False, 0
+        self._rest: list[Tick] = []  # at rest before anything is asked
         self._todo = touches(p, self._lease)
         self._begin_loose()
         self._seen: list[Seen] = []
@@ -58,7 +63,7 @@ class MovementTest:
         if self._awaited or state != State.DISARMED or present & BLOCKS[RequestKind.PROBE]:
             self._quiet, self._hindered = 0, self._hindered + 1
             if self._hindered * self._p.controller.h > PATIENCE_S:
-                self.verdict = judge_rest(present) or Verdict((Finding.BY_FAULT,))
+                self.verdict = self._told(judge_rest(present) or Verdict((Finding.BY_FAULT,)))
             return None
         self._quiet += 1
         if self._quiet * self._p.controller.h < QUIET_S:
@@ -76,20 +81,34 @@ class MovementTest:
             self._hindered += round(QUIET_S / self._p.controller.h)
         elif asked and tick.answer != Answer.TAKEN:
             self.verdict = judge_rest(tick.present) or Verdict((Finding.BY_FAULT,))
+        if self.asked is None and tick.state == State.DISARMED:
+            self._rest.append(tick)
         if tick.state == State.PROBING:
             self._ticks.append(tick)
         elif self._ticks:
-            self._seen.append(seen([*self._ticks, tick]))
+            self._seen.append(seen([*self._ticks, tick], self._p))
             self._ticks = []
-            if not self._todo or tick.latched:
+            stopped = tick.request is not None and tick.request.kind in _STOPS
+            if stopped or tick.present & 1 << F.OPERATOR_LOST:
+                self.verdict = Verdict((Finding.STOPPED,), tuple(names(tick.latched)))
+            elif not self._todo or tick.latched:
                 self._conclude()
 
     def _conclude(self) -> None:
-        verdict = judge(self._seen, expected_of(self._p), self._loose)
+        verdict = self._told(judge(self._seen, expected_of(self._p), self._loose))
+        if verdict.findings == (Finding.UNDECIDED,) and self._tries + 1 < TRIES:
+            self._tries, self._seen, self._todo = self._tries + 1, [], moves(self._p, self._lease)
+            return
         if self._loose or not verdict.passed:
             self.verdict = verdict
         self._seen = []
         self._begin_loose()
+
+    def _told(self, verdict: Verdict) -> Verdict:
+        """What a valve that is open at rest makes of it: nothing else can be told then."""
+        if not verdict.passed and is_driven(self._rest, self._p):
+            return Verdict((Finding.OPEN_AT_REST,), verdict.faults)
+        return verdict
 
 
 def _request(p: Probe) -> Request:
