@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from log_samples import any_record, bits, noisy, tick_at, write_log
 from pneud.log.format.frames import FrameBlock, FramesPacker
 from pneud.log.format.header import Detail
+from pneud.log.format.meanings import SCHEMA
 from pneud.log.format.records import (
     COARSE,
     LoggedEvent,
@@ -28,7 +29,7 @@ from pneud.log.format.records import (
     unpack_event,
     varint,
 )
-from pneud.log.format.schema import SCHEMA, Level, message_class, topics
+from pneud.log.format.schema import Level, message_class, topics
 from pneud.signals import Command, Estimate, Frame, Measurement, Record, Reference, Timing
 
 NAMES: dict[Detail, str] = {"compact": "pneud.Tick", "full": "pneud.FullTick"}

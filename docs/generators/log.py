@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto as F
 
-from pneud.log.format.meanings import MEANINGS, meaning_of, unit_of
-from pneud.log.format.schema import DERIVED, SCHEMA, Field, tick_fields
+from pneud.log.format.meanings import MEANINGS, SCHEMA, meaning_of, unit_of
+from pneud.log.format.schema import DERIVED, Field, tick_fields
 
 __all__ = ["MEANINGS", "text"]
 

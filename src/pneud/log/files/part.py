@@ -17,7 +17,8 @@ from pneud.log.files.saving import LogOutput
 from pneud.log.format.fingerprint import numeric_fingerprint, versions
 from pneud.log.format.framing import DamageError
 from pneud.log.format.header import LogHeader
-from pneud.log.format.schema import COPY, KEPT, METADATA, SCHEMA, SETUP, topics
+from pneud.log.format.meanings import SCHEMA
+from pneud.log.format.schema import COPY, KEPT, METADATA, SETUP, topics
 
 CRC = "crc32"  # key of the metadata's checksum, which MCAP has none for
 _OWN = frozenset((METADATA, SETUP, KEPT, COPY))  # names of metadata that always has one

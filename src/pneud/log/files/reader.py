@@ -32,8 +32,9 @@ from pneud.log.format.framing import (
     open_mcap,
     pieces,
 )
+from pneud.log.format.meanings import READABLE, SCHEMA
 from pneud.log.format.records import LoggedEvent, LoggedTick, TickMessage, unpack, unpack_event
-from pneud.log.format.schema import EVENTS, FRAMES, METADATA, READABLE, SCHEMA, SETUP, STATE, TICK
+from pneud.log.format.schema import EVENTS, FRAMES, METADATA, SETUP, STATE, TICK
 
 _SEQUENCES = 1 << 32  # of MCAP's messages, after which they begin anew
 _LATEST_NS = (1 << 63) - 1  # Unix; MCAP's times have a bit more

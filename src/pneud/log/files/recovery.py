@@ -25,7 +25,8 @@ from pneud.log.files.writer import CHUNK_BYTES
 from pneud.log.format import framing
 from pneud.log.format.frames import FrameBlock
 from pneud.log.format.framing import DamageError, LoggedMessage, Piece, attachment, items, metadata, open_mcap
-from pneud.log.format.schema import COPY, FRAMES, METADATA, READABLE, TICK, Topic, topics
+from pneud.log.format.meanings import READABLE
+from pneud.log.format.schema import COPY, FRAMES, METADATA, TICK, Topic, topics
 
 _COMPRESSION = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")  # in a chunk's head
 _COMPRESSION_BYTES = 8

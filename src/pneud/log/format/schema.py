@@ -1,6 +1,7 @@
 """The protobuf messages of a log, built at run time from the layout of a record.
 
-Field names are those of the records, units included. Whoever changes what comes out of here raises `SCHEMA`.
+Field names are those of the records, units included. Whoever changes what comes out of here raises the
+`SCHEMA` of `meanings`.
 """
 
 from __future__ import annotations
@@ -22,9 +23,6 @@ from pneud.log.format.header import Detail
 from pneud.log.format.meanings import meaning_of, unit_of
 from pneud.log.format.record_layout import NUMBERS, PARTS
 from pneud.signals import Answer, Hunting, RequestKind, State
-
-SCHEMA = 4
-READABLE = frozenset({"2", "3", "4"})  # fields that a message of one of them lacks are read as 0
 
 METADATA = "pneud"  # name of the metadata on the run
 SETUP = "setup"  # name of the metadata on the real-time set-up
