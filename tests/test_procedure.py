@@ -262,6 +262,32 @@ def test_slow_motion_alone_makes_a_slow_axis(
     assert said["after"]["figures"]
 
 
+def test_edges_that_are_of_no_use_do_not_stay_in_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Kept(Simulated):
+        """Like a daemon, of which there is only what its file says."""
+
+        tries = False
+
+    file = copied(tmp_path)
+    before = file.read_text()
+    came_to = [Played("a fault", ("tracking_error",)), Played("a fault", ("travel",))]
+
+    def learnt(bench: Simulated, *_: object) -> bool:
+        bench.adopt(before.replace("dead_zone_v = 0.1", "dead_zone_v = 0.2", 1), True)
+        assert file.read_text() != before
+        return True
+
+    monkeypatch.setattr(procedure, "_learnt_edges", learnt)
+    monkeypatch.setattr(procedure, "_played", lambda *_: came_to.pop(0))
+    rig = Kept(load(file), {}, 1, tmp_path)
+    outcome = procedure.commission(rig, procedure.Wishes(movement=False), Quiet())
+    assert (outcome.verdict, outcome.faults) == ("interrupted", ("travel",))
+    assert file.read_text() == before
+    assert rig.loaded.config.valve.dead_zone_v == 0.1
+
+
 @contextlib.contextmanager
 def live(folder: Path) -> Iterator[tuple[Live, Path]]:
     """The axis of a daemon, and its file."""

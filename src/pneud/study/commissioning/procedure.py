@@ -94,9 +94,12 @@ def commission(bench: Bench, wishes: Wishes, talk: Talk) -> Outcome:
             return Outcome("failed", movement, faults=movement.faults)
     if not wishes.steps:
         return Outcome("passed", movement)
+    text = bench.loaded.text
     played = _played(bench, wishes, talk)
     if played.faults and set(played.faults) <= LOOP and _learnt_edges(bench, wishes, talk):
         played = _played(bench, wishes, talk)
+        if not played.whole:
+            bench.adopt(text, not bench.tries)  # they were of no use
     if not played.whole:
         return Outcome("interrupted", movement, played.failure, played.faults)
     before = _verified(bench, talk, SHORT) if wishes.dynamic else None
