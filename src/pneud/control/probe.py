@@ -21,7 +21,8 @@ BRAKES_OPEN_S = 0.03  # in which the reverse opening grows by the probe's goal: 
 BRAKED = 0.5  # of the greatest speed
 USUAL_S = 0.5  # in which a force becomes usual
 PUSHED = 0.1  # of the force's bound: less may be noise
-LET_GO, LETS_GO_NS = 0.7, 150_000_000  # of the greatest force, and within: the load has given way
+LET_GO = UNDONE = 0.7  # of the greatest force: the load has given way; it has lost its push
+LETS_GO_NS = 150_000_000  # within which it does
 STALLED_NS = 250_000_000  # a force that has not grown for so long moves something
 
 
@@ -99,7 +100,7 @@ def proceed(p: Probe, e: Estimate, m: Measurement, now_ns: int, h: float, c: Cyl
     if p.braked_ns:
         p = p._replace(fastest_m_s=max(p.fastest_m_s, speed_m_s))
         # either way: it may not be the load that has given way
-        undone = abs(e.x3_n - p.braked_n) >= LET_GO * p.most_n
+        undone = abs(e.x3_n - p.braked_n) >= UNDONE * p.most_n
         late = now_ns - p.braked_ns > BRAKES_NS
         return Progress(p, p.lease < 0 or late or undone or speed_m_s <= BRAKED * p.fastest_m_s)
     usual_n = p.usual_n + (e.x3_n - p.usual_n) * h / USUAL_S

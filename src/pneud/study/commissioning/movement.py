@@ -26,11 +26,11 @@ GOAL = 0.25  # of the greatest command
 LOOSE = 4.0  # times static friction: whatever could move has come loose
 STUCK_SHARE = 0.9  # of limits.stuck_force_n, beyond which the axis itself says that it is jammed
 BETWEEN = math.sqrt(10.0)  # a scale is off by ten: nearer to that than to none
+STIFFER = 5.0  # and bristles may be a few times as stiff as believed
 COUNTS = 3.0  # of the encoder, up to which nothing moves
-MEAN_S, SPAN_S = (
-    0.02,
-    0.3,
-)  # of readings at either end of the last part, which is compared with the one before
+SHOWN = 1.5  # beyond which it is not still either
+MEAN_S = 0.02  # of readings at either end
+SPAN_S = 0.3  # of the last part, which is compared with the one before
 LOOSE_S, NOISE_PA = 0.005, 300.0  # from where a load gives way, readings are few
 DRIFT_M, PRESSED = 1e-4, 0.8  # at rest; of the supply in one chamber while the other is empty
 LEAST_V = 0.5  # opened so far, a valve that works is open
@@ -87,12 +87,13 @@ class Seen(NamedTuple):
     """
 
     way_m: float  # greatest, as the encoder shows it
-    force_n: float
+    force_n: float  # greatest change since the beginning
     p1_pa: float
     p2_pa: float
     opened_v: float  # most that was asked for
     followed_v: float  # most that the valve's node has put out
     faults: int  # that ended it
+    given_m: float = 0.0  # greatest way since the beginning
     loose_m: float = 0.0  # way since the load has given way, as the encoder shows it
     pressed_m: float = 0.0  # as the pressures explain it
     blur_m: float = 0.0  # how well they can
@@ -165,18 +166,19 @@ def seen(ticks: Sequence[Tick], p: AxisParameters) -> Seen:
         before = fmean(values[max(0, len(values) - 2 * span - few) : max(1, len(values) - 2 * span)])
         return way * (ends[0] - 2.0 * ends[1] + before)
 
-    from_m = opening[0].measurement.position_m
+    from_m = opening[-span].measurement.position_m
     drift_m = opening[-span].measurement.position_m - opening[-2 * span].measurement.position_m
-    ways = [way * (t.measurement.position_m - from_m) for t in during]
+    ways = [way * (t.measurement.position_m - from_m) for t in during[len(opening) - span :]]
     loose_m, pressed_m, blur_m = _given_way(opening, p)
     return Seen(
         way_m=max(ways, key=abs) - way * drift_m,
-        force_n=change("x3_n"),
+        force_n=max(abs(t.estimate.x3_n - opening[0].estimate.x3_n) for t in opening),
         p1_pa=change("p1_pa"),
         p2_pa=change("p2_pa"),
         opened_v=max(abs(t.command.voltage_v) for t in opening),
         followed_v=max(abs(t.measurement.applied_v) for t in during),
         faults=ticks[-1].latched,
+        given_m=max(abs(t.measurement.position_m - opening[0].measurement.position_m) for t in during),
         loose_m=way * loose_m,
         pressed_m=way * pressed_m,
         blur_m=blur_m,
@@ -184,7 +186,7 @@ def seen(ticks: Sequence[Tick], p: AxisParameters) -> Seen:
 
 
 def _value(t: Tick, of: str) -> float:
-    return float(getattr(t.estimate if of == "x3_n" else t.measurement, of))
+    return float(getattr(t.measurement, of))
 
 
 def _given_way(opening: Sequence[Tick], p: AxisParameters) -> tuple[float, float, float]:
@@ -276,15 +278,21 @@ def _of_pressures(probes: Sequence[Seen]) -> tuple[Finding, ...]:
 
 def _of_way(probes: Sequence[Seen], x: Expected, loose: bool) -> tuple[Finding, ...]:
     least_m = COUNTS * x.step_m
-    ratios = [abs(s.way_m) * x.stiffness_n_m / max(abs(s.force_n), 1e-9) for s in probes]
-    if not loose and min(ratios) > BETWEEN and all(abs(s.way_m) > least_m for s in probes):
+    ratios = [s.given_m * x.stiffness_n_m / max(abs(s.force_n), 1e-9) for s in probes]
+    if not loose and min(ratios) > BETWEEN and all(s.given_m > least_m for s in probes):
         return (Finding.ENCODER_SCALE_LARGE,)
     if loose and all(_hides(s, least_m) for s in probes):
         return (Finding.ENCODER_SCALE_SMALL,)
+    if (
+        not loose
+        and max(ratios) * STIFFER < 1.0
+        and _would_show(probes, x)
+        and any(s.given_m > SHOWN * x.step_m for s in probes)
+    ):
+        return (Finding.ENCODER_SCALE_SMALL,)
     if all(abs(s.way_m) <= least_m for s in probes):
         return (Finding.BLOCKED,) if loose else ()
-    if not loose and max(ratios) * BETWEEN < 1.0 and _would_show(probes, x):
-        return (Finding.ENCODER_SCALE_SMALL,)
+    probes = [s for s in probes if _sign(s.p1_pa - s.p2_pa, SILENT_PA)] if loose else probes  # the rest crept
     ways = {_sign(s.way_m, least_m) for s in probes}
     forces = {_sign(s.p1_pa - s.p2_pa, SILENT_PA) for s in probes}
     table: dict[tuple[float, float], tuple[Finding, ...]] = {

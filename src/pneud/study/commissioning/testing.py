@@ -21,7 +21,7 @@ from pneud.study.commissioning.movement import (
 )
 
 QUIET_S, PATIENCE_S = 0.3, 3.0  # at rest before a probe; before what hinders is told
-TRIES = 2  # at what has contradicted itself
+TRIES = 3  # at what has contradicted itself
 LEASE_S = 0.3
 _STOPS = (RequestKind.STOP, RequestKind.DISARM, RequestKind.SHUTDOWN)
 
