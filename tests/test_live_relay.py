@@ -255,6 +255,7 @@ def test_other_machines_are_told_the_url_with_its_token(host: str, named: str) -
         place = viewers_place(f"{host}:{port}", ())
         with place.listener:
             assert place.note == f"viewers look at ws://{named}:{port}/?token={place.admission.token}"
+            assert place.link == "", "the token is nobody else's business"
             tokens.add(place.admission.token)
     assert len(tokens) == 2
 

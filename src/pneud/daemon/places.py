@@ -25,7 +25,9 @@ class ViewersPlace(NamedTuple):
 
     @property
     def link(self) -> str:
-        """What a browser opens."""
+        """What a browser opens; empty where that would tell somebody else's server the token."""
+        if self.admission.token is not None:
+            return ""
         return f"{FOXGLOVE}?ds=foxglove-websocket&ds.url={quote(self.url, safe='')}"
 
 

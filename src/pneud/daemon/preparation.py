@@ -116,7 +116,8 @@ def _prepared(o: RunOptions, viewers: ViewersPlace | None) -> Iterator[Ready]:
         if link.note:
             print(f"pneud: {link.note}", file=sys.stderr)
         if viewers is not None:
-            print(f"pneud: {viewers.note}, or open {viewers.link}", file=sys.stderr)
+            link_too = f", or open {viewers.link}" if viewers.link else ""
+            print(f"pneud: {viewers.note}{link_too}", file=sys.stderr)
         try:
             yield Ready(
                 o, loaded, scenario, how, how.axis(p), link, socket, log_file, descriptor, viewers, lacks
