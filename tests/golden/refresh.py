@@ -12,10 +12,9 @@ from pneud.loading import load
 from pneud.log.files.naming import create_log
 from pneud.log.files.reader import read_log
 from pneud.log.files.writer import LogWriter
-from pneud.log.format.header import LogHeader
-from pneud.replay.lockstep import Simulation
+from pneud.replay.lockstep import Simulation, header_of
 from pneud.replay.replaying import replay
-from pneud.safety.faults import FAULT_NAMES, names
+from pneud.safety.faults import names
 from pneud.scenario.files import load_scenario
 from pneud.signals import Request, RequestKind
 
@@ -69,19 +68,7 @@ def simulated(name: str, path: Path) -> None:
     change = {**(scenario.change or {}), **SLOW} if scenario is not None else golden.change
     loaded = load(scenario.config if scenario is not None else golden.config, None, change)
     run = Simulation(loaded, golden.duration_s, golden.seed, scenario=scenario, requests=golden.requests)
-    header = LogHeader(
-        name=loaded.config.name,
-        bus="simulated",
-        rate_hz=loaded.config.loop.rate_hz,
-        detail="full",
-        config_name=loaded.path.name,
-        config_text=loaded.text,
-        dbc_name=loaded.dbc.name,
-        dbc=loaded.dbc.read_bytes(),
-        fault_names=FAULT_NAMES,
-        realtime_offset_ns=0,
-        extra={"host": "golden"},
-    )
+    header = header_of(loaded, host="golden")._replace(detail="full")
     writer = LogWriter(create_log(path), header)
     for number, record in enumerate(run.records(), start=1):
         writer.write(record)

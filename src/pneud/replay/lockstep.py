@@ -13,11 +13,12 @@ from pneud.bus.inbox import Inbox
 from pneud.compiled.backend import INTERPRETED, Backend, backend
 from pneud.config import conversions
 from pneud.loading import SYNC_COUNTERS, Loaded, load
+from pneud.log.format.header import LogHeader
 from pneud.loop.conditions import Conditions
 from pneud.loop.turn import END_TICKS, Turn
 from pneud.replay.simulated_machine import DOWN, HEALTHY, SimulatedMachine
 from pneud.rig.node import PlantNode
-from pneud.safety.faults import BLOCKS_ARM, names
+from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES, names
 from pneud.safety.supervisor import is_engaged
 from pneud.scenario.engine import Engine
 from pneud.scenario.format import Scenario
@@ -170,6 +171,28 @@ class Simulated(Record):
     def fault_names(self) -> tuple[str, ...]:
         """Names of the faults that hold now or hold the axis in fault."""
         return tuple(names(self.tick.present | self.tick.latched))
+
+
+def header_of(loaded: Loaded, **extra: str) -> LogHeader:
+    """What a log of a simulated run says of it.
+
+    Args:
+        loaded: the axis.
+        extra: facts beside that, such as the seed.
+    """
+    return LogHeader(
+        name=loaded.config.name,
+        bus="simulated",
+        rate_hz=loaded.config.loop.rate_hz,
+        detail=loaded.config.log.detail,
+        config_name=loaded.path.name,
+        config_text=loaded.text,
+        dbc_name=loaded.dbc.name,
+        dbc=loaded.dbc.read_bytes(),
+        fault_names=FAULT_NAMES,
+        realtime_offset_ns=0,
+        extra=extra,
+    )
 
 
 def simulate(config_file: str | Path, duration_s: float = 10.0, seed: int = 0) -> Iterator[Simulated]:

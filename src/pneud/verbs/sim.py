@@ -21,15 +21,14 @@ from pneud.control.reference import Bounds, Septic
 from pneud.loading import Loaded, load
 from pneud.log.files.naming import log_path, new_log
 from pneud.log.files.writer import LogWriter
-from pneud.log.format.header import SNAPSHOT_S, LogHeader
+from pneud.log.format.header import SNAPSHOT_S
 from pneud.loop.summary import in_words, summarise
 from pneud.loop.tally import Tally
 from pneud.replay.following import Following
 from pneud.replay.following import in_words as followed
-from pneud.replay.lockstep import Simulation, backend_of
+from pneud.replay.lockstep import Simulation, backend_of, header_of
 from pneud.replay.moves import Course, moves_of
 from pneud.replay.moves import in_words as moves_in_words
-from pneud.safety.faults import FAULT_NAMES
 from pneud.scenario import verdict
 from pneud.scenario.files import load_axis, load_scenario
 from pneud.scenario.format import Scenario
@@ -137,7 +136,8 @@ def sim(
         new_log(path) if path is not None else nullcontext(NO_LOG) as descriptor,
         progress(how) as report,
     ):
-        writer = _writer(descriptor, loaded, seed, law.name) if path is not None else None
+        header = header_of(loaded, seed=str(seed), law=law.name)
+        writer = LogWriter(descriptor, header) if path is not None else None
         tally, seen = _run(run, duration_s, loaded.config.loop.rate_hz, writer, course, report)
         whole = writer is None or (writer.close() and not writer.unwritten)
     if writer is not None and not whole:
@@ -252,25 +252,6 @@ def _run(
     if run.axis.failure is not None:
         print(f"pneud: exception in the cycle: {run.axis.failure!r}", file=sys.stderr)
     return tally, seen
-
-
-def _writer(descriptor: int, loaded: Loaded, seed: int, law: str) -> LogWriter:
-    return LogWriter(
-        descriptor,
-        LogHeader(
-            name=loaded.config.name,
-            bus="simulated",
-            rate_hz=loaded.config.loop.rate_hz,
-            detail=loaded.config.log.detail,
-            config_name=loaded.path.name,
-            config_text=loaded.text,
-            dbc_name=loaded.dbc.name,
-            dbc=loaded.dbc.read_bytes(),
-            fault_names=FAULT_NAMES,
-            realtime_offset_ns=0,
-            extra={"seed": str(seed), "law": law},
-        ),
-    )
 
 
 def _compare(config_file: str, rest_s: float, json: bool, how: str) -> int:

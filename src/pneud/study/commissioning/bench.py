@@ -15,9 +15,7 @@ from pneud.loading import Loaded, changed_text
 from pneud.log.files.naming import new_log
 from pneud.log.files.reader import LogReader, read_log
 from pneud.log.files.writer import LogWriter
-from pneud.log.format.header import LogHeader
-from pneud.replay.lockstep import Simulation, backend_of
-from pneud.safety.faults import FAULT_NAMES
+from pneud.replay.lockstep import Simulation, backend_of, header_of
 from pneud.signals import Record, Request
 from pneud.study.commissioning.movement import Verdict
 
@@ -102,7 +100,7 @@ class Simulated:
         self._runs += 1
         path = self._folder / f"{self.log_name}-{self._runs}.mcap"
         with new_log(path) as descriptor:
-            writer = LogWriter(descriptor, self._header(how.name))
+            writer = LogWriter(descriptor, header_of(self.loaded, seed=str(self._seed), law=how.name))
             for record in run.records():
                 operator.see(record)
                 writer.write(record)
@@ -124,19 +122,3 @@ class Simulated:
             put_text(self.loaded.path, text)
         self.loaded = self.loaded._replace(config=parse(text, str(self.loaded.path)), text=text)
         self._logs = []
-
-    def _header(self, law: str) -> LogHeader:
-        loaded = self.loaded
-        return LogHeader(
-            name=loaded.config.name,
-            bus="simulated",
-            rate_hz=loaded.config.loop.rate_hz,
-            detail=loaded.config.log.detail,
-            config_name=loaded.path.name,
-            config_text=loaded.text,
-            dbc_name=loaded.dbc.name,
-            dbc=loaded.dbc.read_bytes(),
-            fault_names=FAULT_NAMES,
-            realtime_offset_ns=0,
-            extra={"seed": str(self._seed), "law": law},
-        )

@@ -11,6 +11,7 @@ from pneud.config.writing import put_text
 from pneud.console.client import Client, RefusedError
 from pneud.console.endpoint import PlaceError
 from pneud.console.protocol import MAX_PIECES
+from pneud.console.restarting import next_session
 from pneud.loading import Loaded, load
 from pneud.log.files.reader import LogReader, read_log
 from pneud.log.live.ring import Ring, RingReader
@@ -124,17 +125,9 @@ class Live:
         self._rest()
         self._client.ask("restart")
         self._client.close()
-        until_ns = time.monotonic_ns() + round(SESSION_S * 1e9)
-        while time.monotonic_ns() < until_ns:
-            with contextlib.suppress(PlaceError, RefusedError):
-                self._client = self._connect()
-                self._status = self._client.ask("status")
-                if self._status["log"] != before and self._status["state"] not in BEGINNING:
-                    break
-                self._client.close()
-            time.sleep(0.1)
-        else:
-            raise PlaceError("the daemon has ended, and not begun anew: see its journal")
+        self._client, self._status = next_session(
+            self._connect, before, SESSION_S, lambda status: status["state"] not in BEGINNING
+        )
         self._rest()
         self._logs.append(str(self._status["log"]))
 

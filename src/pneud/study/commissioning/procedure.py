@@ -199,9 +199,8 @@ def _found(bench: Bench, wishes: Wishes) -> Found:
         values |= chosen.values(believed)
     else:
         values |= _slower(c)
-    source = f"{bench.log_name}, {time.strftime('%Y-%m-%d')}"
     changes = written.changes(c, loaded.text, values, told)
-    text = written.text_with(loaded.text, str(loaded.path), changes, source)
+    text = _text_with(changes, bench)
     odd = explaining.unexplained(identified.valved, identified.moved, identified.noise_pa, c)
     return Found(identified, values, chosen, changes, text, odd)
 
@@ -223,9 +222,16 @@ def _learnt_edges(bench: Bench, wishes: Wishes, talk: Talk) -> bool:
     changes = written.changes(c, loaded.text, values, edges)
     if not bench.tries and not (wishes.write and talk.agreed(changes)):
         return False
-    source = f"{bench.log_name}, {time.strftime('%Y-%m-%d')}"
-    bench.adopt(written.text_with(loaded.text, str(loaded.path), changes, source), not bench.tries)
+    bench.adopt(_text_with(changes, bench), not bench.tries)
     return True
+
+
+def _text_with(changes: list[Change], bench: Bench) -> str:
+    """The configuration's text with changes, each with where it is from."""
+    from pneud.study.commissioning import written  # noqa: PLC0415
+
+    source = f"{bench.log_name}, {time.strftime('%Y-%m-%d')}"
+    return written.text_with(bench.loaded.text, str(bench.loaded.path), changes, source)
 
 
 def _in_place(values: Values, c: Config) -> Values:

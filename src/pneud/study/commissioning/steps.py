@@ -17,15 +17,14 @@ from pneud.control.probe import Probe
 from pneud.control.reference import Bounds, Septic
 from pneud.signals import Request, RequestKind, State
 from pneud.study.commissioning.movement import moves as loosening
+from pneud.study.commissioning.testing import LEASE_S, request_of
 from pneud.study.identification.motions import MOTIONS, Motion
 
-LEASE_S = 0.3
 DWELL_S, SETTLED_S, AIRLESS_S = 0.3, 0.2, 0.5  # at rest behind a way; once armed; with the valve centred
 APPROACH, APPROACH_SHARE_S = 0.4, 0.1  # ways between: of limits.motion, of the travel in a second
 WIDEST = 0.1  # of the greatest command: no edge is further from 0 V, centre included
 RAMP_M, RAMP_M_S = 2e-3, 0.03  # a ramp ends where the load has moved so far, or so fast
 SMALLER = 0.8  # amplitudes from one to the next, until limits.motion allows one
-LEAST_WAY_M = 1e-4
 
 
 class Act(NamedTuple):
@@ -162,8 +161,7 @@ def _ramps(m: Motion, g: Ground, from_m: float) -> tuple[Step, float]:
 
 
 def _opening(p: Probe) -> Act:
-    request = Request(RequestKind.PROBE, tuple(map(float, p[:6])))
-    return Act((request,), State.DISARMED, AIRLESS_S, p.lease)
+    return Act((request_of(p),), State.DISARMED, AIRLESS_S, p.lease)
 
 
 def _moves(m: Motion, g: Ground, from_m: float) -> tuple[Step, float]:

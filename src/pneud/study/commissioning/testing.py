@@ -59,7 +59,7 @@ class MovementTest:
             return Request(RequestKind.SHUTDOWN)
         if state == State.PROBING and self.asked is not None:
             self._age, self._hindered = self._age + 1, 0
-            return _request(self.asked) if self._age % (self._lease // 3 + 1) == 0 else None
+            return request_of(self.asked) if self._age % (self._lease // 3 + 1) == 0 else None
         if self._awaited or state != State.DISARMED or present & BLOCKS[RequestKind.PROBE]:
             self._quiet, self._hindered = 0, self._hindered + 1
             if self._hindered * self._p.controller.h > PATIENCE_S:
@@ -70,7 +70,7 @@ class MovementTest:
             return None
         self._quiet = self._age = 0
         self.asked, self._awaited = self._todo.pop(0), True
-        return _request(self.asked)
+        return request_of(self.asked)
 
     def see(self, tick: Tick) -> None:
         """What became of it."""
@@ -111,5 +111,6 @@ class MovementTest:
         return verdict
 
 
-def _request(p: Probe) -> Request:
+def request_of(p: Probe) -> Request:
+    """That asks for a probe, or renews it."""
     return Request(RequestKind.PROBE, tuple(map(float, p[:6])))

@@ -16,11 +16,12 @@ from pneud.axis.state import AxisParameters
 from pneud.axis.stops import soft_limits
 from pneud.console import profiles
 from pneud.control.profile import extent
-from pneud.control.reference import Bounds, Septic
+from pneud.control.reference import Septic
 from pneud.loop.summary import finite
 from pneud.loop.tracking import AFTER_S
 from pneud.safety.faults import BLOCKS_ARM, names
 from pneud.signals import Answer, Record, Request, RequestKind, State, Tick, true_error_m
+from pneud.study.commissioning.steps import sine
 from pneud.study.judging import (
     ARRIVED_S,
     LONG_M,
@@ -35,7 +36,6 @@ from pneud.study.judging import (
 )
 
 FREQUENCY_HZ, AMPLITUDE = 0.5, 0.1  # of the sine; of the stroke at most
-SMALLER = 0.8  # amplitudes from one to the next, until limits.motion and the travel allow one
 SINE_S = 15.0  # with a period in which it swells, and one in which it fades
 PEAK_M = 2e-4
 REST_S = 5.0  # judged, behind SETTLING_S
@@ -70,9 +70,10 @@ def course(p: AxisParameters, stroke_m: float) -> tuple[Part, ...]:
     """All motions, from the middle of the travel on, within travel and bounds."""
     low_m, high_m = soft_limits(p)
     centre_m, room_m = 0.5 * (low_m + high_m), 0.5 * (high_m - low_m)
+    pieces, _ = sine(centre_m, min(AMPLITUDE * stroke_m, room_m), FREQUENCY_HZ, SINE_S, p.motion)
     parts = [
         Part("", to_m=centre_m, dwell_s=DWELL_S),
-        Part("sine", pieces=_sine(centre_m, min(AMPLITUDE * stroke_m, room_m), p.motion), to_m=centre_m),
+        Part("sine", pieces=tuple(pieces), to_m=centre_m),
         Part("rest", to_m=centre_m, dwell_s=SETTLING_S + REST_S),
     ]
     at_m = centre_m
@@ -87,18 +88,6 @@ def course(p: AxisParameters, stroke_m: float) -> tuple[Part, ...]:
         for to_m in (rear_m + far_m, rear_m):
             parts.append(Part(f"{1e3 * far_m:.0f} mm", to_m=to_m, dwell_s=DWELL_S))
     return tuple(parts)
-
-
-def _sine(centre_m: float, amplitude_m: float, bounds: Bounds) -> tuple[Septic, ...]:
-    """The sine, as wide as the bounds allow."""
-    while True:
-        pieces = profiles.chirp(centre_m, amplitude_m, FREQUENCY_HZ, FREQUENCY_HZ, SINE_S)
-        try:
-            profiles.check(pieces, bounds, -math.inf, math.inf)
-        except profiles.ProfileError:
-            amplitude_m *= SMALLER
-        else:
-            return tuple(pieces)
 
 
 class Seen(NamedTuple):
