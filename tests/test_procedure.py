@@ -180,6 +180,24 @@ def test_values_are_written_with_their_origin_and_comments_stay() -> None:
     assert "moving_mass_kg = 18.0  # 17 … 19 by b.mcap, 2026-12-01\n" in again
 
 
+@pytest.mark.parametrize(
+    ("remark", "kept"),
+    [
+        ("typical: half the width", ""),
+        ("likewise", ""),
+        ("the limit frequency of its sheet", ""),
+        ("350 l/min ANR at 6 -> 5 bar", ""),
+        ("piston, rod and load", "piston, rod and load; "),
+    ],
+)
+def test_where_a_value_was_from_before_does_not_stay(remark: str, kept: str, virtual: Loaded) -> None:
+    line = next(line for line in virtual.text.splitlines() if line.startswith("moving_mass_kg"))
+    text = virtual.text.replace(line, f"moving_mass_kg = 15.0  # {remark}")
+    change = written.Change("cylinder.moving_mass_kg", 15.0, 16.0, "15 … 17")
+    text = written.text_with(text, "x", [change], SOURCE)
+    assert f"moving_mass_kg = 16.0  # {kept}15 … 17 by {SOURCE}\n" in text
+
+
 def test_what_makes_no_configuration_is_not_written(virtual: Loaded) -> None:
     change = written.Change("cylinder.moving_mass_kg", 15.0, -1.0, "")
     with pytest.raises(ConfigError, match="moving_mass_kg"):
