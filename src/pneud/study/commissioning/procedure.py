@@ -103,12 +103,11 @@ def commission(bench: Bench, wishes: Wishes, talk: Talk) -> Outcome:
             return Outcome("failed", movement, faults=movement.faults)
     if not wishes.steps:
         return Outcome("passed", movement)
-    text = bench.loaded.text
     played = _played(bench, wishes, talk)
-    if _of_the_loop(played.faults) and _learnt_edges(bench, wishes, talk):
-        played = _played(bench, wishes, talk)
-        if not played.whole:
-            bench.adopt(text, not bench.tries)  # they were of no use
+    if _of_the_loop(played.faults):
+        text = bench.loaded.text
+        if _learnt_edges(bench, wishes, talk):
+            played = _with_edges(bench, wishes, talk, text)
     if not played.whole:
         return Outcome("interrupted", movement, played.failure, played.faults)
     before = _verified(bench, talk, SHORT) if wishes.dynamic else None
@@ -167,6 +166,18 @@ def _played(bench: Bench, wishes: Wishes, talk: Talk) -> Played:
     player = Player(steps, p.controller.h, lambda step: talk.say(_announced(step)))
     bench.play(player)
     return player.verdict or Played("it has not come to its end")
+
+
+def _with_edges(bench: Bench, wishes: Wishes, talk: Talk, before: str) -> Played:
+    """The steps again; edges that they did not come to their end with do not stay."""
+    whole = False
+    try:
+        played = _played(bench, wishes, talk)
+        whole = played.whole
+    finally:
+        if not whole:
+            bench.adopt(before, not bench.tries)
+    return played
 
 
 class _Tested:
