@@ -1,0 +1,191 @@
+"""Curves as dots of braille, two by four in a cell, or as letters where there are none; bars; scales."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+from rich.style import Style
+
+from pneud.view.history import Column
+from pneud.view.text import DIM
+
+_BRAILLE = 0x2800
+_LEFT, _RIGHT = (0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80)  # dots of a cell, from top to bottom
+# dots a … b of one column of a cell: _SPANS[side][a][b]
+_SPANS = tuple(
+    tuple(tuple(sum(side[a : b + 1]) for b in range(4)) for a in range(4)) for side in (_LEFT, _RIGHT)
+)
+_STEPS = (1.0, 2.0, 5.0, 10.0)
+_EIGHTHS = " ▏▎▍▌▋▊▉"
+
+Cells = list[tuple[str, Style]]
+"""A row of a picture: pieces of text, each in one style."""
+
+
+class Curve(NamedTuple):
+    """One line of a plot."""
+
+    columns: list[Column]  # of extremes, oldest first; `samples(width)` of them
+    style: Style
+    letter: str = "*"  # where there are no dots
+
+
+class Guide(NamedTuple):
+    """A line across, where no curve is."""
+
+    value: float
+    sign: str
+    style: Style = DIM
+
+
+def samples(width: int, ascii_only: bool) -> int:
+    """How many columns of values a plot of `width` cells shows."""
+    return width if ascii_only else 2 * width
+
+
+def plot(
+    curves: Sequence[Curve],
+    limits: tuple[float, float],
+    size: tuple[int, int],
+    guides: Iterable[Guide] = (),
+    ascii_only: bool = False,
+) -> list[Cells]:
+    """Rows of a plot, top first; what lies beyond the limits is drawn at them.
+
+    Args:
+        curves: the last one in front.
+        limits: the values at the lower and the upper edge.
+        size: width and height in cells.
+        guides: the first one in front.
+        ascii_only: one letter a cell.
+    """
+    width, height = size
+    each = 1 if ascii_only else 4
+    dots = height * each
+    low, high = limits
+    scale = (dots - 1) / (high - low) if high > low else 0.0
+    bits = [[0] * width for _ in range(height)]
+    owner: list[list[Curve | None]] = [[None] * width for _ in range(height)]
+
+    def row_of(value: float) -> int:
+        return min(dots - 1, max(0, round((high - value) * scale)))
+
+    for curve in curves:
+        before: tuple[int, int] | None = None
+        for at, column in enumerate(curve.columns):
+            if column is None:
+                before = None
+                continue
+            top, bottom = row_of(column[1]), row_of(column[0])
+            if ascii_only:  # of the two the one that is farther from the middle
+                top = bottom = top if dots - 1 - bottom >= top else bottom
+            elif before is not None:  # a steep line has no holes
+                before, (top, bottom) = (top, bottom), (min(top, before[1] + 1), max(bottom, before[0] - 1))
+            else:
+                before = top, bottom
+            cell, spans = (at, None) if ascii_only else (at >> 1, _SPANS[at & 1])
+            for row in range(top // each, bottom // each + 1):
+                owner[row][cell] = curve
+                if spans is not None:
+                    first, last = max(top - 4 * row, 0), min(bottom - 4 * row, 3)
+                    bits[row][cell] |= spans[first][last]
+    lines: dict[int, Guide] = {}
+    for guide in guides:
+        if low <= guide.value <= high:
+            lines.setdefault(row_of(guide.value) // each, guide)
+    return [
+        _cells(row_bits, row_owner, lines.get(row), ascii_only)
+        for row, (row_bits, row_owner) in enumerate(zip(bits, owner, strict=True))
+    ]
+
+
+def _cells(
+    row_bits: list[int], row_owner: list[Curve | None], guide: Guide | None, ascii_only: bool
+) -> Cells:
+    """One row; neighbours of one style in one piece."""
+    empty, empty_style = (" ", DIM) if guide is None else (guide.sign, guide.style)
+    found: Cells = []
+    text, style = "", empty_style
+    for dots, curve in zip(row_bits, row_owner, strict=True):
+        if curve is None:
+            sign, own = empty, empty_style
+        else:
+            sign, own = curve.letter if ascii_only else chr(_BRAILLE + dots), curve.style
+        if own is not style and text:
+            found.append((text, style))
+            text = ""
+        text, style = text + sign, own
+    return [*found, (text, style)]
+
+
+def row_at(value: float, limits: tuple[float, float], height: int) -> int:
+    """The row of a plot, from its top, in which a value lies."""
+    low, high = limits
+    fraction = (high - value) / (high - low) if high > low and math.isfinite(value) else 0.0
+    return min(height - 1, max(0, int(max(-1.0, min(2.0, fraction)) * height)))
+
+
+def extremes(curves: Iterable[Curve]) -> tuple[float, float] | None:
+    """The smallest and the largest value of all; None where there is none."""
+    known = [column for curve in curves for column in curve.columns if column is not None]
+    return (min(c[0] for c in known), max(c[1] for c in known)) if known else None
+
+
+def rounded(value: float) -> float:
+    """The next of 1, 2, 5, 10 … that is no less."""
+    if not 0.0 < value < 1e30:
+        return 1.0
+    decade = 10.0 ** math.floor(math.log10(value))
+    return next((step * decade for step in _STEPS if value <= step * decade * (1.0 + 1e-9)), 10.0 * decade)
+
+
+def signed_limits(found: tuple[float, float] | None, least: float) -> tuple[float, float]:
+    """A round scale with zero in the middle, no finer than `least`: noise does not look like motion."""
+    peak = max(least, -found[0], found[1]) if found else least
+    return -rounded(peak), rounded(peak)
+
+
+def range_limits(found: tuple[float, float] | None, least: float) -> tuple[float, float]:
+    """A round scale around all values, no finer than `least`."""
+    if found is None:
+        return 0.0, least
+    low, high = found
+    step = rounded(max(high - low, least) / 4.0)
+    low, high = step * math.floor(low / step), step * math.ceil(high / step)
+    return low, max(high, low + least)
+
+
+def bar(fraction: float, worst: float, n: int, ascii_only: bool) -> str:
+    """A bar of n cells that is filled to a fraction, with a mark at the worst one lately."""
+    fraction = max(0.0, min(1.0, fraction)) if math.isfinite(fraction) else 0.0
+    eighths = round(fraction * 8 * n)
+    if ascii_only:
+        eighths = eighths // 8 * 8
+    cells = ["█"] * (eighths // 8) + ([_EIGHTHS[eighths % 8]] if eighths % 8 else [])
+    cells += ["·"] * (n - len(cells))
+    if math.isfinite(worst):
+        at = min(n - 1, int(max(0.0, min(1.0, worst)) * n))
+        if at >= eighths / 8:
+            cells[at] = "│"
+    return "".join(cells[:n])
+
+
+def centred_bar(fraction: float, zone: tuple[float, float], n: int) -> str:
+    """A bar from the middle to a fraction −1 … 1, with the middle and a zone about it marked."""
+    middle = n // 2
+    cells = ["─"] * n
+
+    def at(value: float) -> int:
+        return max(0, min(n - 1, middle + round(max(-1.0, min(1.0, value)) * middle)))
+
+    for edge in zone:
+        if math.isfinite(edge) and edge:
+            cells[at(edge)] = "┊"
+    if math.isfinite(fraction):
+        tip = at(fraction)
+        for i in range(min(tip, middle), max(tip, middle) + 1):
+            cells[i] = "█"
+    cells[middle] = "│"
+    return "".join(cells)
