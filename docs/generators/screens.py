@@ -1,6 +1,6 @@
 """Pictures of the live screen, made of simulated runs: `python docs/generators/screens.py [FOLDER]`.
 
-Writes `screen-NAME.svg` into FOLDER, else into `docs/pictures`; the `tracking` one is the picture in README.md, too.
+Writes `screen-NAME.svg` into FOLDER, else into `docs/pictures`, and the `tracking` one as `docs/screen.svg`, too.
 The page is the one that a terminal shows; only how late ticks are is made up, since simulated time has none.
 """
 

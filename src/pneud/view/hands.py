@@ -118,7 +118,7 @@ class Hands:
             return f"Go to: {self._typed}▏mm   Enter goes, Esc does not, space stops"
         if self._asking:
             words = self._leaving.asks if self._asking == "q" else _ASKED[self._asking][1]
-            return f"{words} {self._asking} or Enter does, any other key does not, space stops"
+            return f"{words} y or Enter does, any other key does not"
         return ""
 
     def hints(self, wanted: tuple[str, ...]) -> list[tuple[str, str]]:
@@ -146,7 +146,7 @@ class Hands:
             self._type(key)
         elif self._asking:
             asked, self._asking = self._asking, ""
-            if key in (asked, "enter"):
+            if key in ("y", "enter"):
                 self._do(asked)
         elif self.help:
             self.help = False

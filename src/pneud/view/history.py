@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable
+from itertools import takewhile
 from typing import NamedTuple
 
 from pneud.log.live.amiss import Amiss
@@ -69,14 +70,19 @@ class Trace:
 
     def rms(self, t_ns: int) -> float:
         """Root mean square of the last `SPAN_S` seconds before t_ns; NaN when there is no value."""
+        squares = count = 0.0
+        for bucket in self._recent(t_ns):
+            squares += bucket[4]
+            count += bucket[3]
+        return math.sqrt(squares / count) if count else math.nan
+
+    def _recent(self, t_ns: int) -> list[list[float]]:
         oldest = t_ns // BUCKET_NS - _SPAN_BUCKETS
-        recent = [b for b in self._buckets if b[0] > oldest]
-        return math.sqrt(sum(b[4] for b in recent) / sum(b[3] for b in recent)) if recent else math.nan
+        return list(takewhile(lambda b: b[0] > oldest, reversed(self._buckets)))
 
     def lately(self, t_ns: int) -> tuple[float, float]:
         """Smallest and largest value of the last `SPAN_S` seconds before t_ns; NaN when there is none."""
-        oldest = t_ns // BUCKET_NS - _SPAN_BUCKETS
-        recent = [b for b in self._buckets if b[0] > oldest]
+        recent = self._recent(t_ns)
         return (min(b[1] for b in recent), max(b[2] for b in recent)) if recent else (math.nan, math.nan)
 
     def columns(self, t_ns: int, width: int) -> list[Column]:

@@ -63,38 +63,44 @@ def plot(
     """
     width, height = size
     each = 1 if ascii_only else 4
-    dots = height * each
+    last = height * each - 1
     low, high = limits
-    scale = (dots - 1) / (high - low) if high > low else 0.0
+    scale = last / (high - low) if high > low else 0.0
     bits = [[0] * width for _ in range(height)]
     owner: list[list[Curve | None]] = [[None] * width for _ in range(height)]
-
-    def row_of(value: float) -> int:
-        return min(dots - 1, max(0, round((high - value) * scale)))
-
     for curve in curves:
         before: tuple[int, int] | None = None
         for at, column in enumerate(curve.columns):
             if column is None:
                 before = None
                 continue
-            top, bottom = row_of(column[1]), row_of(column[0])
+            # comparisons rather than calls: they would take most of a picture's time
+            top, bottom = int((high - column[1]) * scale + 0.5), int((high - column[0]) * scale + 0.5)
+            top = 0 if top < 0 else last if top > last else top
+            bottom = 0 if bottom < 0 else last if bottom > last else bottom
             if ascii_only:  # of the two the one that is farther from the middle
-                top = bottom = top if dots - 1 - bottom >= top else bottom
-            elif before is not None:  # a steep line has no holes
-                before, (top, bottom) = (top, bottom), (min(top, before[1] + 1), max(bottom, before[0] - 1))
-            else:
-                before = top, bottom
-            cell, spans = (at, None) if ascii_only else (at >> 1, _SPANS[at & 1])
-            for row in range(top // each, bottom // each + 1):
+                row = top if last - bottom >= top else bottom
+                owner[row][at] = curve
+                continue
+            now = top, bottom
+            if before is not None:  # a steep line has no holes
+                if before[1] + 1 < top:
+                    top = before[1] + 1
+                elif before[0] - 1 > bottom:
+                    bottom = before[0] - 1
+            before = now
+            cell, spans = at >> 1, _SPANS[at & 1]
+            row, end = top >> 2, bottom >> 2
+            while row < end:
                 owner[row][cell] = curve
-                if spans is not None:
-                    first, last = max(top - 4 * row, 0), min(bottom - 4 * row, 3)
-                    bits[row][cell] |= spans[first][last]
+                bits[row][cell] |= spans[top & 3][3]
+                row, top = row + 1, 0
+            owner[row][cell] = curve
+            bits[row][cell] |= spans[top & 3][bottom & 3]
     lines: dict[int, Guide] = {}
     for guide in guides:
         if low <= guide.value <= high:
-            lines.setdefault(row_of(guide.value) // each, guide)
+            lines.setdefault(int((high - guide.value) * scale + 0.5) // each, guide)
     return [
         _cells(row_bits, row_owner, lines.get(row), ascii_only)
         for row, (row_bits, row_owner) in enumerate(zip(bits, owner, strict=True))
