@@ -60,7 +60,7 @@ class ScreenApp(App[None], inherit_bindings=False):
     CSS = "Screen { layers: base; }"
 
     def __init__(self, show: Show, ascii_only: bool) -> None:
-        super().__init__()
+        super().__init__(ansi_color=True)
         self.show = show
         self.picture = Picture(show, ascii_only)
 

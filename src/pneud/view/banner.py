@@ -29,7 +29,7 @@ class Banner(NamedTuple):
     keys: tuple[str, ...]  # that make sense now, as in `hands.KEYS`
 
 
-_FREE = ("h", "g", "m", "t", "left", "d")
+_FREE = ("h", "g", "t", "left", "d", "m")
 
 
 def _keys(*own: str) -> tuple[str, ...]:
@@ -67,7 +67,7 @@ def banner_of(record: Record | None, info: ScreenInfo, silent_s: float) -> Banne
 
 
 _PARTS: dict[int, tuple[str, tuple[str, ...]]] = {
-    State.TRACKING: ("follows the reference", ("h", "g", "m", "left", "d")),
+    State.TRACKING: ("follows the reference", ("h", "g", "left", "d", "m")),
     State.MOVING: ("moves", _FREE),
     State.HOLDING: ("holds still", _FREE),
     State.HOMING: ("looks for the encoder's reference", ()),

@@ -39,14 +39,14 @@ def curves_of(record: Record, history: History, info: ScreenInfo, look: Palette,
     """All four; `columns` is how many values each curve has."""
     t_ns = record.tick.t_ns
 
-    def curve(trace: Trace, style: Style, letter: str = "*") -> Curve:
+    def curve(trace: Trace, style: Style, letter: str = "") -> Curve:
         return Curve(trace.columns(t_ns, columns), style, letter)
 
     h = history
     return [
         _error(record, h, look, curve(h.error, look.error)),
         _position(
-            record, look, curve(h.reference, look.reference, "r"), curve(h.position, look.position, "*")
+            record, look, curve(h.reference, look.reference, "r"), curve(h.position, look.position, "x")
         ),
         _pressures(
             record,
@@ -175,7 +175,9 @@ def _scale(group: Group, height: int) -> dict[int, str]:
     """What stands beside which row."""
     low, high = group.limits
     if height == 1:
-        return {0: f"±{group.words(high).lstrip('+')}" if low == -high else group.words(high)}
+        if low == -high:
+            return {0: f"±{group.words(high).lstrip('+')}"}
+        return {0: f"{group.words(low).partition(' ')[0]}-{group.words(high)}"}
     middle = height // 2
     found = {0: group.words(high), height - 1: group.words(low)}
     if low == -high and height >= 5 and row_at(0.0, group.limits, height) == middle:

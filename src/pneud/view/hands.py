@@ -33,7 +33,7 @@ KEYS = {  # name: as shown, in a word, in a line
 }
 _AT_ONCE = {"d": "disarm", "c": "clear", "h": "hold"}
 _ASKED = {
-    "a": ("arm", "Arm? The load is held from then on, and may move."),
+    "a": ("arm", "Arm? The load is held, and may move."),
     "r": ("home", "Home? The load moves to its stop."),
 }
 
@@ -118,7 +118,7 @@ class Hands:
             return f"Go to: {self._typed}▏mm   Enter goes, Esc does not, space stops"
         if self._asking:
             words = self._leaving.asks if self._asking == "q" else _ASKED[self._asking][1]
-            return f"{words} y or Enter does, any other key does not"
+            return f"{words}  y or Enter does, other keys do not"
         return ""
 
     def hints(self, wanted: tuple[str, ...]) -> list[tuple[str, str]]:

@@ -17,6 +17,7 @@ _LEFT, _RIGHT = (0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80)  # dots of a 
 _SPANS = tuple(
     tuple(tuple(sum(side[a : b + 1]) for b in range(4)) for a in range(4)) for side in (_LEFT, _RIGHT)
 )
+_SIGNS = "'-_"  # of a curve in a cell of letters, from top to bottom
 _STEPS = (1.0, 2.0, 5.0, 10.0)
 _EIGHTHS = " ▏▎▍▌▋▊▉"
 
@@ -29,7 +30,7 @@ class Curve(NamedTuple):
 
     columns: list[Column]  # of extremes, oldest first; `samples(width)` of them
     style: Style
-    letter: str = "*"  # where there are no dots
+    letter: str = ""  # where there are no dots; none for signs that tell its height in a cell
 
 
 class Guide(NamedTuple):
@@ -62,7 +63,7 @@ def plot(
         ascii_only: one letter a cell.
     """
     width, height = size
-    each = 1 if ascii_only else 4
+    each = len(_SIGNS) if ascii_only else 4
     last = height * each - 1
     low, high = limits
     scale = last / (high - low) if high > low else 0.0
@@ -80,7 +81,8 @@ def plot(
             bottom = 0 if bottom < 0 else last if bottom > last else bottom
             if ascii_only:  # of the two the one that is farther from the middle
                 row = top if last - bottom >= top else bottom
-                owner[row][at] = curve
+                owner[row // each][at] = curve
+                bits[row // each][at] = row % each
                 continue
             now = top, bottom
             if before is not None:  # a steep line has no holes
@@ -118,7 +120,8 @@ def _cells(
         if curve is None:
             sign, own = empty, empty_style
         else:
-            sign, own = curve.letter if ascii_only else chr(_BRAILLE + dots), curve.style
+            sign = curve.letter or _SIGNS[dots] if ascii_only else chr(_BRAILLE + dots)
+            own = curve.style
         if own is not style and text:
             found.append((text, style))
             text = ""

@@ -336,9 +336,10 @@ def _foot(rows: Rows, snapshot: ScreenState, look: Palette) -> None:
         rows.put(clean(typed.message), look.warn)
         rows.right("? help", DIM)
         return
-    for shown, word in typed.hints:
-        if len(shown) + len(word) + 3 > rows.room:
-            break
+    hints = list(typed.hints)
+    while len(hints) > 3 and sum(len(shown) + len(word) + 4 for shown, word in hints) > rows.width:
+        del hints[-3]  # help and the way out stay, and so does the stop
+    for shown, word in hints:
         rows.put(f" {shown} ", look.key)
         rows.put(f" {word} ")
     path = clean(snapshot.info.log_path)

@@ -93,25 +93,25 @@ class Rows:
         for line in zip(*(part.filled(height) for part in parts), strict=True):
             row = list(line[0])
             for piece in line[1:]:
-                row += [Segment("  "), *piece]
+                row += [Segment("  ", PLAIN), *piece]
             self._rows.append(row)
 
     def filled(self, height: int) -> list[list[Segment]]:
         """Exactly `height` rows of the full width, empty ones below."""
         self._finish()
         self.room = 0
-        return (self._rows + [[Segment(" " * self.width)]] * (height - self.count))[:height]
+        return (self._rows + [[Segment(" " * self.width, PLAIN)]] * (height - self.count))[:height]
 
     def done(self, height: int) -> list[list[Segment]]:
         """Exactly `height` rows of the full width; the last one stays the last."""
         rows = self.filled(self.count)
-        empty = [Segment(" " * self.width)]
+        empty = [Segment(" " * self.width, PLAIN)]
         return (rows[:-1] + [empty] * (height - len(rows)))[: height - 1] + rows[-1:]
 
     def _finish(self) -> None:
         """Pad the row under construction: what stood there before must not show through."""
         if self._rows and self.room:
-            self._rows[-1].append(Segment(" " * self.room))
+            self._rows[-1].append(Segment(" " * self.room, PLAIN))
 
 
 def number(value: float, form: str, unit: str) -> str:
