@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import random
+import shutil
 import sys
 from collections.abc import Iterable, Iterator
 from functools import cache
@@ -15,7 +16,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rich.console import Console
-from rich.segment import Segments
 from rich.terminal_theme import DEFAULT_TERMINAL_THEME, DIMMED_MONOKAI, TerminalTheme
 
 from pneud.compiled.backend import backend
@@ -28,6 +28,7 @@ from pneud.scenario.files import load_scenario
 from pneud.signals import Record, Request, RequestKind, State
 from pneud.view.hands import Leaving
 from pneud.view.info import ScreenInfo, info_of
+from pneud.view.screen import Page
 from pneud.view.show import Show
 
 DOCS = Path(__file__).parent.parent
@@ -117,15 +118,14 @@ def drawn(scene: Scene, title: str) -> str:
     console = Console(
         record=True, width=scene.size[0], file=io.StringIO(), force_terminal=True, color_system="truecolor"
     )
-    for row in show.picture(scene.size, False):
-        console.print(Segments(row), end="\n", crop=False)
+    console.print(Page(show.snapshot, show.history, scene.size, ascii_only=False), crop=False)
     theme: TerminalTheme = DEFAULT_TERMINAL_THEME if scene.light else DIMMED_MONOKAI
     return console.export_svg(title=title, theme=theme, unique_id=f"pneud-{title.replace(' ', '-')}")
 
 
 def scenes() -> dict[str, Scene]:
     """All of them by name."""
-    tracking = run()
+    tracking = run()[:14_000]  # before it is told to stop
     return {
         "tracking": Scene(tracking),
         "small": Scene(tracking, (80, 24)),
@@ -149,5 +149,8 @@ def write(folder: Path) -> list[Path]:
 
 
 if __name__ == "__main__":
-    where = Path(sys.argv[1]) if len(sys.argv) > 1 else DOCS / "pictures"
-    write(where)
+    if len(sys.argv) > 1:
+        write(Path(sys.argv[1]))
+    else:
+        first, *_ = write(DOCS / "pictures")
+        shutil.copy(first, DOCS / "screen.svg")

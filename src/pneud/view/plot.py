@@ -161,7 +161,7 @@ def range_limits(found: tuple[float, float] | None, least: float) -> tuple[float
     if found is None:
         return 0.0, least
     low, high = found
-    step = rounded(max(high - low, least) / 4.0)
+    step = rounded(max(high - low, least) / 8.0)
     low, high = step * math.floor(low / step), step * math.ceil(high / step)
     return low, max(high, low + least)
 

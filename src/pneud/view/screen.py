@@ -25,7 +25,6 @@ from pneud.view.plot import samples
 from pneud.view.text import (
     BOLD,
     DIM,
-    HAT,
     LABEL_WIDTH,
     PLAIN,
     Rows,
@@ -206,8 +205,8 @@ def _estimates(scene: _Scene, rows: Rows) -> None:
     rows.row("estimates")
     gap = _GUTTER if rows.width < 100 else "     "
     for label, text in (
-        (f"force F{HAT}", number(e.force_n, "+.1f", "N")),
-        (f"d{HAT}", number(e.d_hat_n_s, "+.0f", "N/s")),
+        ("force on the load", number(e.force_n, "+.1f", "N")),
+        ("disturbance", number(e.d_hat_n_s, "+.0f", "N/s")),
     ):
         rows.put(f"{label} ", DIM)
         rows.put(text + gap)

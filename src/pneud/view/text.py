@@ -10,13 +10,12 @@ from rich.segment import Segment
 from rich.style import Style
 
 LABEL_WIDTH = 10
-HAT = "\u0302"  # combining, as in d̂
 PLAIN = Style()
 DIM = Style(dim=True)
 BOLD = Style(bold=True)
 
 # one for one
-_ASCII = str.maketrans("µ·─═├┤│┊┄●█▏▎▍▌▋▊▉▁▂▃▄▅▆▇…←→±" + HAT, "u.-=||||.O########_.:-=+*.<>+^")
+_ASCII = str.maketrans("µ·─═├┤│┊┄●█▏▎▍▌▋▊▉▁▂▃▄▅▆▇…←→±", "u.-=||||.O########_.:-=+*.<>+")
 
 
 class Rows:
