@@ -29,7 +29,7 @@ from pneud.replay.moves import Course, moves_of
 from pneud.replay.moves import in_words as moves_in_words
 from pneud.replay.running import Ran, through
 from pneud.scenario import verdict
-from pneud.scenario.files import load_axis, load_scenario
+from pneud.scenario.files import in_simulation, load_axis, load_scenario
 from pneud.scenario.format import Scenario
 from pneud.signals import Record, State
 from pneud.study.comparison import as_json, compare
@@ -120,7 +120,7 @@ def sim(
         return _compare(config_file or "virtual.toml", rest_s, json, how)
     if [scenario_file, goto, track].count(None) < 2:
         raise VerbError("--goto, --track: a scenario's verdict is on tracking; give one of the three")
-    scenario = _playable(scenario_file) if scenario_file is not None else None
+    scenario = in_simulation(load_scenario(scenario_file)) if scenario_file is not None else None
     loaded = load_axis(config_file, None, scenario)
     course = _operator(goto, track, loaded)
     if duration_s is None:
@@ -164,15 +164,6 @@ def sim(
     print(json_.dumps(summary) if json else _in_words(summary))
     good = course.good if course is not None else tally.state == State.TRACKING
     return 0 if good and not tally.ever_latched and whole else 1
-
-
-def _playable(scenario_file: str) -> Scenario:
-    scenario = load_scenario(scenario_file)
-    if scenario.needs_machine:
-        raise ConfigError(
-            f"scenario {scenario.name}: takes a real machine; pneud --virtual --scenario plays it"
-        )
-    return scenario
 
 
 def _operator(goto: str | None, track: str | None, loaded: Loaded) -> Course | Following | None:
