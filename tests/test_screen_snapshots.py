@@ -84,7 +84,11 @@ def ended(state: State, present: int = 0, latched: int = 0) -> list[Record]:
     *before, last = tracking(6_000)
     t_ns = last.tick.t_ns
     command = last.tick.command._replace(voltage_v=0.0)
-    tick = last.tick._replace(state=int(state), present=present, latched=latched, command=command)
+    age_ns = 80_000_000 if present & bits(F.VALVE_MISSING) else 0
+    m = last.tick.measurement._replace(pressure_age_ns=age_ns, valve_age_ns=age_ns)
+    tick = last.tick._replace(
+        measurement=m, state=int(state), present=present, latched=latched, command=command
+    )
     return [
         *before,
         *(last._replace(tick=tick._replace(t_ns=t_ns + i * 10_000_000)) for i in range(1, 100)),

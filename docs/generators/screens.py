@@ -1,6 +1,6 @@
 """Pictures of the live screen, made of simulated runs: `python docs/generators/screens.py [FOLDER]`.
 
-Writes `screen-NAME.svg` into FOLDER, else into `docs/pictures`, and the `tracking` one as `docs/screen.svg`, too.
+Writes `screen-NAME.svg` into FOLDER, else into `docs/pictures`, and the first one as `docs/screen.svg`, too.
 The page is the one that a terminal shows; only how late ticks are is made up, since simulated time has none.
 """
 
@@ -133,6 +133,7 @@ def scenes() -> dict[str, Scene]:
         "light": Scene(tracking, light=True),
         "moving": Scene(run(4.0, goto_m=0.7)[:2400]),
         "fault": Scene(run(8.0, "supply-lost")),
+        "nobody": Scene(run(8.0, "all-silent")),
         "help": Scene(tracking, keys="?"),
     }
 

@@ -98,11 +98,9 @@ def _at_rest(record: Record, info: ScreenInfo) -> Banner:
     if blocking:
         state = "cannot be armed" if tick.state == State.DISARMED else "waits"
         words = f"{state}: {cause.words if cause else _names(blocking, info)}"
-        home = ("r",) if "encoder_unreferenced" in bit_names(blocking, info.fault_names) else ()
-        then = (
-            "r homes it" if home and cause and cause.words.startswith("the encoder has no") else _cure(cause)
-        )
-        return Banner(Level.LOOK, words, then, _keys(*home))
+        if bit_names(blocking, info.fault_names) == ["encoder_unreferenced"]:
+            return Banner(Level.LOOK, words, "r homes it", _keys("r"))
+        return Banner(Level.LOOK, words, _cure(cause), _keys())
     if tick.state == State.DISARMED:
         words = "disarmed: the valve is centred, and nothing is in the way"
         return Banner(Level.LOOK, words, "a arms it and holds it where it is", _keys("a"))

@@ -8,12 +8,13 @@ from typing import NamedTuple
 
 from rich.style import Style
 
+from pneud.log.live.amiss import NEVER_NS
 from pneud.signals import Record, ValveState
 from pneud.view.history import History, Trace, span_s
 from pneud.view.info import ScreenInfo
 from pneud.view.palette import Palette
 from pneud.view.plot import Curve, Guide, extremes, plot, range_limits, row_at, signed_limits
-from pneud.view.text import DIM, LABEL_WIDTH, PLAIN, Rows, length, name_of, number
+from pneud.view.text import DIM, LABEL_WIDTH, PLAIN, Rows, duration, length, name_of, number
 
 # no curve is drawn on a finer scale than this, so that noise does not look like motion
 _LEAST_ERROR_M = 1e-6
@@ -21,6 +22,7 @@ _LEAST_POSITION_M = 1e-3
 _LEAST_PRESSURE_PA = 5e4
 _LEAST_COMMAND_V = 0.05
 _TAGS_WIDTH = 8
+_OLD_TICKS = 10  # after so many without it a value is not of now
 
 
 class Group(NamedTuple):
@@ -50,6 +52,7 @@ def curves_of(record: Record, history: History, info: ScreenInfo, look: Palette,
         ),
         _pressures(
             record,
+            info,
             look,
             (curve(h.supply, look.supply, "s"), curve(h.p2, look.p2, "2"), curve(h.p1, look.p1, "1")),
         ),
@@ -100,7 +103,14 @@ def _position(record: Record, look: Palette, reference: Curve, position: Curve) 
     )
 
 
-def _pressures(record: Record, look: Palette, curves: tuple[Curve, ...]) -> Group:
+def _old(age_ns: int, info: ScreenInfo, look: Palette) -> tuple[str, Style]:
+    """That values are not of now: how old they are."""
+    if age_ns * info.rate_hz < _OLD_TICKS * 1e9:
+        return "", PLAIN
+    return "never heard" if age_ns > NEVER_NS else f"{duration(age_ns)} old", look.bad
+
+
+def _pressures(record: Record, info: ScreenInfo, look: Palette, curves: tuple[Curve, ...]) -> Group:
     m = record.tick.measurement
     return Group(
         "pressure",
@@ -108,6 +118,7 @@ def _pressures(record: Record, look: Palette, curves: tuple[Curve, ...]) -> Grou
             (f"p1 {number(m.p1_pa * 1e-5, '.3f', 'bar')}", look.p1),
             (f"p2 {number(m.p2_pa * 1e-5, '.3f', 'bar')}", look.p2),
             (f"supply {number(m.supply_pa * 1e-5, '.3f', 'bar')}", PLAIN),
+            _old(m.pressure_age_ns, info, look),
         ),
         curves,
         (("sup", m.supply_pa, look.supply), ("p2", m.p2_pa, look.p2), ("p1", m.p1_pa, look.p1)),
@@ -127,6 +138,7 @@ def _valve(record: Record, info: ScreenInfo, look: Palette, curve: Curve) -> Gro
         (
             (number(c.voltage_v, "+.3f", "V"), look.bad if c.saturated else look.command),
             (f"applied {number(m.applied_v, '+.3f', 'V')}", PLAIN),
+            _old(m.valve_age_ns, info, look),
             (name_of(ValveState, m.valve_state), valve.get(m.valve_state, look.warn)),  # type: ignore[call-overload]
             (zone, DIM),
         ),
@@ -177,7 +189,7 @@ def _scale(group: Group, height: int) -> dict[int, str]:
     if height == 1:
         if low == -high:
             return {0: f"±{group.words(high).lstrip('+')}"}
-        return {0: f"{group.words(low).partition(' ')[0]}-{group.words(high)}"}
+        return {0: "-".join(group.words(end).partition(" ")[0] for end in group.limits)}
     middle = height // 2
     found = {0: group.words(high), height - 1: group.words(low)}
     if low == -high and height >= 5 and row_at(0.0, group.limits, height) == middle:

@@ -202,10 +202,10 @@ def _margins(scene: _Scene, rows: Rows) -> None:
 def _estimates(scene: _Scene, rows: Rows) -> None:
     """The forces, and what has been learnt; what stands at its bound stands out."""
     e, learnt = scene.record.tick.estimate, scene.snapshot.info.learnt
-    rows.row("estimates")
-    gap = _GUTTER if rows.width < 100 else "     "
+    rows.row("estimated")
+    gap = _GUTTER if rows.width < 120 else "     "
     for label, text in (
-        ("force on the load", number(e.force_n, "+.1f", "N")),
+        ("load force", number(e.force_n, "+.1f", "N")),
         ("disturbance", number(e.d_hat_n_s, "+.0f", "N/s")),
     ):
         rows.put(f"{label} ", DIM)
