@@ -49,6 +49,13 @@ def test_one_node_that_is_silent_explains_what_it_would_have_said_and_no_more() 
     assert pair.words.startswith("neither encoder nor pressures")
 
 
+def test_a_loop_that_stood_still_explains_what_came_of_it() -> None:
+    found = first_cause({"valve_timed_out", "tracking_error", "deadline"})
+    assert found is not None
+    assert found.words == "no tick ran while the axis was engaged"
+    assert set(found.faults) == {"valve_timed_out", "tracking_error", "deadline"}
+
+
 def test_a_burst_hose_explains_the_chamber() -> None:
     found = first_cause({"chamber_pressure", "supply_pressure"})
     assert found is not None

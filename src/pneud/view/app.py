@@ -19,8 +19,11 @@ from pneud.view.terminal import FRAME_S
 _NAMED = {"left", "right", "enter", "escape", "backspace", "ctrl+d"}
 
 
+_ANEW = 10  # pictures, after which all rows are drawn: others may have written to the terminal
+
+
 class Picture(Widget):
-    """Rows of the page; only those that differ from the last picture are drawn again."""
+    """Rows of the page; of most pictures, those that differ from the one before are drawn."""
 
     DEFAULT_CSS = "Picture { width: 100%; height: 100%; }"
 
@@ -29,6 +32,7 @@ class Picture(Widget):
         self._show = show
         self._ascii_only = ascii_only
         self._rows: list[list[Segment]] = []
+        self._count = 0
         self._strips: list[Strip] = []
 
     def draw(self) -> None:
@@ -37,7 +41,9 @@ class Picture(Widget):
         if not width or not height:
             return
         rows = self._show.picture((width, height), self._ascii_only)
-        before = self._rows if len(self._rows) == len(rows) else [[]] * len(rows)
+        self._count += 1
+        anew = self._count % _ANEW == 0 or len(self._rows) != len(rows)
+        before = [[]] * len(rows) if anew else self._rows
         changed = [y for y, (old, now) in enumerate(zip(before, rows, strict=True)) if old != now]
         if not changed:
             return

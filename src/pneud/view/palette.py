@@ -10,13 +10,12 @@ from rich.style import Style
 from pneud.signals import State
 from pneud.view.banner import Level
 
-_YELLOW = "black", "yellow"
 _BADGES = {
-    State.STARTING: _YELLOW,
-    State.WAITING: _YELLOW,
-    State.DISARMED: ("black", "white"),
-    State.STOPPING: ("black", "magenta"),
-    State.FAULT: ("bright_white", "red"),
+    State.STARTING: "yellow",
+    State.WAITING: "yellow",
+    State.DISARMED: "",
+    State.STOPPING: "magenta",
+    State.FAULT: "red",
 }
 
 
@@ -43,17 +42,18 @@ class Palette(NamedTuple):
 
     @staticmethod
     def badge(state: int) -> Style:
-        """Of a state; without colours it is reversed."""
-        front, back = _BADGES.get(state, ("black", "green"))  # type: ignore[call-overload]
-        return _style(front, back)
+        """Of a state."""
+        return _badge(_BADGES.get(state, "green"))  # type: ignore[call-overload]
 
 
 @cache
-def _style(front: str, back: str = "", bold: bool = True) -> Style:
-    return Style(color=front, bgcolor=back or None, bold=bold)
+def _badge(color: str) -> Style:
+    """Reversed, so that it stands out without colours, too."""
+    return Style(color=color or None, reverse=True, bold=True)
 
 
-_PROMPT = Style(reverse=True, bold=True)
+def _style(color: str, bold: bool = True) -> Style:
+    return Style(color=color, bold=bold)
 
 
 @cache
@@ -71,6 +71,6 @@ def palette(light: bool) -> Palette:
         supply=_style("grey50", bold=False),
         command=_style("dark_orange3" if light else "yellow", bold=False),
         key=Style(reverse=True),
-        prompt=_PROMPT,
-        hunting=_style(*_YELLOW),
+        prompt=_badge(""),
+        hunting=_badge("yellow"),
     )
