@@ -104,6 +104,7 @@ class Goto(RequestBase):
     speed_mm_s: Rate | None = None
     acceleration_mm_s2: Rate | None = None
     jerk_mm_s3: Rate | None = None
+    attended: bool = False  # ends, held, where its client goes
 
 
 class Jog(RequestBase):
@@ -119,6 +120,7 @@ class Track(RequestBase):
 
     verb: Literal["track"]
     what: Literal["reference", "profile"]
+    attended: bool = False  # ends, held, where its client goes
 
 
 class Upload(RequestBase):
