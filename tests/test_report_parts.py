@@ -62,10 +62,10 @@ def test_stretches_with_events_come_before_those_with_great_errors() -> None:
     closeup = Closeup(("error_mm",), 400)
     rng = np.random.default_rng(2)
     for k in range(9):
-        t_s = k + np.arange(60) * 1e-3
+        t_s = np.linspace(k, k + 0.059, 60)
         closeup.add(
             t_s,
-            np.asarray(rng.normal(0, 1e-3, (60, 1)), dtype=np.float64),
+            rng.normal(0, 1e-3, (60, 1)),
             k == 5,
             math.nan if k == 6 else float(k == 3),
         )
@@ -102,15 +102,16 @@ def test_a_spectrum_has_a_sine_where_it_is() -> None:
         spectrum.add(part, values[part], wanted[part])
     f, density = spectrum.density()
     assert f[density.argmax()] == pytest.approx(50.0, abs=0.25)
-    power = float((density**2).sum() * (f[1] - f[0]))
-    assert power == pytest.approx(4.5, rel=0.02)  # of a sine of amplitude 3
+    edges = np.append(f, 500.0)
+    power = float((density**2 * np.diff(edges)).sum())
+    assert power == pytest.approx(4.5, rel=0.05)  # of a sine of amplitude 3
 
 
 def test_a_short_log_has_a_spectrum_too() -> None:
     spectrum = Spectrum(1000.0, 4096)
     n = np.arange(700)
     spectrum.add(n, np.sin(n), np.ones(700, dtype=bool))
-    assert len(spectrum.density()[0]) == 256
+    assert 100 < len(spectrum.density()[0]) <= 256
     assert len(Spectrum(1000.0, 4096).density()[0]) == 0
 
 
@@ -216,7 +217,7 @@ def test_differences_come_first_and_only_they(asked: LoggedRun, lost: LoggedRun)
 def test_motions_can_be_zoomed_to(asked: LoggedRun) -> None:
     text = page([asked])
     assert text.count("data-from=") == len(asked.motions) == 7
-    assert 'data-name="requests-motions"' in text
+    assert 'data-name="motions"' in text
 
 
 def test_twenty_logs_have_twenty_colours_and_one_row_each(asked: LoggedRun) -> None:
@@ -224,7 +225,8 @@ def test_twenty_logs_have_twenty_colours_and_one_row_each(asked: LoggedRun) -> N
     runs = [asked._replace(name=f"rig-2026-11-{n:02d}.mcap") for n in range(1, 21)]
     text = page(runs)
     assert text.count('<button data-run="') == 20
-    assert "<td class=w>07</td>" in text  # without what all names begin with
+    assert "</i>07</td>" in text  # without what all names begin with
+    assert text.count("<pre") == 1  # they have the same configuration
     assert len(set(colours_of(7))) == 7
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 FEWEST = 10  # values in a bin that counts
+DRAWN = 400  # frequencies, at most
 
 
 class Bins:
@@ -120,10 +121,17 @@ class Spectrum:
         self._count[n] = self._count.get(n, 0) + 1
 
     def density(self) -> tuple[Floats, Floats]:
-        """Frequencies [Hz] and the values' unit/√Hz, from the longest stretches that there were."""
+        """Frequencies [Hz] and the values' unit/√Hz, from the longest stretches that there were.
+
+        Where they lie close together on a logarithmic axis, they are taken together.
+        """
         self._end()
         if not self._count:
             return np.empty(0), np.empty(0)
         n = max(self._count)
-        f = np.arange(n // 2 + 1) * self._rate_hz / n
-        return f[1:], np.sqrt(self._sum[n] / self._count[n])[1:]
+        power = self._sum[n][1:] / self._count[n]
+        place = np.arange(1, len(power) + 1)
+        starts = np.unique(np.searchsorted(place, np.geomspace(1.0, len(power), DRAWN)))
+        counts = np.diff(np.append(starts, len(power)))
+        middle = np.add.reduceat(place, starts) / counts
+        return middle * self._rate_hz / n, np.sqrt(np.add.reduceat(power, starts) / counts)

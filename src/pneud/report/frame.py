@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import re
 from collections.abc import Iterable, Sequence
 from importlib.resources import files
 from typing import NamedTuple
@@ -98,7 +99,7 @@ def asset(name: str) -> str:
 
 def section_id(title: str) -> str:
     """What a link to a section says."""
-    return "s-" + "-".join(title.lower().split())
+    return "s-" + re.sub("[^a-z0-9]+", "-", title.lower()).strip("-")
 
 
 def strip(verdict: Verdict, facts: Sequence[tuple[str, str]] = ()) -> str:
@@ -110,9 +111,9 @@ def strip(verdict: Verdict, facts: Sequence[tuple[str, str]] = ()) -> str:
     )
 
 
-def badge(level: str) -> Drawn:
-    """The verdict in a cell."""
-    return Drawn(f'<b class="badge {_LEVELS[level]}">{level}</b>')
+def badge(level: str, words: str = "") -> Drawn:
+    """The verdict in a cell, in its own words or in others."""
+    return Drawn(f'<b class="badge {_LEVELS[level]}">{html.escape(words or level)}</b>')
 
 
 def table(

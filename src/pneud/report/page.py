@@ -46,7 +46,7 @@ def page(runs: Sequence[LoggedRun], reference: Reference | None = None) -> str:
 
     parts = [
         Section("Differences", sections.unequal(runs, names)),
-        Section("Motions", sections.each(names, [sections.motions(run, shift) for run, shift in shifted])),
+        Section("Motions", sections.motions(runs, names, shifts)),
         Section(
             "Faults",
             sections.each(names, [sections.faults(run, i, shift) for i, (run, shift) in enumerate(shifted)]),
@@ -54,7 +54,7 @@ def page(runs: Sequence[LoggedRun], reference: Reference | None = None) -> str:
         Section("Summary", sections.summary(runs, names)),
         Section(
             "Run",
-            f'{_HINT}<div id="timeline" class="plot"></div><div id="plots"></div>'
+            f'{_HINT}{sections.keys(names)}<div id="timeline" class="plot"></div><div id="plots"></div>'
             '<div id="phase" class="plot"></div>',
         ),
         Section("Maps", '<div id="planes" class="planes"></div>'),
@@ -63,10 +63,7 @@ def page(runs: Sequence[LoggedRun], reference: Reference | None = None) -> str:
         Section("Learnt", each(sections.learnt)),
         Section("Events", each(sections.events)),
         Section("Machine", sections.machine(runs, names)),
-        Section(
-            "Configuration",
-            "".join(sections.configuration(run, name) for run, name in zip(runs, names, strict=True)),
-        ),
+        Section("Configuration", sections.configurations(runs, names)),
     ]
     verdicts = [judge(run) for run in runs]
     return document(
@@ -192,9 +189,9 @@ def _plane(
             {
                 "label": label,
                 "colour": colour,
-                "kind": t.kind,
-                "x": _packed(t.x, "<f8"),
-                "y": _packed(t.y, "<f8"),
+                "kind": "line" if t.kind == "bars" and len(names) > 1 else t.kind,
+                "x": _packed(t.x, "<f4"),
+                "y": _packed(t.y, "<f4"),
             }
             for t, label, colour in traces
         ],

@@ -15,7 +15,7 @@ from pneud.log.format.schema import Level
 from pneud.loop.tracking import over_in_words
 from pneud.replay.motions import Motion
 from pneud.report.colours import colours_of
-from pneud.report.differences import differences
+from pneud.report.differences import OF_EACH_RUN, differences
 from pneud.report.frame import Drawn, Verdict, badge, facts_list, strip, table
 from pneud.report.gather import LoggedRun
 from pneud.report.readings import KINDS, SOURCES
@@ -48,11 +48,12 @@ def each(names: Sequence[str], parts: Sequence[str]) -> str:
     if len(parts) == 1:
         return parts[0]
     opened = " open" if len(parts) <= _OPEN else ""
-    return "".join(
+    found = "".join(
         f"<details{opened}><summary>{html.escape(name)}</summary>{part}</details>"
         for name, part in zip(names, parts, strict=True)
         if part
     )
+    return f'<div class="each">{found}</div>' if len(parts) > _OPEN and found else found
 
 
 def compared(names: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]], label: str) -> str:
@@ -60,8 +61,16 @@ def compared(names: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]], la
     found = list(rows)
     if len(names) <= _SIDE_BY_SIDE:
         return table(("", *names), ((words, *cells) for words, cells in found), label=label)
-    turned = zip(names, *(cells for _, cells in found), strict=True)
-    return table(("log", *(words for words, _ in found)), turned, label=label)
+    equal = [(words, cells[0]) for words, cells in found if len(set(cells)) == 1]
+    others = [(words, cells) for words, cells in found if len(set(cells)) > 1]
+    if not others:
+        return facts_list(equal)
+    turned = table(
+        ("log", *(words for words, _ in others)),
+        zip(names, *(cells for _, cells in others), strict=True),
+        label=label,
+    )
+    return turned + (f"<p>Of all logs:</p>{facts_list(equal)}" if equal else "")
 
 
 # At the top
@@ -71,18 +80,28 @@ def lead(runs: Sequence[LoggedRun], names: Sequence[str], verdicts: Sequence[Ver
     """Below the heading: the verdict on one log, or the logs with theirs."""
     if len(runs) == 1:
         return strip(verdicts[0], facts(runs[0], names[0]))
-    colours = colours_of(len(runs))
-    keys = "".join(
-        f'<button data-run="{i}" aria-pressed="true">'
-        f'<i class="key" style="background:var(--c-{colour[1:]},{colour})"></i>{html.escape(name)}</button>'
-        for i, (name, colour) in enumerate(zip(names, colours, strict=True))
-    )
     rows = (
-        (name, badge(verdict.level), _length(run), gains(run), "; ".join(verdict.reasons))
-        for run, name, verdict in zip(runs, names, verdicts, strict=True)
+        (_keyed(name, colour), badge(verdict.level), "; ".join(verdict.reasons))
+        for name, colour, verdict in zip(names, colours_of(len(runs)), verdicts, strict=True)
     )
-    head = ("log", "verdict", "length", "gains", "why")
-    return f'<div class="runs">{keys}</div>' + table(head, rows, label="verdicts", words=5)
+    told = [facts(run, "") for run in runs]
+    alike = [fact for fact in told[0] if all(fact in others for others in told)]
+    return table(("log", "verdict", "why"), rows, label="verdicts", words=3) + facts_list(alike)
+
+
+def keys(names: Sequence[str]) -> str:
+    """Buttons that show and hide each of several logs in all plots."""
+    if len(names) < 2:
+        return ""
+    buttons = "".join(
+        f'<button data-run="{i}" aria-pressed="true">{_keyed(name, colour)}</button>'
+        for i, (name, colour) in enumerate(zip(names, colours_of(len(names)), strict=True))
+    )
+    return f'<div class="runs">{buttons}</div>'
+
+
+def _keyed(name: str, colour: str) -> Drawn:
+    return Drawn(f'<i class="key" style="background:var(--c-{colour[1:]},{colour})"></i>{html.escape(name)}')
 
 
 def facts(run: LoggedRun, name: str) -> list[tuple[str, str]]:
@@ -91,7 +110,7 @@ def facts(run: LoggedRun, name: str) -> list[tuple[str, str]]:
     told = log.metadata.get
     machine = ", ".join(filter(None, (told("host"), told("system"), told("machine"))))
     found = [
-        ("log", f"{name}, {utc(run)}"),
+        ("log", ", ".join(filter(None, (name, utc(run))))),
         ("length", f"{_length(run)} at {log.rate_hz:g} Hz"),
         ("bus", told("bus", "unknown")),
         ("law and gains", gains(run)),
@@ -193,14 +212,24 @@ _MOTION_HEAD = (
 )
 
 
-def motions(run: LoggedRun, shift_s: float) -> str:
+def motions(runs: Sequence[LoggedRun], names: Sequence[str], shifts: Sequence[float]) -> str:
     """A row for each move, hold, jog and track."""
-    if not run.motions:
+    rows = [
+        (name, *_motion(m, shift))
+        for run, name, shift in zip(runs, names, shifts, strict=True)
+        for m in run.motions
+    ]
+    if not rows:
         return "<p>None: the axis was not engaged.</p>"
-    rows = [_motion(m, shift_s) for m in run.motions[:MOTIONS]]
-    more = len(run.motions) - MOTIONS
+    more, first = len(rows) - MOTIONS, 1 if len(runs) == 1 else 0
     return (
-        table(_MOTION_HEAD, rows, label="motions", name=f"{run.name.removesuffix('.mcap')}-motions")
+        table(
+            ("log", *_MOTION_HEAD)[first:],
+            (row[first:] for row in rows[:MOTIONS]),
+            label="motions",
+            words=2 - first,
+            name="motions",
+        )
         + (f"<p>and {more:,} more</p>" if more > 0 else "")
         + '<p class="hint">Settled: until the load stays within the tolerance, from the end of the reference;'
         " in position: until the axis says so, from the request. Air: what the valve lets through from the"
@@ -420,11 +449,18 @@ def machine(runs: Sequence[LoggedRun], names: Sequence[str]) -> str:
     for run in runs:
         setup |= dict.fromkeys(run.log.setup)
     rows += [(key, *(run.log.setup.get(key, "–") for run in runs)) for key in setup]
+    if len(runs) > _SIDE_BY_SIDE:
+        return compared(names, [(key, cells) for key, *cells in rows if key not in OF_EACH_RUN], "machine")
     return table(("", *names), rows, last=len(runs), label="machine")
 
 
-def configuration(run: LoggedRun, name: str) -> str:
-    """The file as it stands in the log."""
-    title = f"{html.escape(run.log.config_name)} of {html.escape(name)}"
-    text = html.escape(run.log.config_text)
-    return f"<details><summary>{title}</summary><pre tabindex=0>{text}</pre></details>"
+def configurations(runs: Sequence[LoggedRun], names: Sequence[str]) -> str:
+    """The files as they stand in the logs; those that are the same but once."""
+    whose: dict[tuple[str, str], list[str]] = {}
+    for run, name in zip(runs, names, strict=True):
+        whose.setdefault((run.log.config_name, run.log.config_text), []).append(name)
+    return "".join(
+        f"<details><summary>{html.escape(file)} of {html.escape(', '.join(those))}</summary>"
+        f"<pre tabindex=0>{html.escape(text)}</pre></details>"
+        for (file, text), those in whose.items()
+    )

@@ -385,7 +385,7 @@
   };
 
   function plane(figure) {
-    const traces = figure.traces.map(t => ({ ...t, x: doubles(t.x), y: doubles(t.y) }));
+    const traces = figure.traces.map(t => ({ ...t, x: floats(t.x), y: floats(t.y) }));
     const element = document.createElement("div"), first = new Set();
     element.className = "plot"; element.id = "plane-" + figure.name;
     document.getElementById("planes").append(element);
@@ -393,7 +393,7 @@
       ...traces.flatMap(t => Array.from(t.x, (x, i) => [t.label, x, t.y[i]]))]);
     const tables = traces.map(t => [t.x, t.y]), kept = traces.filter(t => t.kind !== "mark").map(t => [t.x, t.y]);
     const ranges = [reach(tables, 0, figure.logarithmic), reach(kept, 1, figure.logarithmic)];
-    if (traces.some(t => t.kind === "bars")) ranges[1][0] = 0;
+    if (figure.name === "valve") ranges[1][0] = 0;
     const distr = figure.logarithmic ? 3 : 1;
     const powers = (low, high) => { const found = []; for (let k = Math.ceil(Math.log10(low)); k <= Math.log10(high); k++) found.push(+`1e${k}`); return found; };
     const decades = figure.logarithmic ? { splits: (u, k, low, high) => powers(low, high), values: (u, splits) => splits.map(String), filter: (u, splits) => splits } : {};
