@@ -10,16 +10,15 @@ from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from pneud.config.reading import load_with_text, with_settings
 from pneud.config.sections import ConfigError
 from pneud.console import profiles
 from pneud.console.client import RefusedError
 from pneud.console.endpoint import PlaceError
 from pneud.console.profiles import ProfileError
-from pneud.console.tuning import name_of, settings_of
+from pneud.console.tuning import name_of
 from pneud.console.waiting import Arrival
 from pneud.control.reference import Septic
-from pneud.study.linear import doubts_of
+from pneud.study.running import doubts_running
 
 LEASE_S = 0.3
 RENEWED_S = 0.1
@@ -127,13 +126,4 @@ def tune(values: dict[str, float | str]) -> Dialogue[tuple[dict[str, Any], list[
         yield from asked("tune_set", gains={name_of(key): value for key, value in values.items()})
     reply = yield from asked("tune_get")
     gains = reply["gains"]
-    return gains, doubts(gains, Path(reply["config"])) if values else []
-
-
-def doubts(gains: dict[str, Any], path: Path) -> list[str]:
-    """What `pneud check` would warn of, were the gains in the file."""
-    settings = [setting for name, value in gains.items() for setting in settings_of(f"{name}={value}")]
-    try:
-        return doubts_of(with_settings(load_with_text(path)[1], str(path), settings))
-    except ConfigError:  # what is in the file is not what runs
-        return []
+    return gains, doubts_running(gains, Path(reply["config"])) if values else []
