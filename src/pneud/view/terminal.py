@@ -54,6 +54,16 @@ def keys_in(data: bytes) -> list[str]:
     return names
 
 
+def has_keyboard() -> bool:
+    """Whether standard input is a terminal whose keys come to this program."""
+    if sys.stdin is None or not sys.stdin.isatty():
+        return False
+    try:
+        return os.tcgetpgrp(0) == os.getpgrp()
+    except OSError:  # a terminal that nobody's jobs are controlled from
+        return True
+
+
 def run(show: Show, console: Console | None = None) -> None:
     """Show an axis until it is over; the terminal is as before afterwards.
 
@@ -69,7 +79,7 @@ def run(show: Show, console: Console | None = None) -> None:
     """
     given, console = console, console or Console(highlight=False)
     plain = not console.is_terminal or console.is_dumb_terminal
-    keyboard = given is None and sys.stdin is not None and sys.stdin.isatty()
+    keyboard = given is None and has_keyboard()
     if given is None and keyboard and not plain and importlib.util.find_spec("textual") is not None:
         from pneud.view.app import run_app  # noqa: PLC0415 - takes longer to load than all the rest
 
