@@ -28,7 +28,6 @@ FULL = INFO._replace(
     blocks_arm=BLOCKS_ARM,
     first_cause=first_cause,
     speed_m_s=2.0,
-    error_m=0.02,
     supply_min_pa=4.5e5,
     supply_max_pa=8e5,
     area_1_m2=1.2566e-3,
