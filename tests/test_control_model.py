@@ -30,7 +30,7 @@ from pneud.loading import changed_text, load
 from pneud.log.files.naming import create_log
 from pneud.log.files.reader import read_log
 from pneud.log.files.writer import LogWriter
-from pneud.replay.lockstep import Simulation, header_of
+from pneud.replay.lockstep import Simulation, backend_of, header_of
 from pneud.replay.replaying import _Known, _Tuned, replay
 from pneud.replay.running import through
 from pneud.signals import Answer, Estimate, Reference, Request, RequestKind, State
@@ -234,7 +234,7 @@ def tuned_run(path: Path, m: Model) -> Path:
         900: Request(int(RequestKind.SHUTDOWN)),
     }
     writer = LogWriter(create_log(path), header_of(here)._replace(detail="full"))
-    tally, _ = through(Simulation(here, 0.9, requests=requests), 1000.0, writer)
+    tally, _ = through(Simulation(here, 0.9, how=backend_of(here), requests=requests), 1000.0, writer)
     assert not tally.ever_latched
     assert writer.close()
     return path

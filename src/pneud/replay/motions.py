@@ -25,7 +25,7 @@ from pneud.config.reading import parse
 from pneud.loading import at_rate
 from pneud.log.files.columns import Block, blocks
 from pneud.log.files.reader import LogReader
-from pneud.physics.gas import flow_factor
+from pneud.physics.gas import Gas, flow_factor
 from pneud.physics.ratings import DENSITY_ANR_KG_M3
 from pneud.signals import Answer, Reference, Request, RequestKind, State, error_m, true_error_m
 
@@ -79,21 +79,32 @@ class Motion(NamedTuple):
         return self.end_s + self.settling_s
 
 
+class FlowFactor:
+    """γ·P of a gas for arrays, by a table."""
+
+    def __init__(self, gas: Gas) -> None:
+        self._ratios = np.linspace(0.0, 1.0, _GRID + 1)
+        self._factors = np.array([flow_factor(r, gas) for r in self._ratios.tolist()])
+
+    def pa(self, upstream_pa: Floats, downstream_pa: Any) -> Floats:
+        """As `gas.signed_flow`, 0 where the flow would run backwards [Pa]."""
+        ratio = downstream_pa / np.maximum(upstream_pa, 1.0)
+        flow: Floats = upstream_pa * np.interp(ratio, self._ratios, self._factors)
+        return flow
+
+
 class AirFlow:
     """Flow from the supply, for arrays."""
 
     def __init__(self, config: Config) -> None:
         self._gas, self.cylinder = gas_of(config), cylinder_of(config)
-        self._ratios = np.linspace(0.0, 1.0, _GRID + 1)
-        self._factors = np.array([flow_factor(r, self._gas) for r in self._ratios.tolist()])
+        self._factor = FlowFactor(self._gas)
 
     def kg_s(self, opening_v: Floats, p1_pa: Floats, p2_pa: Floats, supply_pa: Floats) -> Floats:
         """Mass flow from the supply at an effective opening; what flows back into it is not counted."""
-        g, u = self._gas, opening_v
-        ratio = np.where(u > 0.0, p1_pa, p2_pa) / np.maximum(supply_pa, 1.0)
-        factor = np.interp(ratio, self._ratios, self._factors)
-        flow: Floats = self.cylinder.c1 * np.abs(u) * supply_pa * factor / (g.k * g.R * g.temperature_k)
-        return flow
+        g, filled_pa = self._gas, np.where(opening_v > 0.0, p1_pa, p2_pa)
+        flow = self._factor.pa(supply_pa, filled_pa) / (g.k * g.R * g.temperature_k)
+        return np.abs(opening_v) * self.cylinder.c1 * flow
 
     def joule_per_kg(self, supply_pa: Floats) -> Floats:
         """What air of that pressure can do at most, by R T ln(p/p0)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json as json_
 import os
+import shutil
 import sys
 from contextlib import nullcontext
 from pathlib import Path
@@ -28,11 +29,13 @@ from pneud.replay.lockstep import Simulation, backend_of, header_of
 from pneud.replay.moves import Course, moves_of
 from pneud.replay.moves import in_words as moves_in_words
 from pneud.replay.running import Ran, through
+from pneud.rt.outputs import require_folder, write_whole
 from pneud.scenario import verdict
 from pneud.scenario.files import in_simulation, load_axis, load_scenario
 from pneud.scenario.format import Scenario
 from pneud.signals import Record, State
-from pneud.study.comparison import as_json, compare
+from pneud.study import comparison_page
+from pneud.study.comparison import WIDEST, as_json, compare
 from pneud.study.comparison import in_words as compared
 from pneud.verbs import (
     JsonOption,
@@ -70,7 +73,10 @@ ConfigArgument = Annotated[
         metavar="FILE", help="Configuration; default virtual.toml.", autocompletion=complete_config
     ),
 ]
-LogOption = Annotated[Path | None, typer.Option("-o", "--output", metavar="LOG", help="Write a log (.mcap).")]
+LogOption = Annotated[
+    Path | None,
+    typer.Option("-o", "--output", metavar="FILE", help="Write a log (.mcap); with --compare, a page."),
+]
 DurationOption = Annotated[
     float | None, typer.Option("--duration", metavar="S", help="Simulated time; default 10 s.")
 ]
@@ -108,16 +114,18 @@ def sim(
         MovesError: the positions make no sense.
         VerbError: an option does not go with another.
     """
+    if laws:
+        if seed or any(given is not None for given in (scenario_file, goto, track)):
+            raise VerbError(
+                "--compare has its own seed and cases; leave out --seed, --scenario, --goto, --track"
+            )
+        if output is not None:
+            require_suffix(output, ".html", "--compare writes no log but a page of HTML")
+            require_folder(output)
+        rest_s = DURATION_S if duration_s is None else duration_s
+        return _compare(config_file or "virtual.toml", rest_s, output, json, how)
     if output is not None and output.suffix and not output.is_dir():  # else it is a folder
         require_suffix(output, ".mcap", "a log is an MCAP file")
-    if laws:
-        if output is not None or seed or any(given is not None for given in (scenario_file, goto, track)):
-            raise VerbError(
-                "--compare writes no log and has its own seed; leave out -o, --seed, --scenario, --goto and"
-                " --track"
-            )
-        rest_s = DURATION_S if duration_s is None else duration_s
-        return _compare(config_file or "virtual.toml", rest_s, json, how)
     if [scenario_file, goto, track].count(None) < 2:
         raise VerbError("--goto, --track: a scenario's verdict is on tracking; give one of the three")
     scenario = in_simulation(load_scenario(scenario_file)) if scenario_file is not None else None
@@ -233,8 +241,8 @@ def _run(
     return ran
 
 
-def _compare(config_file: str, rest_s: float, json: bool, how: str) -> int:
-    """Run every law through every case and print the tables."""
+def _compare(config_file: str, rest_s: float, output: Path | None, json: bool, how: str) -> int:
+    """Run every law through every case and print the tables, folded on a terminal; write the page."""
     if not 1.0 <= rest_s <= MOST_REST_S:
         raise ConfigError(f"--duration {rest_s:g}: with --compare, between 1 and {MOST_REST_S:g} s")
     compiled = importlib.util.find_spec("numba") is not None
@@ -242,5 +250,8 @@ def _compare(config_file: str, rest_s: float, json: bool, how: str) -> int:
         print("pneud: three cases only without numba; for all: pip install 'pneud[sim]'", file=sys.stderr)
     with progress(how) as report:
         found = compare(load(config_file), rest_s, compiled, report=report)
-    print(json_.dumps(as_json(found)) if json else compared(found))
+    if output is not None:
+        write_whole(output, comparison_page.page(found))
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else WIDEST
+    print(json_.dumps(as_json(found)) if json else compared(found, width))
     return 0
