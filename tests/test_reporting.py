@@ -250,7 +250,10 @@ def test_pictures(mangled_log: Any, tmp_path: Path) -> None:
     log, _ = mangled_log
     done = pneud_here("report", log, log, "-o", tmp_path / "r.html", "--png")
     made = {Path(line).name for line in done.stdout.split()}
-    assert made == {"r.html", "r-phase.png", "r-timeline.png", *(f"r-{f.name}.png" for f in FIGURES)}
+    planes = {
+        f"r-{name}.png" for name in ("spectrum", "friction", "flow", "pressure-plane", "valve", "place")
+    }
+    assert made == {"r.html", "r-phase.png", "r-timeline.png", *(f"r-{f.name}.png" for f in FIGURES), *planes}
     assert all((tmp_path / name).stat().st_size > 1000 for name in made)
 
 

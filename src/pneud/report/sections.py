@@ -272,7 +272,7 @@ def faults(run: LoggedRun, number: int, shift_s: float) -> str:
     """The faults that were latched: moments, the stop, what to do; a place for the pictures of each."""
     if not run.faults:
         return ""
-    parts = [f"<p>{html.escape(line)}</p>" for line in injected(run)]
+    parts = [f"<p>{html.escape(line)}</p>" for line in injected(run, shift_s)]
     for place, fault in enumerate(run.faults):
         name = run.fault_name(fault.bit)
         known = _FAULTS.get(name)
@@ -284,13 +284,18 @@ def faults(run: LoggedRun, number: int, shift_s: float) -> str:
     return "".join(parts)
 
 
-def injected(run: LoggedRun) -> list[str]:
-    """What a scenario did, by the events; by its name alone where they do not tell."""
-    found = [
-        f"Injected at {1e-9 * event.log_time_ns - run.start_unix_s:.3f} s: {event.message}"
+def injections(run: LoggedRun) -> list[tuple[float, str]]:
+    """When a scenario did something, by the events."""
+    return [
+        (1e-9 * event.log_time_ns - run.start_unix_s, event.message)
         for event in run.events
         if event.name == "scenario"
     ]
+
+
+def injected(run: LoggedRun, shift_s: float) -> list[str]:
+    """What a scenario did, by the events; by its name alone where they do not tell."""
+    found = [f"Injected at {t_s - shift_s:.3f} s: {words}" for t_s, words in injections(run)]
     scenario = run.log.metadata.get("scenario")
     return found or ([f"Injected by the scenario {scenario}"] if scenario else [])
 

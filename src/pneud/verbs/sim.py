@@ -23,6 +23,8 @@ from pneud.loading import Loaded, load
 from pneud.log.files.naming import log_path, new_log
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import SNAPSHOT_S
+from pneud.log.format.schema import Level
+from pneud.log.live.notes import Note
 from pneud.loop.summary import in_words, summarise
 from pneud.loop.tally import Tally
 from pneud.replay.following import Following
@@ -144,7 +146,8 @@ def sim(
         new_log(path) if path is not None else nullcontext(NO_LOG) as descriptor,
         progress(how) as report,
     ):
-        header = header_of(loaded, seed=str(seed), law=law.name)
+        played = {"scenario": scenario.name} if scenario is not None else {}
+        header = header_of(loaded, seed=str(seed), law=law.name, **played)
         writer = LogWriter(descriptor, header) if path is not None else None
         tally, seen = _run(run, duration_s, loaded.config.loop.rate_hz, writer, course, report)
         whole = writer is None or (writer.close() and not writer.unwritten)
@@ -240,7 +243,7 @@ def _run(
     """All ticks, counted and written down."""
     tally = Tally(truth=True, timed=False, sync=run.inbox.sync)
     seen = verdict.Observed()
-    snapshot_ticks, written = max(1, round(SNAPSHOT_S * rate_hz)), 0
+    snapshot_ticks, written, told_ns = max(1, round(SNAPSHOT_S * rate_hz)), 0, -1
     for number, record in enumerate(run.records()):
         if number % TOLD_TICKS == 0:
             report("simulating", number / rate_hz, duration_s, "s")
@@ -253,6 +256,9 @@ def _run(
         if not run.shut:
             seen = seen.then(record.tick)
         if writer is not None:
+            if run.engine is not None and told_ns < run.engine.effects.onset_ns:
+                told_ns = run.engine.effects.onset_ns
+                writer.say(Note(told_ns, Level.INFO, "scenario", f"{run.engine.scenario.name} begins"))
             writer.write(record)
             written += 1
             if written % snapshot_ticks == 0:

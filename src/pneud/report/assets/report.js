@@ -467,8 +467,8 @@
   const CLOSE = [["tracking", "Position [mm]"], ["velocity", "Velocity [mm/s]"], ["pressures", "Pressures [bar]"], ["command", "Valve command [V]"]];
   async function closeup(element) {
     const run = runs[+element.dataset.run], moments = run.stops[+element.dataset.fault];
-    const at = moments.find(m => m[1] === "latched")[0], last = Math.max(...moments.map(m => m[0]));
-    const min = Math.max(whole[0], at - 0.25), max = Math.min(whole[1], Math.max(last, at + 0.2) + 0.25);
+    const at = moments.find(m => m[1].endsWith("latched"))[0], last = Math.max(...moments.map(m => m[0]));
+    const min = Math.max(whole[0], Math.max(at - 1, Math.min(at, moments[0][0])) - 0.25), max = Math.min(whole[1], Math.max(last, at + 0.2) + 0.25);
     const view = await looked(run, min, max);
     const first = view.t.findIndex(t => t >= min), end = view.t.findLastIndex(t => t <= max) + 1;
     for (const [name, title] of CLOSE) {
