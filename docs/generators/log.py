@@ -89,19 +89,21 @@ recorder died or failed or the disk took nothing to the last, says why and ends 
 
 ## In Python
 
-    from pneud import read_log
-    from pneud.log.files.columns import blocks
+```python
+from pneud import read_log
+from pneud.log.files.columns import blocks
 
-    for tick in read_log("run.mcap"):          # objects, one by one
-        print(tick.t_s, tick.state_name, tick.error_m, tick.fault_names)
-    for block in blocks(read_log("run.mcap")): # arrays, thousands of ticks at a time
-        print(block.real("estimate.force_n").max())
+for tick in read_log("run.mcap"):  # objects, one by one
+    print(tick.t_s, tick.state_name, tick.error_m, tick.fault_names)
+for block in blocks(read_log("run.mcap")):  # arrays, thousands of ticks at a time
+    print(block.real("estimate.force_n").max())
+```
 
 ## In other tools
 
     pneud logs                                 # which there are; --json
     pneud report run.mcap                      # one page, run.html; several logs are compared
-    pneud report run.mcap -o part.html --from 120 --to 125
+    pneud report run.mcap -o part.html --from 2 --to 4
     pneud bench --json > bench.json            # what this machine can do …
     pneud report run.mcap -o report.html --reference bench.json   # … beside the run's own timing
     pneud export run.mcap -o run.parquet       # or .csv: a row a tick

@@ -22,21 +22,18 @@ from pneud.control.reference import Bounds, Septic
 from pneud.loading import Loaded, load
 from pneud.log.files.naming import log_path, new_log
 from pneud.log.files.writer import LogWriter
-from pneud.log.format.header import SNAPSHOT_S
-from pneud.log.format.schema import Level
-from pneud.log.live.notes import Note
 from pneud.loop.summary import in_words, summarise
-from pneud.loop.tally import Tally
 from pneud.replay.following import Following
 from pneud.replay.following import in_words as followed
 from pneud.replay.lockstep import Simulation, backend_of, header_of
 from pneud.replay.moves import Course, moves_of
 from pneud.replay.moves import in_words as moves_in_words
+from pneud.replay.running import Ran, through
 from pneud.rt.outputs import require_folder, write_whole
 from pneud.scenario import verdict
-from pneud.scenario.files import load_axis, load_scenario
+from pneud.scenario.files import in_simulation, load_axis, load_scenario
 from pneud.scenario.format import Scenario
-from pneud.signals import RequestKind, State
+from pneud.signals import Record, State
 from pneud.study import comparison_page
 from pneud.study.comparison import WIDEST, as_json, compare
 from pneud.study.comparison import in_words as compared
@@ -131,7 +128,7 @@ def sim(
         require_suffix(output, ".mcap", "a log is an MCAP file")
     if [scenario_file, goto, track].count(None) < 2:
         raise VerbError("--goto, --track: a scenario's verdict is on tracking; give one of the three")
-    scenario = _playable(scenario_file) if scenario_file is not None else None
+    scenario = in_simulation(load_scenario(scenario_file)) if scenario_file is not None else None
     loaded = load_axis(config_file, None, scenario)
     course = _operator(goto, track, loaded)
     if duration_s is None:
@@ -176,15 +173,6 @@ def sim(
     print(json_.dumps(summary) if json else _in_words(summary))
     good = course.good if course is not None else tally.state == State.TRACKING
     return 0 if good and not tally.ever_latched and whole else 1
-
-
-def _playable(scenario_file: str) -> Scenario:
-    scenario = load_scenario(scenario_file)
-    if scenario.needs_machine:
-        raise ConfigError(
-            f"scenario {scenario.name}: takes a real machine; pneud --virtual --scenario plays it"
-        )
-    return scenario
 
 
 def _operator(goto: str | None, track: str | None, loaded: Loaded) -> Course | Following | None:
@@ -239,33 +227,19 @@ def _run(
     writer: LogWriter | None,
     course: Course | Following | None,
     report: Report,
-) -> tuple[Tally, verdict.Observed]:
+) -> Ran:
     """All ticks, counted and written down."""
-    tally = Tally(truth=True, timed=False, sync=run.inbox.sync)
-    seen = verdict.Observed()
-    snapshot_ticks, written, told_ns = max(1, round(SNAPSHOT_S * rate_hz)), 0, -1
-    for number, record in enumerate(run.records()):
+
+    def look(number: int, record: Record) -> None:
         if number % TOLD_TICKS == 0:
             report("simulating", number / rate_hz, duration_s, "s")
-        tally.add(record, ending=run.shut)
         if course is not None:
             course.see(record)
-        request = record.tick.request
-        if request is not None and request.kind == RequestKind.ARM:
-            tally.asked_to_arm(record.tick)
-        if not run.shut:
-            seen = seen.then(record.tick)
-        if writer is not None:
-            if run.engine is not None and told_ns < run.engine.effects.onset_ns:
-                told_ns = run.engine.effects.onset_ns
-                writer.say(Note(told_ns, Level.INFO, "scenario", f"{run.engine.scenario.name} begins"))
-            writer.write(record)
-            written += 1
-            if written % snapshot_ticks == 0:
-                writer.snapshot(run.turn.freeze())
+
+    ran = through(run, rate_hz, writer, look)
     if run.axis.failure is not None:
         print(f"pneud: exception in the cycle: {run.axis.failure!r}", file=sys.stderr)
-    return tally, seen
+    return ran
 
 
 def _compare(config_file: str, rest_s: float, output: Path | None, json: bool, how: str) -> int:
