@@ -114,12 +114,17 @@ def facts(run: LoggedRun, name: str) -> list[tuple[str, str]]:
         ("length", f"{_length(run)} at {log.rate_hz:g} Hz"),
         ("bus", told("bus", "unknown")),
         ("law and gains", gains(run)),
-        ("machine", f"{machine}; pneud {told('pneud', '?')}, law {told('law', 'interpreted')}"),
+        ("machine", "; ".join(filter(None, (machine, f"pneud {told('pneud', '?')}", _law(run))))),
         ("real time", _realtime(run)),
         ("configuration", log.config_name),
     ]
     scenario = told("scenario")
     return [*found, ("scenario", scenario)] if scenario else found
+
+
+def _law(run: LoggedRun) -> str:
+    law = run.log.metadata.get("law")
+    return f"law {law}" if law else ""
 
 
 def _realtime(run: LoggedRun) -> str:
