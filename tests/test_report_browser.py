@@ -194,7 +194,7 @@ def test_the_other_pages_suit_every_window(
     """Benchmark, campaign, paper and comparison."""
     measured = report()
     case: dict[str, Any] = {
-        "name": "hose-burst", "description": "x " * 40, "reaction": "centre", "faults": ["travel"], "met": False,
+        "name": "hose-burst", "description": "x " * 40, "reaction": "centre", "met": False, "faults": ["f"],
         "problems": ["31 mm of travel"], "centred_ms": 1.25, "ticks": 3, "travel_mm": 31.0,
     }  # fmt: skip
     texts = [
