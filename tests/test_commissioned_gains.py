@@ -215,4 +215,4 @@ def test_gains_for_the_packaged_axis_hold(virtual: Config, monkeypatch: pytest.M
     c = changed(c, believed(exact, 1e-6, c))
     chosen = choose(changed(c, rig(exact, 1e-6, NOISE_PA, c)), exact, 0.0)
     assert not [f for j in chosen.judged if j.case == NOMINAL for f in j.missed if f.part == "sine"]
-    assert len(chosen.as_json()["judged"]) == 5
+    assert len(chosen.judged) == 5

@@ -105,6 +105,21 @@ def test_a_jog_ends_when_its_client_has_gone(desk: Bench) -> None:
     assert "has gone while jogging: hold → taken" in desk.said[-1]
 
 
+@pytest.mark.parametrize(("verb", "what"), [("goto", {"x_mm": 100.0}), ("track", {"what": "profile"})])
+def test_a_motion_that_is_attended_ends_when_its_client_has_gone(
+    desk: Bench, verb: str, what: dict[str, Any]
+) -> None:
+    one, two = desk.connect(), desk.connect()
+    desk.ask(one, verb, **what, attended=True)
+    two.close()
+    desk.turn()
+    assert len(desk.requests) == 1
+    one.close()
+    desk.turn()
+    assert [r.kind for r in desk.requests] == [RequestKind[verb.upper()], RequestKind.HOLD]
+    assert "has gone while moving: hold → taken" in desk.said[-1]
+
+
 def test_a_client_that_goes_in_peace_stops_nothing(desk: Bench) -> None:
     one = desk.connect()
     desk.ask(one, "jog", velocity_mm_s=20)

@@ -180,6 +180,24 @@ def test_values_are_written_with_their_origin_and_comments_stay() -> None:
     assert "moving_mass_kg = 18.0  # 17 … 19 by b.mcap, 2026-12-01\n" in again
 
 
+@pytest.mark.parametrize(
+    ("remark", "kept"),
+    [
+        ("typical: half the width", ""),
+        ("likewise", ""),
+        ("the limit frequency of its sheet", ""),
+        ("350 l/min ANR at 6 -> 5 bar", ""),
+        ("piston, rod and load", "piston, rod and load; "),
+    ],
+)
+def test_where_a_value_was_from_before_does_not_stay(remark: str, kept: str, virtual: Loaded) -> None:
+    line = next(line for line in virtual.text.splitlines() if line.startswith("moving_mass_kg"))
+    text = virtual.text.replace(line, f"moving_mass_kg = 15.0  # {remark}")
+    change = written.Change("cylinder.moving_mass_kg", 15.0, 16.0, "15 … 17")
+    text = written.text_with(text, "x", [change], SOURCE)
+    assert f"moving_mass_kg = 16.0  # {kept}15 … 17 by {SOURCE}\n" in text
+
+
 def test_what_makes_no_configuration_is_not_written(virtual: Loaded) -> None:
     change = written.Change("cylinder.moving_mass_kg", 15.0, -1.0, "")
     with pytest.raises(ConfigError, match="moving_mass_kg"):
@@ -262,8 +280,9 @@ def test_slow_motion_alone_makes_a_slow_axis(
     assert said["after"]["figures"]
 
 
+@pytest.mark.parametrize("by", [Played("a fault", ("travel",)), KeyboardInterrupt()])
 def test_edges_that_are_of_no_use_do_not_stay_in_the_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    by: Played | KeyboardInterrupt, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Kept(Simulated):
         """Like a daemon, of which there is only what its file says."""
@@ -272,7 +291,13 @@ def test_edges_that_are_of_no_use_do_not_stay_in_the_file(
 
     file = copied(tmp_path)
     before = file.read_text()
-    came_to = [Played("a fault", ("tracking_error",)), Played("a fault", ("travel",))]
+    came_to = [Played("a fault", ("tracking_error",)), by]
+
+    def played(*_: object) -> Played:
+        one = came_to.pop(0)
+        if isinstance(one, KeyboardInterrupt):
+            raise one
+        return one
 
     def learnt(bench: Simulated, *_: object) -> bool:
         bench.adopt(before.replace("dead_zone_v = 0.1", "dead_zone_v = 0.2", 1), True)
@@ -280,10 +305,12 @@ def test_edges_that_are_of_no_use_do_not_stay_in_the_file(
         return True
 
     monkeypatch.setattr(procedure, "_learnt_edges", learnt)
-    monkeypatch.setattr(procedure, "_played", lambda *_: came_to.pop(0))
+    monkeypatch.setattr(procedure, "_played", played)
     rig = Kept(load(file), {}, 1, tmp_path)
-    outcome = procedure.commission(rig, procedure.Wishes(movement=False), Quiet())
-    assert (outcome.verdict, outcome.faults) == ("interrupted", ("travel",))
+    with contextlib.suppress(KeyboardInterrupt):
+        outcome = procedure.commission(rig, procedure.Wishes(movement=False), Quiet())
+        assert (outcome.verdict, outcome.faults) == ("interrupted", ("travel",))
+    assert not came_to
     assert file.read_text() == before
     assert rig.loaded.config.valve.dead_zone_v == 0.1
 

@@ -18,6 +18,7 @@ from pneud.loading import load
 from pneud.replay.lockstep import Simulation, backend_of
 from pneud.safety.faults import F
 from pneud.signals import Answer, Record, Reference, Request, RequestKind, State
+from pneud.study.commissioning.playing import QUIET_S
 from pneud.study.commissioning.verification import (
     DWELL_S,
     SINE_S,
@@ -33,6 +34,7 @@ from pneud.study.judging import Figure, tolerances
 
 T = tolerances(5e-6)
 H_NS = 1_000_000
+QUIET = round(QUIET_S / 1e-3) + 1
 STEP = Part("1 mm", to_m=0.501, dwell_s=DWELL_S)
 
 
@@ -146,8 +148,17 @@ def test_a_short_axis_goes_as_far_as_it_may(axis: AxisParameters) -> None:
 def test_it_arms_asks_and_ends(axis: AxisParameters, template: Record) -> None:
     v = Verification(axis, (STEP,), T)
     assert v.ask(State.WAITING, 0) is None
-    assert v.ask(State.DISARMED, 0) == Request(RequestKind.ARM)
-    assert v.ask(State.HOLDING, 0) == Request(RequestKind.GOTO, (0.501,))
+    assert next(filter(None, (v.ask(State.DISARMED, 0) for _ in range(QUIET)))) == Request(RequestKind.ARM)
+    armed = ticked(template, 0, State.HOLDING, 0.5, 0.5)
+    armed = armed._replace(
+        tick=armed.tick._replace(request=Request(RequestKind.ARM), answer=int(Answer.TAKEN))
+    )
+    v.see(armed)
+    asked = None
+    while asked is None:
+        v.see(ticked(template, 0, State.HOLDING, 0.5, 0.5))
+        asked = v.ask(State.HOLDING, 0)
+    assert asked == Request(RequestKind.GOTO, (0.501,))
     for record in stepped(template, [0.5] * 50 + [0.501] * 1000, moving=50):
         first = record.tick.t_ns == 0
         request = Request(RequestKind.GOTO, (0.501,)) if first else None
@@ -179,7 +190,8 @@ def test_what_ends_it_is_told(
     v.ask(State.HOLDING, 0)
     record = ticked(template, 1, State.MOVING, 0.5, 0.5)
     v.see(record._replace(tick=record.tick._replace(**change)))  # type: ignore[arg-type]
-    assert v.verdict == Verified((), why)
+    assert v.verdict is not None
+    assert (v.verdict.figures, v.verdict.words) == ((), why)
     assert not v.verdict.holds
 
 
@@ -187,7 +199,7 @@ def test_an_axis_that_cannot_be_armed_is_not_waited_for(axis: AxisParameters) ->
     v = Verification(axis, (STEP,), T)
     while v.ask(State.DISARMED, 1 << F.SUPPLY_PRESSURE) is None:
         pass
-    assert v.verdict == Verified((), "supply_pressure")
+    assert v.verdict == Verified((), "the axis is disarmed", ("supply_pressure",))
 
 
 @pytest.mark.slow

@@ -46,6 +46,7 @@ from pneud.config.sections import (
 )
 from pneud.control.laws import adrc, pid
 from pneud.control.laws.open_loop import OpenLoop
+from pneud.control.model import MOST_PUSH_RATIO
 from pneud.physics.ratings import TYPICAL_CRITICAL_RATIO
 
 
@@ -228,9 +229,6 @@ class ObserverConfig(Section):
                 "lambda1 must exceed 1, or d̂ cannot follow a disturbance that changes at gain_n_s2"
             )
         return self
-
-
-MOST_PUSH_RATIO = 2.5  # two filters so far apart have a Lyapunov function in common
 
 
 class MotionConfig(Section):

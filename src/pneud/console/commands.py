@@ -122,11 +122,13 @@ class AxisDesk:
             case protocol.Jog(velocity_mm_s=v, lease_s=lease_s):
                 self._check_speed(v)
                 ticks = max(1, round(lease_s * self._run.config.loop.rate_hz))
-                return Orders(f"jog {v:g} mm/s", (Request(RequestKind.JOG, (v * _MM, float(ticks))),))
+                request = Request(RequestKind.JOG, (v * _MM, float(ticks)))
+                return Orders(f"jog {v:g} mm/s", (request,), attended=True)
             case protocol.Probe():
                 return self._probe(message)
-            case protocol.Track(what=what):
-                return Orders(f"track {what}", (Request(RequestKind.TRACK, (float(what == "profile"),)),))
+            case protocol.Track(what=what, attended=attended):
+                request = Request(RequestKind.TRACK, (float(what == "profile"),))
+                return Orders(f"track {what}", (request,), attended=attended)
             case protocol.Upload(first=first, last=last, pieces=pieces):
                 requests = [_EMPTY] if first else []
                 requests += [Request(RequestKind.PIECE, tuple(piece)) for piece in pieces]
@@ -176,7 +178,7 @@ class AxisDesk:
         for name, bound in zip(("speed", "acceleration", "jerk"), bounds, strict=True):
             words += f" {name} {bound:g}" if bound is not None else ""
         values = (m.x_mm * _MM, *((bound or 0.0) * _MM for bound in bounds))
-        return Orders(words, (Request(RequestKind.GOTO, values),))
+        return Orders(words, (Request(RequestKind.GOTO, values),), attended=m.attended)
 
     def _check_speed(self, speed_mm_s: float) -> None:
         highest_mm_s = self._limits()["speed_mm_s"]

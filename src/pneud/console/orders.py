@@ -21,6 +21,7 @@ class Orders(NamedTuple):
     undo: Request | None = None  # asked for where not all are taken
     unfinished: bool = False  # another message of the same client is to follow
     follows: bool = False  # such an unfinished one, without which it is not done
+    attended: bool = False  # the axis is to hold where its client goes
 
 
 class Desk(Protocol):

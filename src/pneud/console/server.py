@@ -145,7 +145,7 @@ class Server:
         self._jobs: deque[_Job] = deque()
         self._flight: tuple[int, _Job, float] | None = None  # number, whose, given up at
         self._number = first
-        self._jogging: _Client | None = None
+        self._attending: _Client | None = None  # to a motion that ends with him
         self._files = files or Beside(desk.read, clock)
         self._unfinished: tuple[_Client | None, Orders] | None = None
         self._renewed = ""
@@ -259,8 +259,8 @@ class Server:
         self._jobs = deque(j for j in self._jobs if j.client is not None or j.plan.urgent or j.number is None)
         if self._unfinished is not None and self._unfinished[0] is client:
             self._undo(self._unfinished[1], client.peer.label)
-        if self._jogging is client:
-            self._stop_jog(f"{client.peer.label} has gone while jogging")
+        if self._attending is client:
+            self._unattended(client.peer.label)
 
     def _receive(self, client: _Client) -> None:
         try:
@@ -499,11 +499,12 @@ class Server:
         # before what the client has sent behind it
         self._jobs.appendleft(_Job(None, None, orders, label, refused))
 
-    def _stop_jog(self, label: str) -> None:
-        self._jogging = None
+    def _unattended(self, label: str) -> None:
+        """Have the axis hold: whose motion it was has gone."""
+        why = f"{label} has gone while {'jogging' if self._renewed else 'moving'}"
+        self._attending = None
         self._renewed = ""
-        hold = Orders("hold", (Request(RequestKind.HOLD),))
-        self._jobs.append(_Job(None, None, hold, label))
+        self._jobs.append(_Job(None, None, Orders("hold", (Request(RequestKind.HOLD),)), why))
 
     # the loop
 
@@ -570,14 +571,11 @@ class Server:
                 self._undo(job.plan, job.label)
         if kind not in _RENEWED or job.plan.words != self._renewed:
             self._say(INFO, f"{job.label}: {job.plan.words} → taken")
-        if kind == RequestKind.JOG:
-            self._jogging, self._renewed = job.client, job.plan.words
-            if job.client is None:
-                self._stop_jog(f"{job.label} has gone while jogging")
-        elif kind == RequestKind.PROBE:
-            self._renewed = job.plan.words
-        elif kind in _MOTION:
-            self._jogging, self._renewed = None, ""
+        if kind in _MOTION or kind in _RENEWED:
+            self._renewed = job.plan.words if kind in _RENEWED else ""
+            self._attending = job.client if job.plan.attended else None
+            if job.plan.attended and job.client is None:
+                self._unattended(job.label)
         self._send(job.client, self._reply(job.number, **more, state=State(outcome.state).label))
 
     def _end(self, job: _Job, error: ProtocolError) -> None:

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pneud.report.figures import COLOURS, FIGURES, STATE_COLOURS, line, offsets_s
+from pneud.report.colours import COLOURS, STATE_COLOURS
+from pneud.report.figures import FIGURES, line, offsets_s
 from pneud.report.gather import LoggedRun
 from pneud.rt.outputs import replacing
 from pneud.signals import State

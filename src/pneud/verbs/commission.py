@@ -132,9 +132,11 @@ def _on_the_rig(
 
     with Client(socket) as client:
         status = client.ask("status")
-    if status["state"] != State.DISARMED.label or status["config_changed"]:
-        found = "its file has changed" if status["config_changed"] else f"the axis is {status['state']}"
-        raise VerbError(f"commission: {found}; it has to be disarmed, and to run what its file says", 1)
+    if status["config_changed"]:
+        raise VerbError("commission: the daemon's file has changed since it began: pneud restart", 1)
+    if status["state"] != State.DISARMED.label:
+        cure = "pneud clear" if status["state"] == State.FAULT.label else "pneud disarm"
+        raise VerbError(f"commission: the axis is {status['state']}, not disarmed: {cure}", 1)
     loaded = load(status["config"])
     if config_file is not None and load(config_file).text != loaded.text:
         raise VerbError(f"commission: the daemon runs {status['config']}, another configuration")
@@ -202,7 +204,7 @@ def _worth(o: Outcome) -> list[str]:
         return []
     from pneud.study.commissioning import page  # noqa: PLC0415
 
-    lines = [f"not told: {note}" for note in o.found.identified.notes]
+    lines = [*o.found.warnings, *(f"not told: {note}" for note in o.found.identified.notes)]
     lines += [f"the model cannot explain {text}" for text in o.found.unexplained]
     lines += [page.gains(o.found.chosen)] if o.found.chosen is not None else []
     if o.after is not None:

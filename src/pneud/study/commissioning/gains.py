@@ -97,8 +97,8 @@ class Chosen(NamedTuple):
         return {
             "bandwidth_rad_s": self.bandwidth_rad_s,
             "holds": self.holds,
-            "judged": judging.as_json(self.judged),
             "doubts": list(self.doubts),
+            "missed": sorted({f"{j.case}: {f.part} {f.what}" for j in self.judged for f in j.missed}),
         }
 
 

@@ -202,10 +202,10 @@ class _Played:
         elif kind == RequestKind.GOTO:
             position_m, speed_m_s, *_ = (*values, 0.0)
             bounds = {"speed_mm_s": 1e3 * speed_m_s} if speed_m_s else {}
-            self._client.ask("goto", x_mm=1e3 * position_m, **bounds)
+            self._client.ask("goto", x_mm=1e3 * position_m, **bounds, attended=True)
         elif kind == RequestKind.TRACK:
             self._upload()
-            self._client.ask("track", what="profile")
+            self._client.ask("track", what="profile", attended=True)
         else:
             self._client.ask(PLAIN[kind])
 

@@ -26,7 +26,7 @@ GOAL = 0.25  # of the greatest command
 LOOSE = 4.0  # times static friction: whatever could move has come loose
 STUCK_SHARE = 0.9  # of limits.stuck_force_n, beyond which the axis itself says that it is jammed
 BETWEEN = math.sqrt(10.0)  # a scale is off by ten: nearer to that than to none
-STIFFER = 5.0  # and bristles may be a few times as stiff as believed
+STIFFER = 7.0  # and bristles may be a few times as stiff as believed
 COUNTS = 3.0  # of the encoder, up to which nothing moves
 SHOWN = 1.5  # beyond which it is not still either
 MEAN_S = 0.02  # of readings at either end
@@ -34,6 +34,7 @@ SPAN_S = 0.3  # of the last part, which is compared with the one before
 LOOSE_S, NOISE_PA = 0.005, 300.0  # from where a load gives way, readings are few
 DRIFT_M, PRESSED = 1e-4, 0.8  # at rest; of the supply in one chamber while the other is empty
 LEAST_V = 0.5  # opened so far, a valve that works is open
+ANSWER = 0.15  # of Coulomb friction: with less of a push a load but creeps
 SILENT_PA, SILENT_SHARE = 500.0, 0.15  # less is no answer, nor so little of the other chamber's
 
 
@@ -105,6 +106,7 @@ class Expected(NamedTuple):
     coulomb_n: float
     stiffness_n_m: float  # of the bristles
     step_m: float  # of the encoder
+    answer_pa: float = 0.0  # least change of the pressures' difference that moves a load
 
 
 class Verdict(NamedTuple):
@@ -127,7 +129,8 @@ class Verdict(NamedTuple):
 def expected_of(p: AxisParameters) -> Expected:
     """What is looked for on an axis."""
     f = p.controller.friction
-    return Expected(f.coulomb_n, f.sigma0_n_m, p.controller.motion.blind_m * 2.0)
+    step_m, area_m2 = p.controller.motion.blind_m * 2.0, p.controller.cylinder.A1
+    return Expected(f.coulomb_n, f.sigma0_n_m, step_m, ANSWER * f.coulomb_n / area_m2)
 
 
 def touches(p: AxisParameters, lease: int) -> list[Probe]:
@@ -136,10 +139,11 @@ def touches(p: AxisParameters, lease: int) -> list[Probe]:
     return _both_ways(p, TOUCH_M, force_n, lease) if force_n > 0.0 else []
 
 
-def moves(p: AxisParameters, lease: int) -> list[Probe]:
-    """Openings both ways that let the load come loose."""
+def moves(p: AxisParameters, lease: int, quicker: float = 1.0) -> list[Probe]:
+    """Openings both ways that let the load come loose; quicker ones give it less time to creep."""
     static_n, most_n = LOOSE * p.controller.friction.static_n, STUCK_SHARE * p.limits.stuck_force_n
-    return _both_ways(p, MOVE_M, min(static_n, most_n) if static_n > 0.0 else most_n, lease)
+    probes = _both_ways(p, MOVE_M, min(static_n, most_n) if static_n > 0.0 else most_n, lease)
+    return [probe._replace(rate_v_s=quicker * probe.rate_v_s) for probe in probes]
 
 
 def _both_ways(p: AxisParameters, travel_m: float, force_n: float, lease: int) -> list[Probe]:
@@ -292,7 +296,8 @@ def _of_way(probes: Sequence[Seen], x: Expected, loose: bool) -> tuple[Finding, 
         return (Finding.ENCODER_SCALE_SMALL,)
     if all(abs(s.way_m) <= least_m for s in probes):
         return (Finding.BLOCKED,) if loose else ()
-    probes = [s for s in probes if _sign(s.p1_pa - s.p2_pa, SILENT_PA)] if loose else probes  # the rest crept
+    answers = [s for s in probes if abs(s.p1_pa - s.p2_pa) > max(SILENT_PA, x.answer_pa)]
+    probes = answers if loose else probes  # the rest crept
     ways = {_sign(s.way_m, least_m) for s in probes}
     forces = {_sign(s.p1_pa - s.p2_pa, SILENT_PA) for s in probes}
     table: dict[tuple[float, float], tuple[Finding, ...]] = {

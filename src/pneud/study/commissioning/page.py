@@ -58,7 +58,7 @@ def beside(before: Verified | None, after: Verified | None) -> list[tuple[str, s
 def verdict(v: Verified) -> str:
     """In a line: what does not hold, or that everything does."""
     if v.failure:
-        return f"verification: ended by {v.failure}"
+        return f"verification: ended by {v.words}"
     missed = "; ".join(told(f) for f in v.missed)
     return f"verification: {missed or 'everything holds'}"
 

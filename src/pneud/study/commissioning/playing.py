@@ -33,6 +33,7 @@ class Player:
     """Asks for one act after another.
 
     Attributes:
+        taken: all requests of the act have been.
         verdict: what became of the steps, once it is over.
     """
 
@@ -49,7 +50,7 @@ class Player:
         self._act: Act | None = None
         self._queue: list[Request] = []
         self._asked = 0  # kind of the last request
-        self._taken = False  # all requests of the act have been
+        self.taken = False
         self._waited = self._quiet = self._stood = self._age = 0
         self.verdict: Played | None = None
 
@@ -58,7 +59,7 @@ class Player:
         if self.verdict is not None:
             return Request(RequestKind.SHUTDOWN)
         act = self._act
-        if act is None or (self._taken and self._stood * self._h >= act.dwell_s):
+        if act is None or (self.taken and self._stood * self._h >= act.dwell_s):
             act = self._next(state)
             if act is None:
                 return None
@@ -83,7 +84,7 @@ class Player:
             if act.requests[0].kind != RequestKind.ARM or state != State.HOLDING:
                 break
         self._act, self._queue = act, list(act.requests)
-        self._taken = False
+        self.taken = False
         self._waited = self._quiet = self._stood = self._age = 0
         return act
 
@@ -117,15 +118,16 @@ class Player:
             self.verdict = Played("stopped")
         elif kind and kind == self._asked:
             self._answered(act, kind, tick)
-        elif self._taken:
+        elif self.taken:
             self._stood = self._stood + 1 if tick.state == act.until else 0
 
     def _answered(self, act: Act, kind: int, tick: Tick) -> None:
         if tick.answer == Answer.TAKEN:
-            self._taken = not self._queue
-        elif tick.answer == Answer.BLOCKED and kind in FROM_REST and not self._taken:
+            self.taken = not self._queue
+        elif tick.answer == Answer.BLOCKED and kind in FROM_REST and not self.taken:
             self._queue.insert(0, act.requests[-1])
             self._quiet = 0
-        elif not self._taken:  # a probe may have ended while it was renewed
+        elif not self.taken:  # a probe may have ended while it was renewed
             words = f"{RequestKind(kind).name.lower()}: {Answer(tick.answer).name.lower()}"
-            self.verdict = Played(words, tuple(names(tick.present)))
+            blocked = tick.present if tick.answer == Answer.BLOCKED else 0
+            self.verdict = Played(words, tuple(names(blocked)))

@@ -25,8 +25,12 @@ if TYPE_CHECKING:  # the movement test alone goes without scipy
     from pneud.study.identification.estimating import Identified
 
 LOOP = {"tracking_error", "braking_distance", "overspeed"}  # faults of a loop whose valve is another
-SHORT, STOPPED = 3, "stopped"  # motions of the verification that are tried beforehand: a sine, and rest
+SHORT = 3  # motions of the verification that are tried beforehand: a sine, and rest
 SLOWER = 0.2  # of limits.motion, where nothing has been found out about quick motion
+SLOW_ONLY = (
+    "warning: nothing is found out about quick motion; mass, flow and friction are hardly told, gains stay,"
+    f" and limits.motion become {SLOWER:g} of what they are"
+)
 
 
 class Wishes(NamedTuple):
@@ -57,6 +61,11 @@ class Found(NamedTuple):
     changes: list[Change]
     text: str  # of the configuration with all that
     unexplained: list[str]  # what the model cannot explain
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is to be minded."""
+        return [] if self.chosen is not None else [SLOW_ONLY]
 
 
 class Outcome(NamedTuple):
@@ -94,17 +103,16 @@ def commission(bench: Bench, wishes: Wishes, talk: Talk) -> Outcome:
             return Outcome("failed", movement, faults=movement.faults)
     if not wishes.steps:
         return Outcome("passed", movement)
-    text = bench.loaded.text
     played = _played(bench, wishes, talk)
-    if played.faults and set(played.faults) <= LOOP and _learnt_edges(bench, wishes, talk):
-        played = _played(bench, wishes, talk)
-        if not played.whole:
-            bench.adopt(text, not bench.tries)  # they were of no use
+    if _of_the_loop(played.faults):
+        text = bench.loaded.text
+        if _learnt_edges(bench, wishes, talk):
+            played = _with_edges(bench, wishes, talk, text)
     if not played.whole:
         return Outcome("interrupted", movement, played.failure, played.faults)
     before = _verified(bench, talk, SHORT) if wishes.dynamic else None
-    if before is not None and before.failure == STOPPED:
-        return Outcome("interrupted", movement, before.failure)
+    if before is not None and before.failure and not _of_the_loop(before.faults):
+        return Outcome("interrupted", movement, before.failure, before.faults)
     talk.say("estimates and gains")
     found = _found(bench, wishes)
     so_far = Outcome("identified", movement, found=found, before=before)
@@ -114,7 +122,14 @@ def commission(bench: Bench, wishes: Wishes, talk: Talk) -> Outcome:
     bench.adopt(found.text, keep)
     after = _verified(bench, talk)
     words = "passed" if after.holds else "missed" if not after.failure else "interrupted"
-    return so_far._replace(verdict=words, after=after, failure=after.failure, written=keep)
+    return so_far._replace(
+        verdict=words, after=after, failure=after.failure, faults=after.faults, written=keep
+    )
+
+
+def _of_the_loop(faults: tuple[str, ...]) -> bool:
+    """Whether no more than a loop that believes in another rig explains what has ended a motion."""
+    return bool(faults) and LOOP.issuperset(faults)
 
 
 def planned(loaded: Loaded, wishes: Wishes) -> list[str]:
@@ -125,6 +140,7 @@ def planned(loaded: Loaded, wishes: Wishes) -> list[str]:
         lines.append(f"movement test: {words} {1e3 * MOVE_M:g} mm at {1e3 * SPEED_M_S:g} mm/s at most")
     if wishes.steps:
         lines += map(_announced, _steps(p, wishes))
+        lines += [] if wishes.dynamic else [SLOW_ONLY]
         lines.append("verification: a sine, rest and steps about the middle of the travel")
     return lines
 
@@ -150,6 +166,18 @@ def _played(bench: Bench, wishes: Wishes, talk: Talk) -> Played:
     player = Player(steps, p.controller.h, lambda step: talk.say(_announced(step)))
     bench.play(player)
     return player.verdict or Played("it has not come to its end")
+
+
+def _with_edges(bench: Bench, wishes: Wishes, talk: Talk, before: str) -> Played:
+    """The steps again; edges that they did not come to their end with do not stay."""
+    whole = False
+    try:
+        played = _played(bench, wishes, talk)
+        whole = played.whole
+    finally:
+        if not whole:
+            bench.adopt(before, not bench.tries)
+    return played
 
 
 class _Tested:
@@ -273,20 +301,12 @@ def as_json(o: Outcome) -> dict[str, Any]:
         "verdict": o.verdict,
         "parameters": {name: finite(e._asdict()) for name, e in parameters.items()},
         "changes": [] if found is None else [finite(c._asdict()) for c in found.changes],
-        "gains": None if found is None or found.chosen is None else _gains(found.chosen),
+        "gains": None if found is None or found.chosen is None else found.chosen.as_json(),
         "before": {} if o.before is None else o.before.as_json(),
         "after": {} if o.after is None else o.after.as_json(),
         "unexplained": [] if found is None else found.unexplained,
+        "warnings": [] if found is None else found.warnings,
         "failure": o.failure or None,
         "faults": list(o.faults),
         "written": o.written,
-    }
-
-
-def _gains(chosen: Chosen) -> dict[str, Any]:
-    return {
-        "bandwidth_rad_s": chosen.bandwidth_rad_s,
-        "holds": chosen.holds,
-        "doubts": list(chosen.doubts),
-        "missed": sorted({f"{j.case}: {f.part} {f.what}" for j in chosen.judged for f in j.missed}),
     }

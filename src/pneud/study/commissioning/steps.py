@@ -112,7 +112,8 @@ def _joined(g: Ground, motions: Sequence[Motion]) -> list[Step]:
     return made
 
 
-def _arm() -> Act:
+def arm() -> Act:
+    """Engage and hold, where that is not done already."""
     return Act((Request(RequestKind.ARM),), State.HOLDING, SETTLED_S)
 
 
@@ -133,7 +134,7 @@ def _way_s(from_m: float, to_m: float, speed_m_s: float, g: Ground) -> float:
 
 def _still(m: Motion, g: Ground, from_m: float) -> tuple[Step, float]:
     to_m = g.at(m.places[0])
-    acts = (_arm(), _goto(to_m, g.approach_m_s, m.seconds), _disarm(m.seconds))
+    acts = (arm(), _goto(to_m, g.approach_m_s, m.seconds), _disarm(m.seconds))
     words = f"slowly to {_mm(to_m)} mm at {_mm(g.approach_m_s)} mm/s, and rest there, held and centred"
     seconds = _way_s(from_m, to_m, g.approach_m_s, g) + 2.0 * m.seconds + SETTLED_S
     return Step("rest", words, seconds, acts), to_m
@@ -147,7 +148,7 @@ def _ramps(m: Motion, g: Ground, from_m: float) -> tuple[Step, float]:
     for place in m.places:
         to_m = g.at(place)
         seconds += _way_s(from_m, to_m, g.approach_m_s, g)
-        acts += [_arm(), _goto(to_m, g.approach_m_s), _disarm(AIRLESS_S)]
+        acts += [arm(), _goto(to_m, g.approach_m_s), _disarm(AIRLESS_S)]
         for way in (1.0, -1.0):
             acts.append(_opening(bounds._replace(goal_v=way * goal_v)))
         from_m = to_m
@@ -167,7 +168,7 @@ def _opening(p: Probe) -> Act:
 def _moves(m: Motion, g: Ground, from_m: float) -> tuple[Step, float]:
     speed_m_s = min(m.speed_m_s or g.motion.speed_m_s, g.motion.speed_m_s)
     first, *others = (g.at(place) for place in m.places)
-    acts = [_arm(), _goto(first, max(speed_m_s, g.approach_m_s))]
+    acts = [arm(), _goto(first, max(speed_m_s, g.approach_m_s))]
     acts += [_goto(place, speed_m_s) for place in others]
     seconds = _way_s(from_m, first, max(speed_m_s, g.approach_m_s), g) + len(acts) * DWELL_S
     seconds += sum(_way_s(a, b, speed_m_s, g) for a, b in pairwise((first, *others)))
@@ -181,7 +182,7 @@ def _sine(m: Motion, g: Ground, from_m: float) -> tuple[Step, float]:
         centre_m, m.amplitude * (g.high_m - g.low_m), m.frequency_hz, m.seconds, g.motion
     )
     acts = (
-        _arm(),
+        arm(),
         _goto(centre_m, g.approach_m_s),
         Act(tuple(profiles.requests(pieces)), State.HOLDING, DWELL_S),
     )

@@ -21,7 +21,7 @@ from pneud.study.commissioning.movement import (
 )
 
 QUIET_S, PATIENCE_S = 0.3, 3.0  # at rest before a probe; before what hinders is told
-TRIES = 3  # at what has contradicted itself
+TRIES, QUICKER = 3, 3.0  # at what has contradicted itself, and how much
 LEASE_S = 0.3
 _STOPS = (RequestKind.STOP, RequestKind.DISARM, RequestKind.SHUTDOWN)
 
@@ -39,7 +39,8 @@ class MovementTest:
         self._p = p
         self._lease = max(1, round(LEASE_S / p.controller.h))
         self._loose, self._tries = False, 0
-        self._rest: list[Tick] = []  # at rest before anything is asked
+        self._rest: list[Tick] = []  # disarmed since the last probe
+        self._driven = False  # something has moved the load then
         self._todo = touches(p, self._lease)
         self._begin_loose()
         self._seen: list[Seen] = []
@@ -69,6 +70,8 @@ class MovementTest:
         if self._quiet * self._p.controller.h < QUIET_S:
             return None
         self._quiet = self._age = 0
+        self._driven |= self._moved_at_rest()
+        self._rest = []
         self.asked, self._awaited = self._todo.pop(0), True
         return request_of(self.asked)
 
@@ -81,7 +84,7 @@ class MovementTest:
             self._hindered += round(QUIET_S / self._p.controller.h)
         elif asked and tick.answer != Answer.TAKEN:
             self.verdict = judge_rest(tick.present) or Verdict((Finding.BY_FAULT,))
-        if self.asked is None and tick.state == State.DISARMED:
+        if tick.state == State.DISARMED:
             self._rest.append(tick)
         if tick.state == State.PROBING:
             self._ticks.append(tick)
@@ -97,7 +100,7 @@ class MovementTest:
     def _conclude(self) -> None:
         verdict = self._told(judge(self._seen, expected_of(self._p), self._loose))
         if verdict.findings == (Finding.UNDECIDED,) and self._tries + 1 < TRIES:
-            self._tries, self._seen, self._todo = self._tries + 1, [], moves(self._p, self._lease)
+            self._tries, self._seen, self._todo = self._tries + 1, [], moves(self._p, self._lease, QUICKER)
             return
         if self._loose or not verdict.passed:
             self.verdict = verdict
@@ -106,9 +109,13 @@ class MovementTest:
 
     def _told(self, verdict: Verdict) -> Verdict:
         """What a valve that is open at rest makes of it: nothing else can be told then."""
-        if not verdict.passed and is_driven(self._rest, self._p):
+        if not verdict.passed and (self._driven or self._moved_at_rest()):
             return Verdict((Finding.OPEN_AT_REST,), verdict.faults)
         return verdict
+
+    def _moved_at_rest(self) -> bool:
+        """Whether the load is moved by air, when the last probe has died away."""
+        return is_driven(self._rest[len(self._rest) // 2 :], self._p)
 
 
 def request_of(p: Probe) -> Request:

@@ -19,9 +19,9 @@ from pneud.control.profile import extent
 from pneud.control.reference import Septic
 from pneud.loop.summary import finite
 from pneud.loop.tracking import AFTER_S
-from pneud.safety.faults import BLOCKS_ARM, names
-from pneud.signals import Answer, Record, Request, RequestKind, State, Tick, true_error_m
-from pneud.study.commissioning.steps import sine
+from pneud.signals import Record, Request, RequestKind, State, Tick, true_error_m
+from pneud.study.commissioning.playing import Player
+from pneud.study.commissioning.steps import Act, Step, arm, sine
 from pneud.study.judging import (
     ARRIVED_S,
     LONG_M,
@@ -41,10 +41,7 @@ PEAK_M = 2e-4
 REST_S = 5.0  # judged, behind SETTLING_S
 FAR_M, FAR_SHARE, FAR_ROUND_M = 0.1, 0.8, 0.01  # the longest steps; of the travel at most, in whole of these
 DWELL_S = 1.0  # behind a step
-PATIENCE_S = 5.0  # for an axis that may be armed
 HOLDING, TRACKING = int(State.HOLDING), int(State.TRACKING)
-BEGINS = (RequestKind.GOTO, RequestKind.TRACK)
-MOVES = (*BEGINS, RequestKind.PIECE, RequestKind.ARM)
 
 
 class Part(NamedTuple):
@@ -54,6 +51,13 @@ class Part(NamedTuple):
     pieces: tuple[Septic, ...] = ()  # to be followed, or
     to_m: float = 0.0  # where to go
     dwell_s: float = 0.0  # at rest behind it
+
+    @property
+    def act(self) -> Act:
+        """What is asked for."""
+        goto = Request(RequestKind.GOTO, (self.to_m,))
+        requests = tuple(profiles.requests(self.pieces)) if self.pieces else (goto,)
+        return Act(requests, State.HOLDING, self.dwell_s)
 
     @property
     def words(self) -> str:
@@ -109,6 +113,7 @@ class Verified(NamedTuple):
 
     figures: tuple[Figure, ...]
     failure: str = ""  # why it has not come to its end
+    faults: tuple[str, ...] = ()
 
     @property
     def missed(self) -> tuple[Figure, ...]:
@@ -123,7 +128,12 @@ class Verified(NamedTuple):
     def as_json(self) -> dict[str, Any]:
         """For scripts; what has no end is null."""
         figures = [finite({**f._asdict(), "holds": f.ratio <= 1.0}) for f in self.figures]
-        return {"holds": self.holds, "failure": self.failure or None, "figures": figures}
+        return {"holds": self.holds, "failure": self.words or None, "figures": figures}
+
+    @property
+    def words(self) -> str:
+        """What ended it, if anything did."""
+        return ", ".join(self.faults) or self.failure
 
 
 def came_to(part: Part, seen: Sequence[Seen], t: Tolerances) -> list[Figure]:
@@ -185,11 +195,10 @@ def worst(figures: Iterable[Figure]) -> tuple[Figure, ...]:
 
 
 class Verification:
-    """Asks for one motion after another, and judges what they come to; an operator of the axis.
+    """Has one motion after another played, and judges what they come to; an operator of the axis.
 
     Attributes:
         verdict: what came of it, once it is over.
-        asked: the motion that is under way or was the last.
     """
 
     def __init__(self, p: AxisParameters, parts: Sequence[Part], t: Tolerances) -> None:
@@ -200,67 +209,43 @@ class Verification:
             parts: from `course`.
             t: what its encoder allows for.
         """
-        self._h, self._t, self._todo = p.controller.h, t, list(parts)
-        self._requests: list[Request] = []
+        armed = Step("arm", "", 0.0, (arm(),))
+        steps = [armed, *(Step(part.name, part.words, 0.0, (part.act,)) for part in parts)]
+        self._player = Player(steps, p.controller.h, self._begun)
+        self._todo = [Part(""), *parts]
+        self._t = t
+        self._part: Part | None = None  # that is under way or was the last
         self._seen: list[Seen] = []
         self._figures: list[Figure] = []
-        self._waited = self._stood = 0
-        self._going = False  # the motion has been taken
-        self.asked: Part | None = None
         self.verdict: Verified | None = None
+
+    def _begun(self, _step: Step) -> None:
+        """The next motion is to be asked for: the one before is over."""
+        self._judge()
+        self._part = self._todo.pop(0)
+
+    def _judge(self) -> None:
+        if self._part is not None:
+            self._figures += came_to(self._part, self._seen, self._t)
+        self._seen = []
 
     def ask(self, state: int, present: int) -> Request | None:
         """What is asked of the axis in this tick; at the end that it shuts down."""
-        if self.verdict is not None:
-            return Request(RequestKind.SHUTDOWN)
-        if self._requests:
-            return self._requests.pop(0)
-        if self.asked is None and state != HOLDING:
-            return self._arm(state, present)
-        if self.asked is None or (self._stood and self._stood * self._h >= self.asked.dwell_s):
-            self._next()
-            return self._requests.pop(0) if self._requests else None
-        return None
-
-    def _arm(self, state: int, present: int) -> Request | None:
-        self._waited += 1
-        if state == State.DISARMED and not present & BLOCKS_ARM:
-            self._waited = 0
-            return Request(RequestKind.ARM)
-        if self._waited * self._h > PATIENCE_S:
-            self._end(", ".join(names(present & BLOCKS_ARM)) or f"the axis is {State(state).label}")
-        return None
-
-    def _next(self) -> None:
-        if self.asked is not None:
-            self._figures += came_to(self.asked, self._seen, self._t)
-        self._seen, self._stood, self._going = [], 0, False
-        if not self._todo:
-            self._end("")
-            return
-        self.asked = self._todo.pop(0)
-        if self.asked.pieces:
-            self._requests = list(profiles.requests(self.asked.pieces))
-        else:
-            self._requests = [Request(RequestKind.GOTO, (self.asked.to_m,))]
+        wanted = self._player.ask(state, present)
+        self._end()
+        return wanted
 
     def see(self, record: Record) -> None:
         """What became of it."""
-        tick = record.tick
-        if self.verdict is not None:
-            return
-        kind = tick.request.kind if tick.request is not None else 0
-        if tick.latched:
-            self._end(", ".join(names(tick.latched)))
-        elif kind in MOVES and tick.answer != Answer.TAKEN:
-            self._end(f"{RequestKind(kind).name.lower()}: {Answer(tick.answer).name.lower()}")
-        elif kind in (RequestKind.STOP, RequestKind.DISARM, RequestKind.SHUTDOWN):
-            self._end("stopped")
-        elif self.asked is not None:
-            self._going = self._going or kind in BEGINS
-            if self._going:
-                self._seen.append(Seen(tick, record.truth_m))
-                self._stood += tick.state == HOLDING and kind not in BEGINS
+        self._player.see(record)
+        self._end()
+        if self.verdict is None and self._player.taken:
+            self._seen.append(Seen(record.tick, record.truth_m))
 
-    def _end(self, failure: str) -> None:
-        self.verdict = Verified(worst(self._figures), failure)
+    def _end(self) -> None:
+        played = self._player.verdict
+        if played is None or self.verdict is not None:
+            return
+        if played.whole:
+            self._judge()
+        self.verdict = Verified(worst(self._figures), played.failure, played.faults)

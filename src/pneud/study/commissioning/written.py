@@ -1,6 +1,7 @@
 """What has been found, written into a configuration: each value with its interval, log and date behind it.
 
-Comments and order stay; what an earlier commissioning has written behind a value is replaced.
+Comments and order stay; what stands behind a value of where it was from, a data sheet, a guess or an earlier
+commissioning, is replaced.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from pneud.study.commissioning.estimated import Values
 from pneud.study.identification.parameters import Estimate
 
 NOTE = re.compile(r"(^|; )[^;]*\bby \S+, \d{4}-\d\d-\d\d$")
+GUESS = re.compile(r"(typical|likewise)\b.*|.*\bof (its|your) sheet$|.*\bANR\b.*")  # where a value was from
 DIGITS = 7
 
 
@@ -91,6 +93,7 @@ def _put(document: Any, key: tuple[str, ...], value: Any, note: str) -> None:
     before = _at(document, key)
     item = tomlkit.item(value)
     kept = "" if before is None else NOTE.sub("", before.trivia.comment.lstrip("# ").strip())
+    kept = GUESS.sub("", kept)
     item.comment(f"{kept}; {note}" if kept else note)
     item.trivia.comment_ws = (before.trivia.comment_ws if before is not None else "") or "  "
     put(document, key, item)
