@@ -367,8 +367,9 @@ def page(bus: str, cases: list[Case], left_out: dict[str, str], seconds: float) 
     words = (
         "<p><i>0 V after</i> counts from the fault's onset; <i>ticks</i> of the controller count from the"
         " first frame that shows the fault to the one with 0 V, both included; <i>travel</i> is the load's"
-        " furthest way after that frame (where no frame shows the fault: after 0 V), <i>impact</i> its"
-        " hardest meeting with an end stop, <i>pressure</i> the highest in a chamber, all from the true plant."
+        " furthest way after that frame (where no frame shows the fault: after 0 V), <i>impact</i>"
+        " its hardest meeting with an end stop, <i>pressure</i> the highest in a chamber, all from the"
+        " true plant."
         " What failed was played once more. The last column tells what went wrong, or why more than 20 mm of"
         " travel or 0.05 m/s of impact is expected.</p>"
     )
