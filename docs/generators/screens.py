@@ -142,7 +142,7 @@ def scenes() -> dict[str, Scene]:
 def write(docs: Path) -> list[Path]:
     """Write all pictures into a folder of documents: the first one beside the pages."""
     (docs / "pictures").mkdir(parents=True, exist_ok=True)
-    written = []
+    written: list[Path] = []
     for name, scene in scenes().items():
         path = (
             docs / ("pictures" if written else "") / ("screen.svg" if not written else f"screen-{name}.svg")
