@@ -19,7 +19,7 @@ PAGE = Path(__file__).parent.parent / "docs" / "python.md"
 def blocks(kind: str) -> list[str]:
     """The examples of a kind, with as many lines before each as there are on the page."""
     text = PAGE.read_text(encoding="utf-8")
-    found = re.finditer(r"^```python(?: (\w+))?\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    found = re.finditer(r"(?:^<!-- (\w+) -->\n)?^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
     return ["\n" * (text[: m.start(2)].count("\n")) + m[2] for m in found if (m[1] or "") == kind]
 
 
