@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import random
+import re
 import shutil
 import sys
 from collections.abc import Iterable, Iterator
@@ -120,7 +121,8 @@ def drawn(scene: Scene, title: str) -> str:
     )
     console.print(Page(show.snapshot, show.history, scene.size, ascii_only=False), crop=False)
     theme: TerminalTheme = DEFAULT_TERMINAL_THEME if scene.light else DIMMED_MONOKAI
-    return console.export_svg(title=title, theme=theme, unique_id=f"pneud-{title.replace(' ', '-')}")
+    svg = console.export_svg(title=title, theme=theme, unique_id=f"pneud-{title.replace(' ', '-')}")
+    return re.sub(r"\n *@font-face \{.*?\n *\}", "", svg, flags=re.DOTALL)  # rich's would be fetched
 
 
 def scenes() -> dict[str, Scene]:
