@@ -20,8 +20,6 @@ from rich._export_format import CONSOLE_SVG_FORMAT
 from rich.console import Console
 from rich.text import Text
 
-from generators import screens
-
 FOLDER = Path(__file__).parent.parent / "pictures"
 COLUMNS = 90
 TERMINALS = {
@@ -124,6 +122,7 @@ def make(into: Path) -> None:
 
 
 if __name__ == "__main__":
-    first, *_ = screens.write(FOLDER)
-    shutil.copy(first, FOLDER.parent / "screen.svg")
+    from generators import screens
+
+    screens.write(FOLDER.parent)
     make(FOLDER)

@@ -1,6 +1,6 @@
-"""Pictures of the live screen, made of simulated runs: `python docs/generators/screens.py [FOLDER]`.
+"""Pictures of the live screen, made of simulated runs: `python -m generators.screens [FOLDER]` in `docs`.
 
-Writes `screen-NAME.svg` into FOLDER, else into `docs/pictures`, and the first one as `docs/screen.svg`, too.
+Writes `screen.svg` and `pictures/screen-NAME.svg` into FOLDER, else into `docs`.
 The page is the one that a terminal shows; only how late ticks are is made up, since simulated time has none.
 """
 
@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import io
 import random
-import re
-import shutil
 import sys
 from collections.abc import Iterable, Iterator
 from functools import cache
@@ -19,6 +17,7 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.terminal_theme import DEFAULT_TERMINAL_THEME, DIMMED_MONOKAI, TerminalTheme
 
+from generators.pictures import _FORMAT
 from pneud.compiled.backend import backend
 from pneud.config import conversions
 from pneud.console.facts import RunFacts
@@ -121,8 +120,8 @@ def drawn(scene: Scene, title: str) -> str:
     )
     console.print(Page(show.snapshot, show.history, scene.size, ascii_only=False), crop=False)
     theme: TerminalTheme = DEFAULT_TERMINAL_THEME if scene.light else DIMMED_MONOKAI
-    svg = console.export_svg(title=title, theme=theme, unique_id=f"pneud-{title.replace(' ', '-')}")
-    return re.sub(r"\n *@font-face \{.*?\n *\}", "", svg, flags=re.DOTALL)  # rich's would be fetched
+    unique_id = f"pneud-{title.replace(' ', '-')}"
+    return console.export_svg(title=title, theme=theme, unique_id=unique_id, code_format=_FORMAT)
 
 
 def scenes() -> dict[str, Scene]:
@@ -140,20 +139,18 @@ def scenes() -> dict[str, Scene]:
     }
 
 
-def write(folder: Path) -> list[Path]:
-    """Write all pictures."""
-    folder.mkdir(parents=True, exist_ok=True)
-    written = []
+def write(docs: Path) -> list[Path]:
+    """Write all pictures into a folder of documents: the first one beside the pages."""
+    (docs / "pictures").mkdir(parents=True, exist_ok=True)
+    written: list[Path] = []
     for name, scene in scenes().items():
-        path = folder / f"screen-{name}.svg"
+        path = (
+            docs / ("pictures" if written else "") / ("screen.svg" if not written else f"screen-{name}.svg")
+        )
         path.write_text(drawn(scene, f"pneud {name}"), encoding="utf-8")
         written.append(path)
     return written
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        write(Path(sys.argv[1]))
-    else:
-        first, *_ = write(DOCS / "pictures")
-        shutil.copy(first, DOCS / "screen.svg")
+    write(Path(sys.argv[1]) if len(sys.argv) > 1 else DOCS)

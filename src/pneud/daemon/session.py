@@ -253,6 +253,7 @@ def _header(ready: Ready) -> LogHeader:
         extra={
             "law": ready.how.name,
             **({"seed": str(o.seed)} if o.virtual else {}),
+            **({"scenario": ready.scenario.name} if ready.scenario is not None else {}),
             **({"movement_test": "not asked for: --unproven"} if o.unproven else {}),
         },
     )

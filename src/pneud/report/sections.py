@@ -114,12 +114,17 @@ def facts(run: LoggedRun, name: str) -> list[tuple[str, str]]:
         ("length", f"{_length(run)} at {log.rate_hz:g} Hz"),
         ("bus", told("bus", "unknown")),
         ("law and gains", gains(run)),
-        ("machine", f"{machine}; pneud {told('pneud', '?')}, law {told('law', 'interpreted')}"),
+        ("machine", "; ".join(filter(None, (machine, f"pneud {told('pneud', '?')}", _law(run))))),
         ("real time", _realtime(run)),
         ("configuration", log.config_name),
     ]
     scenario = told("scenario")
     return [*found, ("scenario", scenario)] if scenario else found
+
+
+def _law(run: LoggedRun) -> str:
+    law = run.log.metadata.get("law")
+    return f"law {law}" if law else ""
 
 
 def _realtime(run: LoggedRun) -> str:
@@ -272,7 +277,7 @@ def faults(run: LoggedRun, number: int, shift_s: float) -> str:
     """The faults that were latched: moments, the stop, what to do; a place for the pictures of each."""
     if not run.faults:
         return ""
-    parts = [f"<p>{html.escape(line)}</p>" for line in injected(run)]
+    parts = [f"<p>{html.escape(line)}</p>" for line in injected(run, shift_s)]
     for place, fault in enumerate(run.faults):
         name = run.fault_name(fault.bit)
         known = _FAULTS.get(name)
@@ -284,13 +289,18 @@ def faults(run: LoggedRun, number: int, shift_s: float) -> str:
     return "".join(parts)
 
 
-def injected(run: LoggedRun) -> list[str]:
-    """What a scenario did, by the events; by its name alone where they do not tell."""
-    found = [
-        f"Injected at {1e-9 * event.log_time_ns - run.start_unix_s:.3f} s: {event.message}"
+def injections(run: LoggedRun) -> list[tuple[float, str]]:
+    """When a scenario did something, by the events."""
+    return [
+        (1e-9 * event.log_time_ns - run.start_unix_s, event.message)
         for event in run.events
         if event.name == "scenario"
     ]
+
+
+def injected(run: LoggedRun, shift_s: float) -> list[str]:
+    """What a scenario did, by the events; by its name alone where they do not tell."""
+    found = [f"Injected at {t_s - shift_s:.3f} s: {words}" for t_s, words in injections(run)]
     scenario = run.log.metadata.get("scenario")
     return found or ([f"Injected by the scenario {scenario}"] if scenario else [])
 

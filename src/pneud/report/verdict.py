@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from pneud.log.format.schema import Level
 from pneud.loop.tracking import over_in_words
@@ -19,10 +19,9 @@ _LATE = 0.2  # part of a period
 
 def judge(run: LoggedRun) -> Verdict:
     """The verdict on a log."""
-    found = Verdict()
-    for level, reason in _reasons(run):
-        found = found.and_then(level, reason)
-    return found
+    order = [BAD, LOOK, GOOD]
+    reasons = sorted(_reasons(run), key=lambda found: order.index(found[0]))
+    return Verdict(reasons[0][0] if reasons else GOOD, tuple(reason for _, reason in reasons))
 
 
 def _reasons(run: LoggedRun) -> Iterator[tuple[str, str]]:
@@ -128,9 +127,3 @@ def _timing(run: LoggedRun) -> Iterator[tuple[str, str]]:
         p99_us, worst_us = (lateness.percentile_ns(q) / 1e3 for q in (99, 100))
         level = LOOK if p99_us > _LATE * 1e6 / run.log.rate_hz else GOOD
         yield level, f"wake-up {p99_us:.0f} µs late at p99, {worst_us:.0f} at most"
-
-
-def worst(verdicts: Sequence[Verdict]) -> str:
-    """The worst level of several."""
-    order = [GOOD, LOOK, BAD]
-    return max((v.level for v in verdicts), key=order.index)
