@@ -141,7 +141,7 @@ def table(
     def cells(row: Sequence[str], tag: str) -> str:
         left = set(range(words)) | set(range(len(row) - last, len(row)))
         return "".join(
-            f"<{tag}{' class=w' if i in left else ''}>"
+            f"<{tag}{' class=w' if i in left else ' class=n' if '-' in cell and ' ' not in cell else ''}>"
             f"{cell if isinstance(cell, Drawn) else html.escape(cell)}</{tag}>"
             for i, cell in enumerate(row)
         )

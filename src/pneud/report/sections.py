@@ -81,12 +81,12 @@ def lead(runs: Sequence[LoggedRun], names: Sequence[str], verdicts: Sequence[Ver
     if len(runs) == 1:
         return strip(verdicts[0], facts(runs[0], names[0]))
     rows = (
-        (_keyed(name, colour), badge(verdict.level), "; ".join(verdict.reasons))
-        for name, colour, verdict in zip(names, colours_of(len(runs)), verdicts, strict=True)
+        (_keyed(name, colour), badge(verdict.level), _length(run), "; ".join(verdict.reasons))
+        for run, name, colour, verdict in zip(runs, names, colours_of(len(runs)), verdicts, strict=True)
     )
     told = [facts(run, "") for run in runs]
     alike = [fact for fact in told[0] if all(fact in others for others in told)]
-    return table(("log", "verdict", "why"), rows, label="verdicts", words=3) + facts_list(alike)
+    return table(("log", "verdict", "length", "why"), rows, label="verdicts", words=4) + facts_list(alike)
 
 
 def keys(names: Sequence[str]) -> str:
