@@ -6,6 +6,7 @@ import html
 import re
 from collections.abc import Iterable, Sequence
 from importlib.resources import files
+from itertools import zip_longest
 from typing import NamedTuple
 
 from pneud import __version__
@@ -123,7 +124,7 @@ def table(
     label: str = "table",
     words: int = 1,
     last: int = 0,
-    kinds: int = -1,
+    classes: Sequence[str] = (),
     name: str = "",
 ) -> str:
     """A table, which scrolls where the window is narrow.
@@ -134,7 +135,7 @@ def table(
         label: what it is, for those who do not see it.
         words: so many columns at first are words,
         last: and so many at last.
-        kinds: column with the class of a row.
+        classes: of the rows, where they have any.
         name: by which it is saved as CSV, where it can be.
     """
 
@@ -147,8 +148,8 @@ def table(
         )
 
     body = "".join(
-        f"<tr{f' class={html.escape(row[kinds], quote=True)}' if kinds >= 0 else ''}>{cells(row, 'td')}</tr>"
-        for row in rows
+        f"<tr{f' class={html.escape(kind, quote=True)}' if kind else ''}>{cells(row, 'td')}</tr>"
+        for row, kind in zip_longest(rows, classes, fillvalue="")
     )
     saved = f' data-name="{html.escape(name, quote=True)}"' if name else ""
     return (

@@ -446,7 +446,8 @@ def events(run: LoggedRun) -> str:
         t_s = 1e-9 * event.log_time_ns - run.start_unix_s
         rows.append((f"{t_s:.3f}", level, event.name, event.message))
     more = f"<p>and {run.more_events:,} more</p>" if run.more_events else ""
-    return table(("s", "level", "from", "what"), rows, words=0, last=3, kinds=1, label="events") + more
+    head, levels = ("s", "level", "from", "what"), [level for _, level, *_ in rows]
+    return table(head, rows, words=0, last=3, classes=levels, label="events") + more
 
 
 def machine(runs: Sequence[LoggedRun], names: Sequence[str]) -> str:
