@@ -12,6 +12,7 @@ from typing import NamedTuple
 from pneud import __version__
 
 GOOD, LOOK, BAD = "good", "look here", "bad"
+LONG = 60  # characters: a fact that takes the room of two
 _LEVELS = {GOOD: "good", LOOK: "look", BAD: "bad"}  # classes
 
 
@@ -88,7 +89,9 @@ def document(
 def facts_list(facts: Iterable[tuple[str, str]]) -> str:
     """Facts beside each other, as many as fit."""
     told = "".join(
-        f"<div><dt>{html.escape(name)}</dt><dd>{html.escape(value)}</dd></div>" for name, value in facts
+        f"<div{' class=long' if len(value) > LONG else ''}>"
+        f"<dt>{html.escape(name)}</dt><dd>{html.escape(value)}</dd></div>"
+        for name, value in facts
     )
     return f'<dl class="facts">{told}</dl>'
 

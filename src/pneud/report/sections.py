@@ -213,7 +213,15 @@ def _three(run: LoggedRun, name: str) -> str:
 
 _MOTION_HEAD = (
     *("motion", "from [s]", "took [s]", "from [mm]", "to [mm]", "RMS [mm]", "max [mm]", "overshoot [mm]"),
-    *("settled after [s]", "in position after [s]", "peak [mm/s]", "air [NL]", "of that [J]", "work [J]", ""),
+    *(
+        "settled after [s]",
+        "in position after [s]",
+        "peak [mm/s]",
+        "air [NL]",
+        "its energy [J]",
+        "work [J]",
+        "",
+    ),
 )
 
 

@@ -538,6 +538,7 @@
   };
   const repaint = () => { theme = new Map(); for (const u of everything()) u.redraw(false, true); };
   let frame = 0;
+  for (const d of document.querySelectorAll("details")) d.addEventListener("toggle", () => fit());
   addEventListener("resize", () => { cancelAnimationFrame(frame); frame = requestAnimationFrame(() => fit()); });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
   // paper is white, and narrower than most windows; what is drawn for it stays sharp
