@@ -21,14 +21,16 @@ from pneud.config.reading import parse, with_settings
 from pneud.console.protocol import ProtocolError
 from pneud.console.tuning import MODEL, Tuning, believing, keys, settings_of, values_of
 from pneud.control.adaptation import Learnt
+from pneud.control.laws.slot import PID
 from pneud.control.model import NAMES, Model, is_sound, remodelled
+from pneud.control.standstill import CLOSED
 from pneud.control.step import Controller, ControllerState, act, change
 from pneud.control.tunables import tunables, tuned
 from pneud.loading import changed_text, load
 from pneud.log.files.naming import create_log
 from pneud.log.files.reader import read_log
 from pneud.log.files.writer import LogWriter
-from pneud.replay.lockstep import Simulation, header_of
+from pneud.replay.lockstep import Simulation, backend_of, header_of
 from pneud.replay.replaying import _Known, _Tuned, replay
 from pneud.replay.running import through
 from pneud.signals import Answer, Estimate, Reference, Request, RequestKind, State
@@ -171,6 +173,35 @@ def test_while_tracking_it_changes_without_a_bump_and_goes_on(wanted: Model) -> 
     assert rig.axis.state.law == remodelled(wanted, P)
 
 
+@pytest.mark.parametrize("inverts", [False, True])
+def test_from_another_law_and_without_inverting_the_dead_zone(inverts: bool) -> None:
+    rig = moving()
+    rig.tick(GAINS, *tunables(P._replace(slot=P.slot._replace(kind=PID))))
+    rig.ticks(150)
+    state, e, r = rig.axis.state, rig.tick().estimate, rig.tick().reference
+    assert state.controller is not None
+    before = state.law._replace(sliding=state.law.sliding._replace(invert_dead_zone=inverts))
+    after = remodelled(OTHER, tuned(NOW, before))
+    _, usual = act(state.controller, e, r, before)
+    _, bumpless = act(change(state.controller, e, r, before, after), e, r, after)
+    assert bumpless.u_v == pytest.approx(usual.u_v, rel=1e-6)
+
+
+def test_a_load_that_stands_stays_where_it_is() -> None:
+    rig = moving()
+
+    def stands() -> bool:
+        controller = rig.axis.state.controller
+        return controller is not None and controller.standstill.mode == CLOSED
+
+    while not stands():
+        rig.tick()
+    stood_m = rig.node.truth().position_m
+    rig.tick(GAINS, *NOW, *BELIEVED._replace(dead_zone_v=0.15, coulomb_n=30.0))
+    rig.ticks(100)
+    assert rig.node.truth().position_m == pytest.approx(stood_m, abs=2e-5)
+
+
 @pytest.mark.parametrize("engaged", [False, True])
 def test_what_was_learnt_of_what_is_set_is_forgotten(engaged: bool) -> None:
     rig = moving() if engaged else ready()
@@ -203,7 +234,7 @@ def tuned_run(path: Path, m: Model) -> Path:
         900: Request(int(RequestKind.SHUTDOWN)),
     }
     writer = LogWriter(create_log(path), header_of(here)._replace(detail="full"))
-    tally, _ = through(Simulation(here, 0.9, requests=requests), 1000.0, writer)
+    tally, _ = through(Simulation(here, 0.9, how=backend_of(here), requests=requests), 1000.0, writer)
     assert not tally.ever_latched
     assert writer.close()
     return path
@@ -220,8 +251,8 @@ def test_a_run_that_is_tuned_replays_identical_also_from_its_middle(tmp_path: Pa
 def test_what_if_another_value_leaves_what_was_tuned_in_the_run() -> None:
     c = with_settings(loaded().text, "x", ["control.friction.coulomb_n=20", "control.k1=90000"])
     own, here = _Known(P, BELIEVED), _Known(controller_of(c), model_of(c))
-    tuned_in_it = BELIEVED._replace(dead_zone_v=0.14)
-    mixed = here.model._replace(dead_zone_v=0.14)
+    tuned_in_it = BELIEVED._replace(dead_zone_v=0.14, hold_v=0.001)
+    mixed = here.model._replace(dead_zone_v=0.14, hold_v=0.001)
     what_if = _Tuned(here, own)
     for sine in ((), (0.45, 0.03, 3.0)):
         asked = what_if.asked(Request(int(GAINS), (*NOW, *sine, *tuned_in_it)))

@@ -40,13 +40,13 @@ RIG = {"rig.md": "pneud --config press.toml --headless"}
 # Pages that another test runs as a whole
 ELSEWHERE = {
     "tutorial.md": "tests/test_tutorial.py",
+    "python.md": "tests/test_python_page.py",
     "hil/bench/README.md": "tests/test_bench.py",
     "src/pure2c/README.md": "tests/test_pure2c_build.py",
 }
 # What a page takes for granted, made beforehand
 GIVEN = {
     "laws.md": ["pneud --virtual"],
-    "protocol.md": ["pneud --virtual"],
     "identification.md": [
         "pneud sim -o run.mcap --duration 4",
         f"pneud export run.mcap -o bus.log && cp {ROOT}/configs/pneud.dbc .",

@@ -119,7 +119,9 @@ those with the greatest errors; the page says which. `--from` and `--to` show a 
 Foxglove, [Lichtblick](https://github.com/lichtblick-suite/lichtblick) and PlotJuggler open the `.mcap` itself; what `pneud export`
 writes for viewers has errors and names in its ticks as well. Layouts
 are in `configs/viewers`: `foxglove.json` for the first two (import it as a layout), `plotjuggler.xml` for the third.
-`pneud view run.mcap --foxglove` starts Lichtblick, else Foxglove, with a log; `pneud view run.mcap --rerun` starts rerun.
+`pneud view run.mcap --foxglove` starts Lichtblick, else Foxglove, with a log and its errors, states and faults by name; the layout has
+a list of the faults. `pneud view run.mcap --rerun` starts rerun with the same curves, arranged by a blueprint, and a table of the faults:
+from when to when, whether latched, and what to look at.
 
 `pneud --virtual --live` (or the daemon on a rig; `pip install 'pneud[live]'`) serves the run as it goes at
 ws://127.0.0.1:8765, as it says on standard error with a link for the browser, to viewers that speak `foxglove.sdk.v1`: `/axis/tick`, `/can/frames` and `/events`, with the configuration as

@@ -25,16 +25,7 @@ command the axis: [who may](console.md#who-commands). One JSON object a line, at
 number of the client's, which the reply repeats. Replies come in the order in which requests are done. Lengths are millimetres in
 the stroke coordinate, times seconds. Unknown fields are refused.
 
-From Python, [`pneud.console.client.Client`](api.md#the-console) does all of this:
-
-```python
-from pneud.console.client import Client
-
-with Client() as axis:
-    axis.ask("goto", x_mm=420.0)
-    print(axis.ask("status")["reference_mm"])
-    axis.ask("stop")
-```
+[`pneud.Client`](python.md#a-running-axis) does all of this from Python.
 
 ## Requests
 

@@ -109,7 +109,7 @@ class Client(_Base):
 
     Lengths are millimetres in the stroke coordinate, as with the commands of the shell.
 
-    Example:
+    Examples:
         >>> with pneud.Client() as axis:  # stops at its end
         ...     arrived = axis.goto(480.0, tolerance_mm=0.5)
         >>> abs(arrived["position_mm"] - 480.0) < 0.5
@@ -143,7 +143,7 @@ class Client(_Base):
     def status(self) -> Status:
         """How the axis is.
 
-        Example:
+        Examples:
             >>> axis.status()["name"]
             'virtual'
         """
@@ -152,7 +152,7 @@ class Client(_Base):
     def events(self) -> list[LoggedEvent]:
         """What has happened since the last call; at the first one, in the last seconds.
 
-        Example:
+        Examples:
             >>> {event.name for event in axis.events()} >= {"state"}
             True
 
@@ -167,7 +167,7 @@ class Client(_Base):
         Args:
             unproven: also without a movement test that was passed, for this run.
 
-        Example:
+        Examples:
             >>> axis.arm()
             'holding'
         """
@@ -176,7 +176,7 @@ class Client(_Base):
     def disarm(self) -> str:
         """Stop, then centre the valve.
 
-        Example:
+        Examples:
             >>> axis.disarm()
             'stopping'
         """
@@ -185,7 +185,7 @@ class Client(_Base):
     def stop(self) -> str:
         """Stop now; whoever else commands, and whatever waits.
 
-        Example:
+        Examples:
             >>> axis.stop()
             'stopping'
         """
@@ -194,7 +194,7 @@ class Client(_Base):
     def hold(self) -> str:
         """Come to rest and hold.
 
-        Example:
+        Examples:
             >>> axis.hold() in ("moving", "holding")
             True
         """
@@ -214,7 +214,7 @@ class Client(_Base):
     def mark(self, text: str) -> None:
         """Leave a remark in the log.
 
-        Example:
+        Examples:
             >>> axis.mark("begins")
         """
         self._run(steps.asked("mark", text=text))
@@ -244,7 +244,7 @@ class Client(_Base):
         Returns:
             How the axis is then; without `wait`, the reply to the order.
 
-        Example:
+        Examples:
             >>> axis.goto(450.0, speed_mm_s=100.0)["in_position"]
             True
 
@@ -262,7 +262,7 @@ class Client(_Base):
     def jog(self, velocity_mm_s: float, for_s: float) -> str:
         """Move at a speed for a time, then hold; should this program die, its lease runs out.
 
-        Example:
+        Examples:
             >>> axis.jog(20.0, for_s=0.2) in ("moving", "holding")
             True
         """
@@ -275,7 +275,7 @@ class Client(_Base):
             what: times [s] and positions [mm], or a file with them; None for the configured reference.
             wait: come back at the profile's end.
 
-        Example:
+        Examples:
             >>> reached = axis.track(([0.0, 0.5, 1.0], [450.0, 455.0, 450.0]), wait=True)
             >>> abs(reached["position_mm"] - 450.0) < 0.5
             True
@@ -294,7 +294,7 @@ class Client(_Base):
         Args:
             values: by the names of `pneud tune`, or by keys of the file; None to look only.
 
-        Example:
+        Examples:
             >>> axis.tune({"k1": 90000.0})["k1"]
             90000.0
 
@@ -307,7 +307,7 @@ class Client(_Base):
 class AsyncClient(_Base):
     """A client to await; a call that is under way holds nothing else up, a stop least of all.
 
-    Example:
+    Examples:
         >>> async def there_and_back():
         ...     async with pneud.AsyncClient() as axis:
         ...         await axis.goto(440.0)

@@ -31,7 +31,7 @@ FACTS = ("name", "bus", "rate_hz", "pneud", "seed")
 class MotionList(list[Motion]):
     """The motions of a log, one after another.
 
-    Example:
+    Examples:
         >>> log.motions()[0].rms_error_m < 1e-3
         True
     """
@@ -57,7 +57,7 @@ class Log(LogReader):
     fields of a tick (`measurement.position_m`, `command.voltage_v`, …), and what follows from them: `t_s`,
     `error_m`, `true_error_m`, `state_name`, `fault_names`.
 
-    Example:
+    Examples:
         >>> log.metadata["bus"]
         'simulated'
         >>> [tick.state_name for tick in log][-1]
@@ -72,7 +72,7 @@ class Log(LogReader):
     def config(self) -> Config:
         """The configuration that the run had.
 
-        Example:
+        Examples:
             >>> log.config.loop.rate_hz
             1000.0
 
@@ -85,7 +85,7 @@ class Log(LogReader):
     def facts(self) -> dict[str, str]:
         """What the log says of its run, as far as it says it.
 
-        Example:
+        Examples:
             >>> log.facts["name"]
             'virtual'
         """
@@ -95,7 +95,7 @@ class Log(LogReader):
     def duration_s(self) -> float:
         """From the first message to the last [s].
 
-        Example:
+        Examples:
             >>> log.duration_s > 0.5
             True
         """
@@ -104,7 +104,7 @@ class Log(LogReader):
     def columns(self, *names: str) -> dict[str, Column]:
         """Columns of all ticks as arrays of numpy; those named, or all.
 
-        Example:
+        Examples:
             >>> found = log.columns("t_s", "error_m")
             >>> found["t_s"][0], len(found["t_s"]) == len(found["error_m"])
             (np.float64(0.0), True)
@@ -117,7 +117,7 @@ class Log(LogReader):
     def units(self) -> dict[str, str]:
         """Unit of each column that has one.
 
-        Example:
+        Examples:
             >>> log.units()["estimate.force_n"], log.units()["error_m"]
             ('N', 'm')
         """
@@ -129,7 +129,7 @@ class Log(LogReader):
         Args:
             columns: those wanted; None for all.
 
-        Example:
+        Examples:
             >>> frame = log.to_pandas(["t_s", "error_m", "state_name"])
             >>> frame.attrs["units"]
             {'t_s': 's', 'error_m': 'm'}
@@ -146,7 +146,7 @@ class Log(LogReader):
     def to_polars(self, columns: Sequence[str] | None = None) -> pl.DataFrame:
         """The ticks as a frame of polars, which keeps no units: see `units`.
 
-        Example:
+        Examples:
             >>> log.to_polars(["t_s", "error_m"]).columns
             ['t_s', 'error_m']
 
@@ -160,7 +160,7 @@ class Log(LogReader):
     def to_arrow(self, columns: Sequence[str] | None = None) -> pa.Table:
         """The ticks as a table of Arrow; each field's metadata has `unit` and `description`.
 
-        Example:
+        Examples:
             >>> log.to_arrow(["error_m"]).schema.field("error_m").metadata[b"unit"]
             b'm'
 
@@ -174,7 +174,7 @@ class Log(LogReader):
     def to_xarray(self, columns: Sequence[str] | None = None) -> xr.Dataset:
         """The ticks as a data set of xarray over `t_s`; variables have `units` and `long_name`.
 
-        Example:
+        Examples:
             >>> log.to_xarray(["error_m"]).error_m.attrs["units"]
             'm'
 
@@ -189,7 +189,7 @@ class Log(LogReader):
     def motions(self) -> MotionList:
         """What the axis was led to do, one motion after another.
 
-        Example:
+        Examples:
             >>> [motion.kind for motion in log.motions()]
             ['track', 'stop']
 
@@ -202,7 +202,7 @@ class Log(LogReader):
     def summary(self) -> Summary:
         """The figures that `pneud` prints at the end of a run; `print` shows them in words.
 
-        Example:
+        Examples:
             >>> log.summary["faults"]
             []
             >>> log.summary["frames"]["crc"]
@@ -230,7 +230,7 @@ class Log(LogReader):
 def read_log(path: str | Path, *more: str | Path) -> Log:
     """Open a log: a file, a folder with the parts of one, or the parts themselves in any order.
 
-    Example:
+    Examples:
         >>> log = pneud.read_log(path)
         >>> log.config.name
         'virtual'

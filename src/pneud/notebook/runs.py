@@ -34,7 +34,7 @@ Gains = Mapping[str, float | str]
 class Run(Log):
     """A simulated run: a log in a temporary file, which goes with the object.
 
-    Example:
+    Examples:
         >>> run = pneud.simulate(duration_s=0.3, seed=1)
         >>> len(run.columns("error_m")["error_m"]) > 300
         True
@@ -47,7 +47,7 @@ class Run(Log):
     def save(self, path: str | Path) -> Path:
         """Keep the log as a file, which must not exist; and where that is.
 
-        Example:
+        Examples:
             >>> run.save(folder / "kept.mcap").name
             'kept.mcap'
 
@@ -78,7 +78,7 @@ def simulate(
         scenario: faults to inject: a file, the name of one that comes with pneud, or a scenario.
         gains: other values than the configuration's, by the names of `pneud tune` or any of its keys.
 
-    Example:
+    Examples:
         >>> run = pneud.simulate("virtual.toml", duration_s=0.6, gains={"k1": 90000.0})
         >>> run.config.control.k1
         90000.0
