@@ -66,7 +66,7 @@ def page(runs: Sequence[LoggedRun], reference: Reference | None = None) -> str:
         Section("Machine", sections.machine(runs, names)),
         Section("Configuration", sections.configurations(runs, names)),
     ]
-    verdicts = [judge(run) for run in runs]
+    verdicts = [judge(run, shift) for run, shift in shifted]
     return document(
         f"pneud report: {', '.join(names)}",
         runs[0].config.name if len(runs) == 1 else f"{runs[0].config.name}: {len(runs)} logs",

@@ -84,7 +84,7 @@ def lead(runs: Sequence[LoggedRun], names: Sequence[str], verdicts: Sequence[Ver
         (_keyed(name, colour), badge(verdict.level), _length(run), "; ".join(verdict.reasons))
         for run, name, colour, verdict in zip(runs, names, colours_of(len(runs)), verdicts, strict=True)
     )
-    told = [facts(run, "") for run in runs]
+    told = [facts(run, "")[1:] for run in runs]
     alike = [fact for fact in told[0] if all(fact in others for others in told)]
     return table(("log", "verdict", "length", "why"), rows, label="verdicts", words=4) + facts_list(alike)
 

@@ -13,7 +13,7 @@ from pneud.study.identification.estimating import Identified
 from pneud.study.identification.explaining import Bin, flow_map, friction_map
 from pneud.study.identification.words import HEAD, cells
 
-WIDTH, HEIGHT, LEFT, BOTTOM, TOP, RIGHT = 640, 320, 70, 45, 15, 15
+WIDTH, HEIGHT, LEFT, BOTTOM, TOP, RIGHT = 640, 320, 70, 45, 15, 30
 TICKS = 4  # of a scale, about
 EDGE_SPANS = tuple((0.05 * i, 0.05 * (i + 1)) for i in range(-16, 16))  # of the spool [V]
 
