@@ -8,6 +8,7 @@ BIN := $(VENV)/bin
 RUNTIME := $(VENV)/.runtime
 DEV := $(VENV)/.dev
 MUTATION := $(VENV)/.mutation
+DOCS := $(VENV)/.docs
 DEBIAN_PYTHON := /usr/bin/python3
 # The tests that reach every branch of safety/ and control/.
 COVERING := $(addprefix tests/test_,control_*.py safety_*.py $(addsuffix .py,axis_faults axis_parts asking homing laws \
@@ -15,7 +16,7 @@ COVERING := $(addprefix tests/test_,control_*.py safety_*.py $(addsuffix .py,axi
 PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 
 .DEFAULT_GOAL := help
-.PHONY: help virtual test lint types contracts ci-tests coverage mutation lowest vm systemd install-service campaign campaign-vm information strange soak clean
+.PHONY: help virtual test lint types contracts ci-tests coverage mutation lowest vm systemd install-service docs pages pictures campaign campaign-vm information strange soak clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 17
@@ -65,6 +66,15 @@ systemd: $(DEV) ## the service under systemd, in a virtual machine, from the whe
 	@$(BIN)/python -m pip --python $(DEBIAN_PYTHON) wheel --quiet --disable-pip-version-check -w build/wheels build/wheels/*.whl
 	@exec hil/vm/run -s -t 560 -- $(CURDIR)/$(BIN)/python -m pytest -m systemd -p no:cacheprovider tests/vm/test_service.py $(ARGS)
 
+docs: $(DOCS) ## the documents as a site: build/site/index.html; nothing in it is fetched from elsewhere
+	@NO_MKDOCS_2_WARNING=1 exec $(BIN)/mkdocs build --strict -d build/site $(ARGS)
+
+pages: $(DEV) ## what of the documents is made from the code, made anew
+	@PYTHONPATH=docs exec $(BIN)/python -m generators.pages
+
+pictures: $(DEV) ## the pictures in the documents, taken anew; needs Chromium
+	@PYTHONPATH=docs exec $(BIN)/python -m generators.pictures
+
 campaign: $(DEV) ## fault scenarios in real time: build/campaign/matrix.html (see docs/hil.md)
 	@exec $(BIN)/python hil/campaign.py --bus unixcan -o build/campaign $(ARGS)
 
@@ -88,7 +98,7 @@ clean: ## remove the environment and everything made
 # True: .venv works and holds this checkout. False: it was moved or copied, its scripts name another folder.
 SOUND := $(shell $(BIN)/python -c 'import os, pneud; print(os.path.samefile(pneud.__path__[0], "src/pneud"))' 2>/dev/null)
 ifneq ($(SOUND),True)
-.PHONY: $(RUNTIME) $(DEV) $(MUTATION)
+.PHONY: $(RUNTIME) $(DEV) $(MUTATION) $(DOCS)
 endif
 
 # Makes the environment where there is no usable one, then installs $(1). All words go to stderr: the standard
@@ -131,6 +141,10 @@ $(DEV): pyproject.toml
 
 $(MUTATION): pyproject.toml
 	$(call environment,'.[dev$(comma)sim$(comma)mutation]')
+	@touch $(RUNTIME) $(DEV) $@
+
+$(DOCS): pyproject.toml
+	$(call environment,'.[dev$(comma)sim$(comma)docs]')
 	@touch $(RUNTIME) $(DEV) $@
 
 comma := ,

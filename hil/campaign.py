@@ -28,6 +28,7 @@ from pneud.bus.link import open_link
 from pneud.console.client import Client
 from pneud.console.endpoint import PlaceError
 from pneud.log.files.reader import LogReader
+from pneud.report.frame import BAD, GOOD, Drawn, Section, Verdict, badge, document, strip, table
 from pneud.scenario.files import load_scenario
 
 PNEUD = [sys.executable, "-m", "pneud.cli"]
@@ -331,54 +332,55 @@ def exceptions(case: Case) -> str:
 
 
 COLUMNS = (
-    ("0 V after", "centred_ms", "{:.1f} ms"),
+    ("0 V after", "centred_ms", "{:.1f}\N{NO-BREAK SPACE}ms"),
     ("ticks", "ticks", "{}"),
     ("allowed", "allowed_ticks", "{}"),
-    ("speed", "speed_m_s", "{:.3f} m/s"),
-    ("travel", "travel_mm", "{:.1f} mm"),
-    ("impact", "impact_m_s", "{:.2f} m/s"),
-    ("pressure", "peak_bar", "{:.2f} bar"),
+    ("speed", "speed_m_s", "{:.3f}\N{NO-BREAK SPACE}m/s"),
+    ("travel", "travel_mm", "{:.1f}\N{NO-BREAK SPACE}mm"),
+    ("impact", "impact_m_s", "{:.2f}\N{NO-BREAK SPACE}m/s"),
+    ("pressure", "peak_bar", "{:.2f}\N{NO-BREAK SPACE}bar"),
 )
 
 
 def page(bus: str, cases: list[Case], left_out: dict[str, str], seconds: float) -> str:
     """The matrix as a page that stands alone."""
     good = sum(case["met"] for case in cases)
+    failed = tuple(f"{case['name']}: {'; '.join(case['problems'])}" for case in cases if not case["met"])
+    verdict = Verdict(BAD if failed else GOOD, (*failed, f"{good} of {len(cases)} came as expected"))
     rows = []
     for case in cases:
-        cells = []
-        for _, key, form in COLUMNS:
-            value = case.get(key)
-            shown = form.format(value) if value is not None else ""
-            cells.append(f'<td class="n">{shown}</td>')
+        cells = [form.format(case[key]) if case.get(key) is not None else "" for _, key, form in COLUMNS]
+        fault = f"<b>{html.escape(case['name'])}</b><br>{html.escape(case['description'])}"
         notes = "; ".join(case["problems"]) or exceptions(case)
         rows.append(
-            f'<tr class="{"met" if case["met"] else "not"}"><td>{"✓" if case["met"] else "✗"}</td>'
-            f"<td><b>{html.escape(case['name'])}</b><br><small>{html.escape(case['description'])}</small></td>"
-            f"<td>{html.escape(case.get('reaction', ''))}</td>"
-            f"<td>{html.escape(', '.join(case.get('faults', [])))}</td>{''.join(cells)}"
-            f"<td><small>{html.escape(notes)}</small></td></tr>"
+            (
+                badge(GOOD if case["met"] else BAD),
+                Drawn(fault),
+                case.get("reaction", ""),
+                ", ".join(case.get("faults", [])),
+                *cells,
+                notes,
+            )
         )
+    head = ("came", "fault", "reaction", "named", *(head for head, _, _ in COLUMNS), "notes")
     others = "".join(f"<li>{html.escape(n)}: {html.escape(why)}</li>" for n, why in sorted(left_out.items()))
-    heads = "".join(f"<th>{head}</th>" for head, _, _ in COLUMNS)
-    return f"""<!doctype html><html lang="en"><head><meta charset="utf-8">
-<title>pneud: faults on {bus}</title>
-<style>
-body{{font:14px/1.4 system-ui,sans-serif;margin:2em;color:#222}} table{{border-collapse:collapse}}
-p{{max-width:60em}} th{{text-align:left;border-bottom:2px solid #888;padding:4px 8px}}
-td{{border-bottom:1px solid #ddd;padding:4px 8px;vertical-align:top}}
-td.n{{text-align:right;white-space:nowrap}}
-tr.met td:first-child{{color:#1a7f37}} tr.not{{background:#ffebe9}} small{{color:#555}}
-</style></head><body><h1>Faults on {html.escape(bus)}</h1>
-<p>{good} of {len(cases)} came as expected, in {seconds:.0f} s. <i>0 V after</i> counts from the fault's
-onset; <i>ticks</i> of the controller count from the first frame that shows the fault to the one with 0 V,
-both included; <i>travel</i> is the load's furthest way after that frame (where no frame shows the fault:
-after 0 V), <i>impact</i> its hardest meeting with an end stop, <i>pressure</i> the highest in a chamber, all
-from the true plant. What failed was played once more. The last column tells what went wrong, or why more than
-20 mm of travel or 0.05 m/s of impact is expected.</p>
-<table><tr><th></th><th>fault</th><th>reaction</th><th>named</th>{heads}<th></th></tr>
-{"".join(rows)}</table>{f"<h2>Not played here</h2><ul>{others}</ul>" if others else ""}</body></html>
-"""
+    words = (
+        "<p><i>0 V after</i> counts from the fault's onset; <i>ticks</i> of the controller count from the"
+        " first frame that shows the fault to the one with 0 V, both included; <i>travel</i> is the load's"
+        " furthest way after that frame (where no frame shows the fault: after 0 V), <i>impact</i> its"
+        " hardest meeting with an end stop, <i>pressure</i> the highest in a chamber, all from the true"
+        " plant. What failed was played once more. The last column tells what went wrong, or why more than"
+        " 20 mm of travel or 0.05 m/s of impact is expected.</p>"
+    )
+    return document(
+        f"pneud: faults on {bus}",
+        f"Faults on {bus}",
+        [
+            Section("Cases", words + table(head, rows, label="cases", words=4, last=1)),
+            Section("Not played here", f"<ul>{others}</ul>" if others else ""),
+        ],
+        lead=strip(verdict, [("bus", bus), ("took", f"{seconds:.0f} s")]),
+    )
 
 
 def main() -> int:

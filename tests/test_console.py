@@ -652,7 +652,7 @@ def test_a_hundred_thousand_hostile_messages_ask_nothing_of_the_loop(tmp_path: P
 
 
 def test_the_documented_conversation_takes_place(desk: Bench) -> None:
-    text = (Path(__file__).parent.parent / "docs" / "console.md").read_text()
+    text = (Path(__file__).parent.parent / "docs" / "protocol.md").read_text()
     (block,) = (b for b in text.split("```")[1::2] if "\n> " in b)
     client = desk.connect()
     seen = set()

@@ -92,7 +92,7 @@ def test_on_the_screen() -> None:
     history = History()
     history.add(followed(300))
     text = screen(history)
-    for label in ("true err", "rms error", "error"):
+    for label in ("── error", "  rms", "  true"):
         at = text.index(f"{label} ") + len(label)
         assert float(text[at:].split()[0]) == 0.0, label
 
@@ -223,7 +223,7 @@ def test_the_state_is_the_one_before_the_run_was_told_to_end(tmp_path: Path) -> 
     run = gather(log)
     assert State(run.states[-1].value - 1) == State.DISARMED
     assert run.counted[:2] == (tally.state, tally.ticks) == (State.TRACKING, 600)
-    assert "<td class=w>state</td><td>tracking</td>" in page([run])
+    assert "<dt>state</dt><dd>tracking</dd>" in page([run])
 
 
 @pytest.mark.slow
@@ -254,7 +254,7 @@ def test_one_run_has_the_same_words_and_counts(tmp_path: Path) -> None:
     words = ", ".join(f"{count} {kind}" for kind, count in amiss.items())
     assert words == run.readings.total_in_words()
     assert f"readings amiss: {words}" in in_words(summary)
-    assert f"<td class=w>readings amiss</td><td>{words}</td>" in page([run])
+    assert f"<dt>readings amiss</dt><dd>{words}</dd>" in page([run])
     shown = screen(history)
     for kind, count in (*amiss.items(), ("skipped", tally.skipped)):
         assert f"{kind} {count:,} " in shown, kind

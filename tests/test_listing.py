@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import importlib.util
+import os
 import shutil
 import subprocess
+import sys
+import tempfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from commands import object_of, pneud_here
 from pneud import resources
 from pneud.log.files.listing import listed
+from pneud.log.files.naming import LogError
 from pneud.log.files.reader import read_log
+from pneud.replay import viewing
 
 GOLDEN = Path(__file__).with_name("golden")
 
@@ -79,19 +86,50 @@ def programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("option", "program"),
-    [("--rerun", "rerun"), ("--foxglove", "lichtblick"), ("--foxglove", "foxglove-studio")],
+    ("option", "program", "sdk"),
+    [
+        ("--rerun", "rerun", True),
+        ("--rerun", "rerun", False),
+        ("--foxglove", "lichtblick", False),
+        ("--foxglove", "foxglove-studio", True),
+    ],
 )
-def test_a_viewer_is_started_with_the_log(option: str, program: str, programs: Path, tmp_path: Path) -> None:
-    log, seen = GOLDEN / "composite.mcap", tmp_path / "seen"
+def test_a_viewer_is_started_with_the_log(
+    option: str, program: str, sdk: bool, programs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, seen, kept = GOLDEN / "composite.mcap", tmp_path / "seen", tmp_path / "kept"
+    monkeypatch.setattr(sys, "executable", str(programs / "python"))
+    monkeypatch.setenv("TMPDIR", str(kept))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    kept.mkdir()
     assert pneud_here("view", log, option).returncode == 3
+    recording = option == "--rerun" and sdk
+    suffix = ".rrd" if recording else ".mcap"
+
+    def write(_: object, path: Path) -> None:
+        if not sdk:
+            raise LogError("there is no rerun-sdk")
+        path.write_bytes(b"RRF2")
+
+    monkeypatch.setattr(viewing, "write", write)
     stub = programs / program
-    stub.write_text(f'#!/bin/sh\necho "$@" > {seen}\nexit $(/bin/cat {tmp_path}/status)\n')
+    stub.write_text(
+        f'#!/bin/sh\necho "$@" > {seen}\n/usr/bin/head -c 4 "$1" > {tmp_path}/head\n'
+        f"exit $(/bin/cat {tmp_path}/status)\n"
+    )
     stub.chmod(0o755)
     for status in (0, 1):
         (tmp_path / "status").write_text(str(status))
-        assert pneud_here("view", log, option).returncode == status
-        assert seen.read_text().split() == [str(log)]
+        done = pneud_here("view", log, option)
+        assert done.returncode == status
+        assert ("without a blueprint: there is no rerun-sdk" in done.stderr) == (
+            option == "--rerun" and not sdk
+        )
+        (opened,) = map(Path, seen.read_text().split())
+        assert opened.name == f"composite{suffix}"
+        assert (tmp_path / "head").read_bytes() == (b"RRF2" if recording else b"\x89MCA")
+        # one that ended at once, and well, has handed the file over to a viewer that runs already
+        assert opened.exists() == (option == "--foxglove" and status == 0)
 
 
 def test_one_viewer_is_named(programs: Path) -> None:
@@ -100,13 +138,64 @@ def test_one_viewer_is_named(programs: Path) -> None:
         assert (done.returncode, done.stdout) == (2, "")
 
 
+@pytest.fixture
+def rerun() -> Path:
+    """rerun's own program, beside this Python's or on the way."""
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    if importlib.util.find_spec("rerun") is None or (found := shutil.which("rerun", path=path)) is None:
+        pytest.skip("no rerun here: pip install rerun-sdk")
+    return Path(found)
+
+
+def told(rerun: Path, *args: object) -> str:
+    done = subprocess.run([rerun, *map(str, args)], capture_output=True, text=True, timeout=60, check=True)
+    return done.stdout
+
+
 @pytest.mark.slow
-@pytest.mark.skipif(shutil.which("rerun") is None, reason="no rerun")
-def test_rerun_opens_a_log(tmp_path: Path) -> None:
+def test_rerun_opens_a_recording_with_its_blueprint(rerun: Path, tmp_path: Path) -> None:
+    file = tmp_path / "log.rrd"
+    log = read_log(GOLDEN / "encoder-missing.mcap")
+    assert viewing.write(log, file) == len(list(log))
+    subprocess.run([rerun, "rrd", "verify", file], check=True, timeout=60)
+    stats = told(rerun, "rrd", "stats", file)
+    for panel in viewing.panels():
+        for column in panel.columns:
+            assert f"{panel.place}/{column}: " in stats
+    for entity in ("/states/axis", "/states/encoder_missing", "/events", "/faults", "/about"):
+        assert f"{entity}: " in stats
+    printed = told(rerun, "rrd", "print", "-vvv", file)
+    assert 'BlueprintActivationCommand(StoreId(Blueprint, "pneud"' in printed
+    for name in ("Error [m]", "Faults", "State and faults", "Events"):
+        assert name in printed
+    assert "encoder_missing" in printed
+    saved = tmp_path / "saved.rrd"  # as the viewer takes it in
+    subprocess.run([rerun, file, "--save", saved], check=True, timeout=60)
+    assert "/error/true_error_m: " in told(rerun, "rrd", "stats", saved)
+
+
+@pytest.mark.slow
+def test_rerun_opens_a_log_as_it_is(rerun: Path, tmp_path: Path) -> None:
     recording = tmp_path / "log.rrd"
-    subprocess.run(["rerun", GOLDEN / "composite.mcap", "--save", recording], check=True, timeout=60)
-    stats = subprocess.run(
-        ["rerun", "rrd", "stats", recording], capture_output=True, text=True, timeout=60, check=True
-    )
+    subprocess.run([rerun, GOLDEN / "composite.mcap", "--save", recording], check=True, timeout=60)
+    stats = told(rerun, "rrd", "stats", recording)
     for topic in ("/axis/tick", "/can/frames"):
-        assert topic in stats.stdout
+        assert topic in stats
+
+
+def test_faults_with_their_times() -> None:
+    table = viewing.FaultTable(("a", "encoder_missing"))
+    t_s = np.arange(6.0)
+    none = np.zeros(6, dtype=np.int64)
+    table.add({"present": np.array([0, 1, 1, 3, 0, 0]), "latched": none, "t_s": t_s})
+    table.add({"present": none, "latched": np.array([0, 2, 2, 2, 2, 2]), "t_s": t_s + 6.0})
+    spans = [
+        ("a", 1.0, 4.0, False),
+        ("encoder_missing", 3.0, 4.0, False),
+        ("encoder_missing", 7.0, None, True),
+    ]
+    assert table.spans == spans
+    rows = table.markdown().splitlines()
+    assert len(rows) == 2 + len(spans)
+    assert rows[-1].startswith("| encoder_missing | 7.000 | the end | yes |")
+    assert viewing.FaultTable(()).markdown() == "no faults"

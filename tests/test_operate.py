@@ -23,7 +23,7 @@ from pneud.config.reading import load_config
 from pneud.console import endpoint
 from pneud.console.client import Client
 from pneud.console.endpoint import PlaceError
-from pneud.console.tuning import NAMES, REFERENCE, chosen, values_of
+from pneud.console.tuning import MODEL, NAMES, REFERENCE, chosen, values_of
 from pneud.control.tunables import LAWS, TUNABLE, names_of, tunables
 from pneud.signals import Answer, RequestKind
 
@@ -367,7 +367,7 @@ def test_another_law_is_set_with_its_gains_saved_and_left_again(tmp_path: Path) 
         assert changed == "law composite-implicit → pid, pid.kp 2540 → 2000"
         assert b.requests[-1].values == (4.0, 2000.0, 32000.0, 75.6, 202.0, 0.01, 2e-5, 200.0)
         gains = object_of(pneud_here("tune", "get", *at))["gains"]
-        assert tuple(gains) == (*names_of("pid"), *REFERENCE)
+        assert tuple(gains) == (*names_of("pid"), *REFERENCE, *MODEL)
         assert object_of(pneud_here("tune", "diff", *at))["changes"] == {
             "law": {"file": "composite-implicit", "running": "pid"},
             "pid.kp": {"file": 2540.0, "running": 2000.0},
@@ -409,7 +409,7 @@ def test_the_values_of_a_file_are_those_of_the_loop(name: str) -> None:
     config = load_config(resources.configs() / name)
     values = values_of(config)
     assert tuple(values) == NAMES
-    assert tuple(chosen(values)) == (*TUNABLE, *REFERENCE)
+    assert tuple(chosen(values)) == (*TUNABLE, *REFERENCE, *MODEL)
     running = tunables(axis_of(config, 0.0005).controller)
     assert [values[n] for n in TUNABLE if n != "law"] == list(running[1:])
     assert LAWS[int(running[0])] == values["law"]

@@ -16,6 +16,7 @@ from pneud.axis.cycle import Axis, AxisState
 from pneud.axis.requests import NOTHING, Asked, ask
 from pneud.config.conversions import axis_of
 from pneud.config.reading import with_settings
+from pneud.control.model import Model
 from pneud.control.plan import FOLLOWING, GOING, IDLE, JOINING, RESTING, Plan, follow
 from pneud.control.probe import NO_PROBE
 from pneud.control.reference import ROOM, Sine, Way, along, at, septic, sine, stays, transfer
@@ -80,8 +81,8 @@ def _following() -> Rig:
     return rig
 
 
-def test_gains_and_a_reference_fit_into_a_request() -> None:
-    assert len(TUNABLE) + len(Sine._fields) == REQUEST_VALUES
+def test_all_that_is_tuned_fits_into_a_request() -> None:
+    assert len(TUNABLE) + len(Sine._fields) + len(Model._fields) == REQUEST_VALUES
 
 
 def asked(wanted: Sine, plan: Plan, now: Reference, gains: tuple[float, ...] = NOW) -> Asked:

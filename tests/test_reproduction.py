@@ -322,7 +322,7 @@ def loads(text: str) -> list[str]:
     return [
         x
         for x in re.findall(r"""(?:src|href|data)\s*=\s*['"]?([^'" >]+)|url\(([^)]*)\)|@import""", text)
-        if not x[0].startswith("data:")
+        if not x[0].startswith(("data:", "#"))  # a place in the page itself
     ]
 
 

@@ -187,7 +187,9 @@ def test_layouts_show_what_there_is() -> None:
     foxglove = (VIEWERS / "foxglove.json").read_text()
     paths = re.findall(r'"value": "(.*?)"', foxglove)
     assert len(paths) > 15
+    paths += [p for p in re.findall(r'"topicPath": "(.*?)"', foxglove) if p.startswith("/axis/tick.")]
     assert {path.removeprefix("/axis/tick.") for path in paths} <= known
+    assert {"/axis/tick.error_m", "/axis/tick.true_error_m", "/axis/tick.fault_names"} <= set(paths)
     layout = json.loads(foxglove)
     placed = set(re.findall(r'"(\w+!\w+)"', json.dumps(layout["layout"])))
     assert placed == set(layout["configById"])

@@ -23,8 +23,7 @@ from pneud.config.models import Config, FrameConfig, FramesConfig
 HEAD = """\
 # Keys of a configuration
 
-<!-- Made by docs/generators/configuration.py; do not edit. To make it anew:
-python docs/generators/configuration.py > docs/configuration.md -->
+<!-- Made by docs/generators/configuration.py; do not edit. `make pages` makes it anew. -->
 
 A configuration is one TOML file. Unknown keys are errors; `pneud check FILE` names the line. Units are part
 of the names, all SI; pressures are absolute. A key that is required has to be given where its table is.

@@ -89,19 +89,21 @@ recorder died or failed or the disk took nothing to the last, says why and ends 
 
 ## In Python
 
-    from pneud import read_log
-    from pneud.log.files.columns import blocks
+```python
+from pneud import read_log
+from pneud.log.files.columns import blocks
 
-    for tick in read_log("run.mcap"):          # objects, one by one
-        print(tick.t_s, tick.state_name, tick.error_m, tick.fault_names)
-    for block in blocks(read_log("run.mcap")): # arrays, thousands of ticks at a time
-        print(block.real("estimate.force_n").max())
+for tick in read_log("run.mcap"):  # objects, one by one
+    print(tick.t_s, tick.state_name, tick.error_m, tick.fault_names)
+for block in blocks(read_log("run.mcap")):  # arrays, thousands of ticks at a time
+    print(block.real("estimate.force_n").max())
+```
 
 ## In other tools
 
     pneud logs                                 # which there are; --json
     pneud report run.mcap                      # one page, run.html; several logs are compared
-    pneud report run.mcap -o part.html --from 120 --to 125
+    pneud report run.mcap -o part.html --from 2 --to 4
     pneud bench --json > bench.json            # what this machine can do …
     pneud report run.mcap -o report.html --reference bench.json   # … beside the run's own timing
     pneud export run.mcap -o run.parquet       # or .csv: a row a tick
@@ -109,13 +111,17 @@ recorder died or failed or the disk took nothing to the last, says why and ends 
     pneud export run.mcap -o run.log           # frames: candump log; or .asc, .blf
     cantools decode configs/pneud.dbc < run.log
 
-A report draws at most 8192 buckets of ticks for each line, with the least and the greatest value of each: every peak is
-kept, whatever the length. `--from` and `--to` show a part with every tick.
+A report begins with a verdict and why, then each motion with its error, settling, air and work, and each fault close up.
+Its lines are drawn in at most 8192 buckets of ticks, with the least and the greatest value of each: every peak is kept,
+whatever the length. Zoomed in, every tick is there of some minutes at 1 kHz: of stretches with events first, then of
+those with the greatest errors; the page says which. `--from` and `--to` show a part. `--open` shows the page.
 
 Foxglove, [Lichtblick](https://github.com/lichtblick-suite/lichtblick) and PlotJuggler open the `.mcap` itself; what `pneud export`
 writes for viewers has errors and names in its ticks as well. Layouts
 are in `configs/viewers`: `foxglove.json` for the first two (import it as a layout), `plotjuggler.xml` for the third.
-`pneud view run.mcap --foxglove` starts Lichtblick, else Foxglove, with a log; `pneud view run.mcap --rerun` starts rerun.
+`pneud view run.mcap --foxglove` starts Lichtblick, else Foxglove, with a log and its errors, states and faults by name; the layout has
+a list of the faults. `pneud view run.mcap --rerun` starts rerun with the same curves, arranged by a blueprint, and a table of the faults:
+from when to when, whether latched, and what to look at.
 
 `pneud --virtual --live` (or the daemon on a rig; `pip install 'pneud[live]'`) serves the run as it goes at
 ws://127.0.0.1:8765, as it says on standard error with a link for the browser, to viewers that speak `foxglove.sdk.v1`: `/axis/tick`, `/can/frames` and `/events`, with the configuration as

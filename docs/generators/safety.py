@@ -79,8 +79,7 @@ _TIMEOUTS = (
 _TEXT = """\
 # Safety
 
-<!-- Made by docs/generators/safety.py; do not edit. To make it anew:
-     .venv/bin/python docs/generators/safety.py > docs/safety.md -->
+<!-- Made by docs/generators/safety.py; do not edit. `make pages` makes it anew. -->
 
 ## What pneud is not
 

@@ -3,8 +3,9 @@
 As a library:
 
 * `load_config(file)`: a validated configuration,
-* `simulate(file, duration_s, seed)`: the ticks of a run in simulated time,
-* `read_log(file)`: the ticks of a log,
+* `simulate(config, duration_s, seed, scenario=…, gains=…)`: a run in simulated time, as a log,
+* `read_log(file)`: a log: its ticks, columns for pandas, polars, Arrow and xarray, motions, summary,
+* `Client()`, `AsyncClient()`: talk to a running daemon,
 * `Axis`: the cycle itself.
 """
 
@@ -13,19 +14,47 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
-__all__ = ["Axis", "__version__", "load_config", "read_log", "simulate"]
+__all__ = [
+    "AsyncClient",
+    "Axis",
+    "Client",
+    "ConfigError",
+    "ExtraError",
+    "Log",
+    "LogError",
+    "PlaceError",
+    "RefusedError",
+    "__version__",
+    "load_config",
+    "read_log",
+    "simulate",
+]
 
 if TYPE_CHECKING:
     from pneud.axis.cycle import Axis
     from pneud.config.reading import load_config
-    from pneud.log.files.reader import read_log
-    from pneud.replay.lockstep import simulate
+    from pneud.config.sections import ConfigError
+    from pneud.console.client import RefusedError
+    from pneud.console.endpoint import PlaceError
+    from pneud.log.files.naming import LogError
+    from pneud.notebook.client import AsyncClient, Client
+    from pneud.notebook.frames import ExtraError
+    from pneud.notebook.logs import Log, read_log
+    from pneud.notebook.runs import simulate
 
 _WHERE = {
+    "AsyncClient": "pneud.notebook.client",
     "Axis": "pneud.axis.cycle",
+    "Client": "pneud.notebook.client",
+    "ConfigError": "pneud.config.sections",
+    "ExtraError": "pneud.notebook.frames",
+    "Log": "pneud.notebook.logs",
+    "LogError": "pneud.log.files.naming",
+    "PlaceError": "pneud.console.endpoint",
+    "RefusedError": "pneud.console.client",
     "load_config": "pneud.config.reading",
-    "read_log": "pneud.log.files.reader",
-    "simulate": "pneud.replay.lockstep",
+    "read_log": "pneud.notebook.logs",
+    "simulate": "pneud.notebook.runs",
 }
 
 
@@ -36,3 +65,7 @@ def __getattr__(name: str) -> Any:
 
         return getattr(import_module(_WHERE[name]), name)
     raise AttributeError(f"module 'pneud' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})

@@ -47,6 +47,16 @@ def load(
     if change:
         text = changed_text(text, change)
         config = parse(text, f"{path} as changed")
+    return complete(config, text, path, rate_hz)
+
+
+def complete(config: Config, text: str, path: Path, rate_hz: float | None = None) -> Loaded:
+    """A configuration with its DBC, which lies beside the file or comes with pneud; as `load`.
+
+    Raises:
+        ConfigError: the configuration cannot be used.
+        DatabaseError: the DBC cannot be used.
+    """
     if rate_hz is not None:
         config = at_rate(config, rate_hz)
     try:

@@ -116,7 +116,9 @@ class RequestKind(IntEnum):
     JOG = 10  # (velocity, lease in ticks)
     TRACK = 11  # (0.0,): the configured reference; (1.0,): the uploaded profile
     PIECE = 12  # (T, c0 … c7): one more piece of the profile; (): empty it
-    GAINS = 13  # a law's code and its gains; behind them the configured reference, where it changes
+    # a law's code and its gains; behind them the configured reference, where it changes; behind that what is
+    # believed of valve and friction, and the filters, where that does
+    GAINS = 13
     PROBE = 14  # (voltage, rate, travel, speed, force, lease in ticks): a bounded opening without a loop
     RESTART = 15  # centre for good, and let the daemon begin anew with what its file says; not while engaged
 
@@ -142,7 +144,7 @@ HUNTING_CURES: dict[int, str] = {
 }
 """What to look at, by `Hunting`."""
 
-REQUEST_VALUES = 12  # the most that a request carries
+REQUEST_VALUES = 27  # the most that a request carries
 
 
 class Request(NamedTuple):

@@ -15,7 +15,7 @@ from pneud.axis.state import INSIDE, AxisParameters, AxisState, Doubt, configure
 from pneud.axis.stops import UNHELD, excused, gentle, outside
 from pneud.control import homing, probe
 from pneud.control.plan import FOLLOWING, IDLE, NONE, Plan
-from pneud.control.step import Controller
+from pneud.control.step import Controller, forget
 from pneud.safety import checks
 from pneud.safety.faults import F
 from pneud.safety.output import emit
@@ -82,6 +82,8 @@ def cycle(
         driven = actuate(course, after.state, m, belief, state.last_v, law, bounded)
         if driven.faults:
             after = trip(after, driven.faults)
+    elif asked.law is not None and course.controller is not None:
+        driven = driven._replace(controller=forget(course.controller, state.law, law))
     present = course.present | asked.faults | driven.faults
     if driven.command.saturated:
         present |= SATURATED

@@ -12,6 +12,8 @@ from typing import NamedTuple
 
 from pneud.axis.state import AxisParameters
 from pneud.axis.stops import soft_limits, way_inside
+from pneud.control import model
+from pneud.control.model import Model
 from pneud.control.plan import COMING_TO_REST, FOLLOWING, GOING, JOINING, Plan, halting, resting
 from pneud.control.probe import Probe, is_allowed
 from pneud.control.profile import (
@@ -65,6 +67,8 @@ HARDENINGS = 3
 SLOWEST = Bounds(1e-6, 1e-6, 1e-6)  # m/s, m/s², m/s³: with less, a way would take hours, or overflow
 UNREFERENCED = 1 << F.ENCODER_UNREFERENCED
 
+MOTION, MODEL = len(Sine._fields), len(Model._fields)  # values behind gains
+
 # how many values each request has
 COUNTS = {
     ARM: (0, 1),
@@ -77,7 +81,7 @@ COUNTS = {
     JOG: (2,),
     TRACK: (1,),
     PIECE: (0, 9),
-    GAINS: tuple({len(names_of(law)) + more for law in LAWS for more in (0, len(Sine._fields))}),
+    GAINS: tuple({len(names_of(law)) + more for law in LAWS for more in (0, MOTION, MODEL, MOTION + MODEL)}),
     HOME: (0,),
     PROBE: (6,),
     RESTART: (0,),
@@ -232,14 +236,23 @@ def _probe(
 def _tune(
     values: tuple[float, ...], plan: Plan, now: Reference, now_ns: int, law: Controller, p: AxisParameters
 ) -> Asked:
-    """Another law or other gains, and perhaps another configured reference: all or nothing."""
-    gains, motion = parted(values) or ((), ())
-    if not gains or len(motion) not in (0, len(Sine._fields)) or not is_sound(gains):
+    """Another law or other gains, perhaps another configured reference or another model: all or nothing."""
+    gains, more = parted(values) or ((), ())
+    if not gains or len(more) not in (0, MOTION, MODEL, MOTION + MODEL) or not is_sound(gains):
         return Asked(MALFORMED)
     if not is_stable(gains, law):
         return Asked(UNSTABLE)
+    rest = len(more) % MODEL
+    motion, believed, after = more[:rest], more[rest:], tuned(gains, law)
+    if believed:
+        wanted = Model(*believed)
+        if not model.is_sound(wanted, law):
+            return Asked(MALFORMED)
+        if not model.is_bearable(wanted, law):
+            return Asked(UNSTABLE)
+        after = model.remodelled(wanted, after)
     asked = _configure(Sine(*motion), plan, now, now_ns, p) if motion else Asked(TAKEN)
-    return asked._replace(law=tuned(gains, law)) if asked.answer == TAKEN else asked
+    return asked._replace(law=after) if asked.answer == TAKEN else asked
 
 
 def _configure(wanted: Sine, plan: Plan, now: Reference, now_ns: int, p: AxisParameters) -> Asked:

@@ -1,4 +1,4 @@
-"""The histograms of lateness as one page of HTML that needs nothing else: SVG, both axes logarithmic."""
+"""A benchmark as a page: the histograms of lateness as SVG, both axes logarithmic, and the figures."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import html
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
+
+from pneud.bench.tables import OURS
+from pneud.report.frame import BAD, GOOD, LOOK, Section, Verdict, document, strip, table
 
 _COLOURS = {
     "pneud": "#0072b2",
@@ -15,19 +18,64 @@ _COLOURS = {
     "c": "#009e73",
 }
 _WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 900, 460, 70, 20, 20, 50
+_QUANTITIES = {"wakeup_us": "wake-up", "latency_us": "sensor to command", "own_us": "own work"}
+_LATE = 0.2  # part of a period
 _PER_DECADE = 24  # columns; finer ones would show the timers' rasters
 
 
 def page(report: Mapping[str, Any], text: str) -> str:
     """The page."""
-    histograms = report["wakeup_histograms_ns"]
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>pneud bench</title>\n'
-        "<style>body{font:15px sans-serif;max-width:920px;margin:2em auto;padding:0 1em}"
-        "pre{overflow-x:auto;font-size:13px}text{font:13px sans-serif}</style></head><body>\n"
-        "<h1>Wake-up lateness</h1>\n"
-        f"{svg(histograms)}\n<pre>{html.escape(text)}</pre>\n</body></html>\n"
+    machine, setting = report["machine"], report["setting"]
+    told = [
+        ("machine", f"{machine['cpu_model']}, {len(machine['cpus'])} CPUs"),
+        ("kernel", str(machine["kernel"])),
+        ("loop", f"{setting['rate_hz']:g} Hz, {setting['scheduling']}"),
+        ("bus", str(setting["bus"])),
+        ("turns", f"{setting['pairs']} of {setting['turn_s']:g} s for each"),
+    ]
+    words = f'<pre tabindex="0">{html.escape(text)}</pre>'
+    return document(
+        "pneud bench",
+        "How punctual the loop is here",
+        [
+            Section("Wake-up lateness", svg(report["wakeup_histograms_ns"])),
+            Section("Figures", _figures(report["contestants"]) + words),
+        ],
+        lead=strip(verdict(report), told),
     )
+
+
+def verdict(report: Mapping[str, Any]) -> Verdict:
+    """What the benchmark comes to."""
+    ours = report["contestants"].get(OURS)
+    if ours is None:
+        return Verdict(BAD, (f"pneud could not be measured: {report['missing'].get(OURS, 'no turn of it')}",))
+    found = Verdict()
+    if ours["wakeup_us"] is not None:
+        late = ours["wakeup_us"]
+        level = LOOK if late["p99"] > _LATE * 1e6 / report["setting"]["rate_hz"] else GOOD
+        found = found.and_then(level, f"wake-up {late['p99']:.0f} µs late at p99, {late['max']:.0f} at most")
+    for name, ratios in report["pneud_over"].items():
+        if "wakeup" in ratios:
+            found = found.and_then(
+                GOOD, f"{ratios['wakeup']['p99']['median']:.2f} of {name}'s p99 at waking up"
+            )
+    if ours["skipped"]:
+        found = found.and_then(LOOK, f"{ours['skipped']} of {ours['ticks']} ticks were skipped")
+    if report["setting"]["scheduling"].startswith("no "):
+        found = found.and_then(LOOK, report["setting"]["scheduling"])
+    return found
+
+
+def _figures(contestants: Mapping[str, Any]) -> str:
+    """Percentiles of each contestant."""
+    head = ["µs", *(f"{words} {q}" for words in _QUANTITIES.values() for q in ("p50", "p99", "max"))]
+    rows = []
+    for name, one in contestants.items():
+        figures = [one[key] or {} for key in _QUANTITIES]
+        cells = [found.get(q) for found in figures for q in ("p50", "p99", "max")]
+        rows.append([name, *("–" if cell is None else f"{cell:.0f}" for cell in cells)])
+    return table(head, rows, label="figures of each contestant")
 
 
 def columns(buckets: Sequence[Sequence[int]]) -> dict[int, float]:

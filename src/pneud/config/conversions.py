@@ -13,13 +13,15 @@ from pneud.config.learnt import adaptation_of, start_of
 from pneud.config.measured import edges_of, with_map
 from pneud.config.models import BusConfig, Config, ControlConfig, CylinderConfig, RealtimeConfig, ValveConfig
 from pneud.config.plant import FrictionConfig, PlantConfig, PlantValveConfig, PlantWiringConfig
+from pneud.control import model
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.feedforward import Creep
 from pneud.control.homing import HomingParameters
 from pneud.control.homogeneous import Feedback, feedback
 from pneud.control.laws.sliding import Sliding
 from pneud.control.laws.slot import IN_SLOT, SLIDING, Slot
-from pneud.control.motion import MotionFilter, kalman, quickened, triple_pole
+from pneud.control.model import Model
+from pneud.control.motion import MotionFilter, kalman
 from pneud.control.reference import Bounds, Shunned, Sine
 from pneud.control.standstill import Standstill
 from pneud.control.step import Controller
@@ -34,14 +36,6 @@ COMPUTING_S = 80e-6  # from the last sensor frame to the command's place on the 
 FRAME_BITS, STUFFING = 47, 1.1
 LONGEST_SHARE, LONGEST_S = 2.0, 10.0  # a stroke of homing may take so much longer than at its speed
 LEAST_STILL_M, STILL_STEPS = 5e-5, 10.0  # travel that a reading cannot hide: at least, and in encoder steps
-LEAST_HELD_M = 5e-6  # error that may be left rather than cross the dead zone, at least
-BALANCE = 0.03  # of dry friction that may be out of balance while a load counts as held by it
-SMOOTH_S = 0.02  # of force and speed of a standing load
-SETTLE_S = 1.0  # that the law has, before it gives way to a load that would swing on its bristles
-DIED = 3.0  # time constants until a swing has died
-SHUT = 0.02  # of the greatest command, up to which the law keeps the valve shut at rest
-GRACE_S = 0.08  # that a load has to come to rest when the valve is closed
-RESTLESS_V = 0.03  # mean step of the command that is hunting
 NOISES, LEAST_STEPS = 4.0, 4.0  # within so many standard deviations, and steps, nearly all readings lie
 UNKNOWN_SHARE = 0.1  # of the piston's greatest force that nobody may know of without being doubted
 DOUBT_S, DOUBT_SHARE = 0.04, 0.3  # more odd readings in such a time are a fault
@@ -51,9 +45,7 @@ SWING = 1.5  # times the tolerance does the error of a hunting load go to and fr
 MEAN_STEP_S = 0.3  # in which the mean step of the command is taken
 FAST = 16.0  # times the lead: a loop that swings faster is as fast as the valve
 FAST_S = 0.01  # where there is no lead
-STEEPEST = 0.858  # slope of exp(−(v/v_s)²), times v_s
 SHUNNED = (0.35, 1.6)  # times v_s, between which friction falls steeply
-PASSING_S = 0.1  # a reference that passes the Stribeck speed in less does not creep
 BLOCKED_KG = 1e9  # nothing moves that
 BLEND_S = 0.1  # in which one set of gains gives way to another
 
@@ -204,19 +196,32 @@ def lead_s(delay_s: float, valve: Valve) -> float:
     return delay_s + lag_s
 
 
+def model_of(c: Config) -> Model:
+    """What may be changed of a configuration while the axis runs, beside laws and gains."""
+    v, law, m = c.valve, c.control, c.control.motion
+    valve = valve_of(c)
+    return Model(
+        valve.dead_zone_v if v.map else v.dead_zone_v,
+        valve.centre_v,
+        law.dead_zone_hold_v,
+        *friction_of(law.friction),
+        motion_rad_s=m.bandwidth_rad_s or 0.0,
+        push_rad_s=m.push_bandwidth_rad_s or 0.0,
+        push_beyond_m=m.push_beyond_m,
+        force_rate_rad_s=law.force_rate_bandwidth_rad_s,
+        standstill=float(law.standstill),
+        creep=float(law.creep),
+    )
+
+
 def motion_of(c: Config) -> MotionFilter:
     """The motion filter's gains."""
     m, h = c.control.motion, 1.0 / c.loop.rate_hz
-    blind_m = 0.5 * m.encoder_resolution_m
-    if m.bandwidth_rad_s is None:
-        assert m.encoder_noise_m is not None and m.force_walk_n_rs is not None
-        return kalman(m.encoder_noise_m, m.force_walk_n_rs, c.cylinder.moving_mass_kg, h, blind_m)
-    found = triple_pole(m.bandwidth_rad_s, h, blind_m)
-    if m.push_bandwidth_rad_s is None:
-        return found
-    # a step of the encoder is no push
-    beyond_m = max(m.push_beyond_m, m.encoder_resolution_m)
-    return quickened(found, triple_pole(m.push_bandwidth_rad_s, h), beyond_m)
+    if m.bandwidth_rad_s is not None:
+        return model.motion_filter(model_of(c), h, m.encoder_resolution_m)
+    assert m.encoder_noise_m is not None and m.force_walk_n_rs is not None
+    mass_kg, blind_m = c.cylinder.moving_mass_kg, 0.5 * m.encoder_resolution_m
+    return kalman(m.encoder_noise_m, m.force_walk_n_rs, mass_kg, h, blind_m)
 
 
 def gains_of(c: Config) -> Feedback:
@@ -261,7 +266,7 @@ def controller_of(c: Config) -> Controller:
         ),
         use_x3_hat=law.smooth_x3,
         use_force=law.estimate_force,
-        force_rate_gain=1.0 - math.exp(-law.force_rate_bandwidth_rad_s * h),
+        force_rate_gain=model.force_rate_gain(law.force_rate_bandwidth_rad_s, h),
         blend_kept=math.exp(-h / BLEND_S),
         slot=slot_of(law, h),
         standstill=standstill_of(c),
@@ -271,14 +276,9 @@ def controller_of(c: Config) -> Controller:
 
 
 def behind_of(c: Config) -> float:
-    """How far the motion filter lags behind friction that falls with speed: its lag times that pole."""
-    f, h = c.control.friction, 1.0 / c.loop.rate_hz
-    fall_n = max(0.0, f.static_n - f.coulomb_n)
-    if f.bristle_stiffness_n_m <= 0.0 or fall_n == 0.0:
-        return 0.0
-    pole_rad_s = STEEPEST * fall_n / (f.stribeck_speed_m_s * c.cylinder.moving_mass_kg)
-    omega_rad_s: float = motion_of(c).gamma ** (1.0 / 3.0) / h  # of a triple pole
-    return pole_rad_s * 3.0 / omega_rad_s
+    """How far the motion filter lags behind friction that falls with speed."""
+    mass_kg, h = c.cylinder.moving_mass_kg, 1.0 / c.loop.rate_hz
+    return model.behind(friction_of(c.control.friction), motion_of(c), mass_kg, h)
 
 
 def shunned_of(c: Config) -> Shunned:
@@ -288,61 +288,20 @@ def shunned_of(c: Config) -> Shunned:
 
 
 def creep_of(c: Config) -> Creep:
-    """Where the load's own speed is fed forward: as far as the motion filter knows it in time.
-
-    Friction that falls with speed makes a pole; where the filter lags behind it, it would be fed too late.
-    """
-    f, behind = c.control.friction, behind_of(c)
-    if not c.control.creep or behind == 0.0:
-        return Creep()
-    return Creep(1.0 / (1.0 + behind**8), 3.0 * f.stribeck_speed_m_s, f.stribeck_speed_m_s / PASSING_S)
+    """Where the load's own speed is fed forward."""
+    return model.creeping(model_of(c), behind_of(c))
 
 
 def hold_v(c: Config, k: cyl.Cylinder) -> float:
-    """Opening [V] that is not worth a way across the dead zone: the configured one at most.
-
-    Nor more than what the law asks for where the load is off by half a step of the encoder: on a small axis,
-    whose law asks for little, it would stand beside its target.
-    """
-    error_m = max(LEAST_HELD_M, 0.5 * c.control.motion.encoder_resolution_m)
-    return min(c.control.dead_zone_hold_v, k.M * c.control.k1 * error_m / k.F1_nominal)
+    """Opening [V] that is not worth a way across the dead zone."""
+    step_m = c.control.motion.encoder_resolution_m
+    return model.hold_v(c.control.dead_zone_hold_v, k.M * c.control.k1, step_m, k.F1_nominal)
 
 
 def standstill_of(c: Config) -> Standstill:
-    """When a load counts as standing still: from mass, friction and the encoder's step."""
-    f, step_m, M = c.control.friction, c.control.motion.encoder_resolution_m, c.cylinder.moving_mass_kg
-    if not c.control.standstill or f.bristle_stiffness_n_m <= 0.0 or f.coulomb_n <= 0.0:
-        return Standstill()
-    h, stiffness = 1.0 / c.loop.rate_hz, f.bristle_stiffness_n_m
-    omega = math.sqrt(stiffness / M)
-    enter_m, stick_m = max(6e-6, 0.8 * step_m), max(0.6e-6, 1.1 * step_m)
-    # a force that friction does not hold would have moved the load by more than that in this time
-    stick = max(8, math.ceil(math.sqrt(2.0 * M * stick_m / (BALANCE * f.coulomb_n)) / h))
-    swing_s = 2.0 * math.pi / omega
-    dies_out = 0.5 * f.bristle_damping_n_s_m / M * GRACE_S >= DIED
-    return Standstill(
-        enter_m=enter_m,
-        leave_m=max(11e-6, 1.3 * step_m),
-        near_m=1e-4,
-        far_m=3e-4,
-        leave_m_s=4e-3 + 50.0 * step_m,
-        omega_rad_s=omega,
-        stiffness_n_m=stiffness,
-        static_n=f.static_n,
-        swing=max(1, round(max(0.02, swing_s) / h)),
-        smooth=1.0 - math.exp(-h / SMOOTH_S),
-        stuck=max(round(1.5 * stick), round(0.6 * swing_s / h)),
-        patience=round(0.1 / h),
-        grace=round(GRACE_S / h),
-        restless=1.0 - math.exp(-h / 0.05),
-        restless_v=RESTLESS_V,
-        nudge_v=0.1 * c.valve.u_max_v,
-        stick_m=stick_m,
-        stick=stick,
-        held=1.0 - math.exp(-h / 0.01),
-        settle=round((GRACE_S if dies_out else SETTLE_S) / h),
-        shut_v=SHUT * c.valve.u_max_v,
-    )
+    """When a load counts as standing still."""
+    step_m, h = c.control.motion.encoder_resolution_m, 1.0 / c.loop.rate_hz
+    return model.standing(model_of(c), c.cylinder.moving_mass_kg, step_m, h, c.valve.u_max_v)
 
 
 def limits_of(c: Config) -> Limits:

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from pneud.config.flow import area_of
 from pneud.control.adaptation import Adaptation, Learnt, Rate, within
+from pneud.control.model import most_edge_v
 
 if TYPE_CHECKING:
     from pneud.config.models import Config
 
-MOST_EDGE = 0.08  # part of the greatest opening that an edge of the dead zone may be learnt to be
 SLACK = 1e-5  # of a bound, which a rounded value may be beyond
 
 Values: TypeAlias = dict[str, dict[str, Any]]
@@ -58,7 +58,7 @@ def adaptation_of(c: Config) -> Adaptation:
     load_n = (c.gas.supply_pa - c.gas.atmosphere_pa) * c.cylinder.piston_area_1_m2
     return Adaptation(
         enabled=a.enabled,
-        edges=Rate(1.0 * a.dead_zone, 0.0, max(MOST_EDGE * u_max_v, dead_zone_v)),
+        edges=Rate(1.0 * a.dead_zone, 0.0, most_edge_v(dead_zone_v, u_max_v)),
         flow=Rate(1.0 * a.flow, 0.5, 2.0),
         lag=Rate(20.0 * a.lag, 1.0, 4.0),
         friction=Rate(3.0 * (a.friction and force), 0.3, 3.0),

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from pneud.config.flow import RATINGS, given
 from pneud.config.learnt import start_of
@@ -46,6 +46,7 @@ from pneud.config.sections import (
 )
 from pneud.control.laws import adrc, pid
 from pneud.control.laws.open_loop import OpenLoop
+from pneud.control.model import MOST_PUSH_RATIO
 from pneud.physics.ratings import TYPICAL_CRITICAL_RATIO
 
 
@@ -158,10 +159,15 @@ class FrameConfig(Section):
 
     message: str  # name in the DBC
     signals: dict[str, str] = Field(default_factory=dict)  # role = "name in the DBC"
-    counter: str | None = "Counter"  # signal that counts the frames
-    crc: str | None = "Crc"  # signal with the checksum
+    counter: str | None = "Counter"  # signal that counts the frames; "": the device has none
+    crc: str | None = "Crc"  # signal with the checksum; "": the device has none
     node: Annotated[int, Field(ge=1, le=127)] | None = None
     heartbeat_timeout_ms: Annotated[float, Field(ge=1, le=60_000)] | None = None
+
+    @field_validator("counter", "crc")
+    @classmethod
+    def _none(cls, name: str | None) -> str | None:
+        return name or None
 
     @model_validator(mode="after")
     def _heartbeat_of_a_node(self) -> FrameConfig:
@@ -223,9 +229,6 @@ class ObserverConfig(Section):
                 "lambda1 must exceed 1, or d̂ cannot follow a disturbance that changes at gain_n_s2"
             )
         return self
-
-
-MOST_PUSH_RATIO = 2.5  # two filters so far apart have a Lyapunov function in common
 
 
 class MotionConfig(Section):

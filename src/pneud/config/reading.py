@@ -14,6 +14,8 @@ from pneud.config.places import line_of, meant
 from pneud.config.sections import ConfigError
 from pneud.config.toml import TomlError, tables_of
 
+NONE = "none"  # in place of a value
+
 
 def parse(text: str, name: str) -> Config:
     """A configuration from the text of its file.
@@ -41,7 +43,8 @@ def with_settings(text: str, name: str, settings: Sequence[str]) -> Config:
     Args:
         text: TOML.
         name: what to call it in messages.
-        settings: such as "control.k1=2500", the value as in TOML; a string needs no quotes.
+        settings: such as "control.k1=2500", the value as in TOML; a string needs no quotes, and `none` takes
+            the key out.
 
     Raises:
         ConfigError: as `parse`, or a setting has not this form.
@@ -60,6 +63,9 @@ def with_settings(text: str, name: str, settings: Sequence[str]) -> Config:
             table = table.setdefault(part, {})
             if not isinstance(table, dict):
                 raise ConfigError(f"--set {setting}: {part} is no table")
+        if value.strip() == NONE:
+            table.pop(last, None)
+            continue
         try:
             table[last] = tables_of(f"x = {value}")["x"]
         except TomlError:

@@ -10,13 +10,15 @@ import csv
 import io
 import json
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from pneud.console.protocol import MAX_PIECES
 from pneud.control.profile import LONGEST_S, MOST_PIECES, ROUNDING, SHORTEST_S, extent, is_inside, meet
 from pneud.control.reference import Bounds, Septic, at, move, rest, septic
 from pneud.rt.inputs import open_file, read_whole
@@ -251,6 +253,19 @@ def check(pieces: Sequence[Septic], bounds: Bounds, low_m: float, high_m: float)
                 f" the travel allows {1e3 * low_m:g} … {1e3 * high_m:g} mm"
             )
         t += piece.T
+
+
+def bounds_in(limits: Mapping[str, float]) -> Bounds:
+    """The bounds of speed, acceleration and jerk in the limits that a daemon's status tells."""
+    return Bounds(*(limits[key] * 1e-3 for key in ("speed_mm_s", "acceleration_mm_s2", "jerk_mm_s3")))
+
+
+def uploads(pieces: Sequence[Septic]) -> Iterator[dict[str, Any]]:
+    """The fields of the requests that take a profile to a daemon."""
+    for begin in range(0, len(pieces), MAX_PIECES):
+        end = begin + MAX_PIECES
+        some = [list(piece) for piece in pieces[begin:end]]
+        yield {"first": begin == 0, "last": end >= len(pieces), "pieces": some}
 
 
 def requests(pieces: Iterable[Septic]) -> Iterator[Request]:

@@ -139,16 +139,16 @@ class Upload(RequestBase):
 
 
 class TuneGet(RequestBase):
-    """The running gains and reference."""
+    """The running gains, reference, and what is believed of the rig."""
 
     verb: Literal["tune_get"]
 
 
 class TuneSet(RequestBase):
-    """Change gains and reference, all at once or none."""
+    """Change some of what `tune_get` tells, all at once or none."""
 
     verb: Literal["tune_set"]
-    gains: Annotated[dict[str, float | str], Field(min_length=1, max_length=12)]
+    gains: Annotated[dict[str, float | str], Field(min_length=1, max_length=32)]
 
 
 class TuneReload(RequestBase):

@@ -1,18 +1,24 @@
-"""Gains and reference while the loop runs: what they are, are asked to become, and are in the file."""
+"""What may be tuned while the loop runs: what it is, is asked to become, and is in the file.
+
+Gains and reference, and what is believed of valve and friction, and the filters.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-from pneud.config.conversions import reference_of
+from pydantic import ValidationError
+
+from pneud.config.conversions import model_of, reference_of
 from pneud.config.models import Config
-from pneud.config.reading import parse
+from pneud.config.reading import NONE, explain, parse
 from pneud.config.sections import ConfigError
 from pneud.config.toml import flat
 from pneud.console.memory import Memory
 from pneud.console.orders import Orders
 from pneud.console.protocol import Error, ProtocolError
+from pneud.control import model
 from pneud.control.tunables import LAWS, SLIDING_LAWS, names_of
 from pneud.signals import Request, RequestKind
 
@@ -20,8 +26,11 @@ Values = dict[str, float | str]
 """By name; the law by its name, all others numbers."""
 
 REFERENCE = ("reference.effective_centre_m", "reference.amplitude_m", "reference.frequency_hz")
-NAMES = (*dict.fromkeys(name for law in LAWS for name in names_of(law)), *REFERENCE)
+MAYBE_NONE = ("motion.bandwidth_rad_s", "motion.push_bandwidth_rad_s")  # 0 stands for none
+MODEL = model.NAMES
+NAMES = (*dict.fromkeys(name for law in LAWS for name in names_of(law)), *REFERENCE, *MODEL)
 _OBSERVER = ("lambda0", "lambda1", "gain_n_s2")
+_VALVE = ("valve.dead_zone_v", "valve.centre_v")
 
 
 def values_of(c: Config) -> Values:
@@ -32,8 +41,8 @@ def values_of(c: Config) -> Values:
 
 
 def chosen(values: Values) -> Values:
-    """The values of the law among them, in their order, and the reference."""
-    return {name: values[name] for name in (*names_of(str(values["law"])), *REFERENCE)}
+    """The values of the law among them, in their order, the reference, and what is believed."""
+    return {name: values[name] for name in (*names_of(str(values["law"])), *REFERENCE, *MODEL)}
 
 
 def _value(c: Config, name: str) -> float:
@@ -41,14 +50,14 @@ def _value(c: Config, name: str) -> float:
     table: Any = c
     for step in key:
         table = getattr(table, step)
-    return float(table)
+    return 0.0 if table is None else float(table)
 
 
 def keys(name: str) -> tuple[tuple[str, ...], ...]:
     """Where a value stands in the file; the law in two places."""
     if name == "law":
         return ("control", "law"), ("control", "discretisation")
-    if name in REFERENCE:
+    if name in REFERENCE or name in _VALVE:
         return (tuple(name.split(".")),)
     return (("control", "observer", name) if name in _OBSERVER else ("control", *name.split(".")),)
 
@@ -63,8 +72,36 @@ def settings_of(setting: str) -> list[str]:
     name, _, value = setting.partition("=")
     if name not in NAMES:
         return [setting]
+    if name in MAYBE_NONE and _is_zero(value):
+        value = NONE
     parts = value.split("-") if name == "law" else [value]
     return [f"{'.'.join(key)}={part}" for key, part in zip(keys(name), parts, strict=False)]
+
+
+def _is_zero(value: str) -> bool:
+    try:
+        return float(value) == 0.0
+    except ValueError:
+        return False
+
+
+def believing(c: Config, values: Values) -> Config:
+    """The configuration with other values of `MODEL`.
+
+    Raises:
+        ValidationError: they are none that it could have.
+    """
+    data = c.model_dump(by_alias=True)
+    for name in MODEL:
+        ((*tables, last),) = keys(name)
+        table = data
+        for step in tables:
+            table = table[step]
+        if values[name] != _value(c, name):
+            table[last] = None if name in MAYBE_NONE and not values[name] else values[name]
+            if name == "motion.bandwidth_rad_s":
+                table |= dict.fromkeys(("encoder_noise_m", "force_walk_n_rs"))
+    return Config.model_validate(data)
 
 
 def difference(old: Values, new: Values) -> str:
@@ -77,7 +114,7 @@ def difference(old: Values, new: Values) -> str:
 
 
 class Tuning:
-    """The running gains and reference of one axis."""
+    """What runs on one axis of all that may be tuned."""
 
     def __init__(self, config: Config, path: Path, text: str, memory: Memory | None = None) -> None:
         """As they were loaded, or are remembered."""
@@ -98,7 +135,7 @@ class Tuning:
 
     @property
     def running(self) -> Values:
-        """The values of the law that runs, and the reference."""
+        """The values of the law that runs, the reference, and what is believed."""
         return chosen(self._values)
 
     def read(self) -> None:
@@ -116,7 +153,8 @@ class Tuning:
         """Change some of the values.
 
         Raises:
-            ProtocolError: there is no such value or law, or a value is of another law.
+            ProtocolError: there is no such value or law, a value is of another law, or is none that the
+                configuration could have.
         """
         unknown = [name for name in values if name not in NAMES]
         if unknown:
@@ -132,10 +170,16 @@ class Tuning:
         strange = [name for name in values if name not in chosen(wanted)]
         if strange:
             raise ProtocolError(Error.INVALID, f"{strange[0]} is no value of {law}; set law=… along with it")
+        try:
+            believing(self._config, wanted)
+        except ValidationError as e:
+            raise ProtocolError(Error.INVALID, explain(e)) from None
         return self._plan("tune", wanted, {})
 
     def reload(self) -> Orders:
         """Take the values of the file as it was read last; limits never, all else at the next start.
+
+        So are edges of a dead zone that belong to a map of the valve.
 
         Raises:
             ProtocolError: the file cannot be used, or has other limits.
@@ -162,7 +206,11 @@ class Tuning:
                 f"{self._path}: {', '.join(limits)} changed, and limits change at a restart only;"
                 " nothing has been taken",
             )
-        plan = self._plan("tune from the file", values_of(config), {"at_restart": other})
+        found_values = values_of(config)
+        if config.valve.map or self._config.valve.map:
+            other += [n for n in _VALVE if found_values[n] != self._values[n] and n not in other]
+            found_values |= {n: self._values[n] for n in _VALVE}
+        plan = self._plan("tune from the file", found_values, {"at_restart": sorted(other)})
         words = plan.words + (f" (at the next start only: {', '.join(other)})" if other else "")
 
         def done() -> dict[str, Any]:
@@ -177,6 +225,8 @@ class Tuning:
         values = (float(LAWS.index(str(law))), *map(float, gains))
         if any(wanted[n] != self._values[n] for n in REFERENCE):
             values += self._sine(wanted)
+        if any(wanted[n] != self._values[n] for n in MODEL):
+            values += self._model(wanted)
         changes = difference(self._values, chosen(wanted))
 
         def done() -> dict[str, Any]:
@@ -186,6 +236,15 @@ class Tuning:
 
         requests = (Request(RequestKind.GAINS, values),) if changes else ()
         return Orders(f"{words}: {changes or 'nothing to change'}", requests, done=done)
+
+    def _model(self, wanted: Values) -> tuple[float, ...]:
+        """What is believed as the axis knows it."""
+        configured = model_of(self._config)
+        changed = (
+            wanted[n] if wanted[n] != _value(self._config, n) else c
+            for n, c in zip(MODEL, configured, strict=False)
+        )
+        return (*map(float, changed), *configured[len(MODEL) :])
 
     def _sine(self, wanted: Values) -> tuple[float, ...]:
         """The reference as the axis knows it."""

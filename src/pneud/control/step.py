@@ -338,6 +338,8 @@ def change(
     state: ControllerState, e: Estimate, r: Reference, before: Controller, after: Controller
 ) -> ControllerState:
     """The state with which the next command under another law or other gains is that of the one before."""
+    if not alike(before, after):
+        return _believe(state, e, r, before, after)
     before, after = as_learnt(before, state.learnt), as_learnt(after, state.learnt)
     s = situation(state, e, r, after)
     sliding, own = state.sliding, taken_over(state.own, s, before.slot, after.slot)
@@ -346,6 +348,57 @@ def change(
     changed = carried(state, sliding, state.bristles_m, state.force_step_n, state.blend, own)
     blend = state.blend + _resistance(state, e, r, before) - _resistance(changed, e, r, after)
     return carried(changed, sliding, state.bristles_m, state.force_step_n, blend, own)
+
+
+def _believe(
+    state: ControllerState, e: Estimate, r: Reference, before: Controller, after: Controller
+) -> ControllerState:
+    """As `change`, where what is believed of valve and friction, or a filter, changes as well."""
+    _, usual = act(state, e, r, before)
+    had, learnt = as_learnt(before, state.learnt), forgotten(state.learnt, before, after)
+    p, held_n = as_learnt(after, learnt), had.friction.sigma0_n_m * state.bristles_m
+    state = kept(state, bristles_under(held_n, p.friction), state.standstill, learnt)
+    s = situation(state, e, r, p)
+    sliding, own = state.sliding, taken_over(state.own, s, before.slot, after.slot)
+    if before.slot.kind != SLIDING:
+        sliding = engage(s.w3)
+    changed = carried(state, sliding, state.bristles_m, state.force_step_n, 0.0, own)
+    if p.standstill.enter_m > 0.0 and state.standstill.mode != LAW:  # a valve that is closed, where it is now
+        return changed
+    opening_v = usual.u_v
+    if p.sliding.invert_dead_zone:
+        opening_v = opening(opening_v, p.valve)
+    u_max = p.valve.u_max_v
+    opening_v = max(-u_max, min(u_max, opening_v))
+    coming = opening_v * (s.f1_fill if opening_v >= 0.0 else s.f1_exhaust)
+    wanted = s.M * (s.goal.jerk_m_s3 - _resistance(changed, e, r, p)) + s.friction.rate_n_s + s.force_rate
+    blend = (wanted - coming) / s.M
+    return carried(changed, sliding, state.bristles_m, state.force_step_n, blend, own)
+
+
+def alike(p: Controller, q: Controller) -> bool:
+    """Whether two controllers differ in law and gains alone."""
+    return (
+        p.valve == q.valve
+        and p.friction == q.friction
+        and p.motion == q.motion
+        and p.sliding.hold_v == q.sliding.hold_v
+        and p.force_rate_gain == q.force_rate_gain
+    )
+
+
+def forgotten(so_far: Learnt, before: Controller, after: Controller) -> Learnt:
+    """What has been learnt, but for what is changed: that is learnt anew from its new value."""
+    if before.valve != after.valve:
+        so_far = so_far._replace(edge_plus_v=0.0, edge_minus_v=0.0)
+    if before.friction != after.friction:
+        so_far = so_far._replace(friction=1.0, stiffness=1.0)
+    return so_far
+
+
+def forget(state: ControllerState, before: Controller, after: Controller) -> ControllerState:
+    """The state of an axis that nobody leads, as `change` has it of one that is led."""
+    return kept(state, state.bristles_m, state.standstill, forgotten(state.learnt, before, after))
 
 
 def _resistance(state: ControllerState, e: Estimate, r: Reference, p: Controller) -> float:

@@ -40,6 +40,8 @@ class Loop:
         self._pacer = Pacer(self._period_ns, round(options.spin_us * 1e3))
         self._wait_ns = round(self._period_ns * options.set_deadline)
         self._answers = Answers(self._wait_ns)
+        self._arrived_ns = 0  # when this tick's set came, after SYNC; 0 for none
+        self._in_vain = False
         self._answered = all(turn.inbox.sync for turn in self._turns)  # else frames come by themselves
         self._sync_id = codecs.sync.can_id
         self._syncs = [codecs.sync.encode(counter=n) for n in range(1, SYNC_COUNTERS + 1)]
@@ -140,10 +142,8 @@ class Loop:
                 # a dead interface is always readable: sleep, or this would spin at high priority
                 time.sleep(max(0.0, (limit_ns - clock()) * 1e-9))
         set_ns = clock()
-        if complete and self._answered and newest_ns:
-            answers.came(newest_ns - t_ns, in_vain=look_until_ns < newest_ns)
-        else:
-            answers.missing()
+        self._arrived_ns = newest_ns - t_ns if complete and newest_ns else 0
+        self._in_vain = look_until_ns < newest_ns
         return set_ns
 
     def _meanwhile(self) -> None:
@@ -165,6 +165,10 @@ class Loop:
 
     def _account(self, t_ns: int, skipped: int) -> bool:
         """Count the tick; whether it was the last one."""
+        if self._arrived_ns and self._answered:
+            self._answers.came(self._arrived_ns, self._in_vain)
+        else:
+            self._answers.missing()
         self._count += 1
         self._passed += 1 + skipped
         self._behind += skipped

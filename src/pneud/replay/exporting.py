@@ -5,23 +5,23 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from google.protobuf.message import DecodeError
 from mcap.writer import Writer
 
 from pneud.bus.codec import Codecs
-from pneud.log.files.columns import Block, blocks
+from pneud.log.files.columns import blocks
 from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LogReader, RawBatch
+from pneud.log.files.table import TickTable, about
 from pneud.log.format.derived import Deriver
 from pneud.log.format.frames import FrameBlock
-from pneud.log.format.meanings import meaning_of, unit_of
-from pneud.log.format.records import LoggedEvent, names_of, pack_event, unpack
+from pneud.log.format.records import LoggedEvent, pack_event, unpack
 from pneud.log.format.schema import EVENTS, FRAMES, STATE, TICK, topics
 from pneud.replay import sidecar, traffic
 from pneud.rt.outputs import replacing, replacing_all
-from pneud.signals import Frame, Reference, error_m, state_name, true_error_m
+from pneud.signals import Frame
 
 TABLES = (".csv", ".parquet")
 VIEWERS = ".mcap"
@@ -131,51 +131,15 @@ def for_viewers(log: LogReader, path: Path) -> Exported:
     return Exported(rows, (path,), 0)
 
 
-class _Table:
-    """Ticks as columns, and what each column means."""
-
-    def __init__(self, log: LogReader) -> None:
-        self._names = log.fault_names
-        self._first_ns: int | None = None
-
-    def columns(self, block: Block) -> dict[str, list[Any]]:
-        ticks = block.ticks
-        if self._first_ns is None:
-            self._first_ns = int(ticks["t_ns"][0])
-        kinds = dict(block.requests)
-        reference = Reference._make(block.real(f"reference.{name}") for name in Reference._fields)
-        offset_ns = ticks["measurement.encoder_offset_ns"]
-        faults = (ticks["present"] | ticks["latched"]).tolist()
-        words = {bits: " ".join(names_of(bits, self._names)) for bits in set(faults)}
-        return {
-            "number": block.number.tolist(),
-            "log_time_ns": block.log_time_ns.tolist(),
-            **{name: ticks[name].tolist() for name in ticks.dtype.names or ()},
-            "request.kind": [kinds[i].kind if i in kinds else 0 for i in range(len(block.number))],
-            "t_s": ((ticks["t_ns"] - self._first_ns) * 1e-9).tolist(),
-            "error_m": error_m(reference, block.real("estimate.position_m")).tolist(),
-            "true_error_m": true_error_m(reference, offset_ns, block.real("truth_m")).tolist(),
-            "state_name": [state_name(state) for state in ticks["state"].tolist()],
-            "fault_names": [words[bits] for bits in faults],
-        }
-
-
-_OWN_MEANINGS = {
-    "number": "counts the records of the loop from 1; a gap is where records were dropped",
-    "log_time_ns": "instant of the tick as Unix time",
-    "request.kind": "what was asked for; 0 where nothing was",
-}
-
-
 def _write_csv(log: LogReader, path: Path) -> int:
-    rows, table = 0, _Table(log)
+    rows, table = 0, TickTable(log)
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         for block in blocks(log):
             columns = table.columns(block)
             if not rows:
                 writer.writerow(columns)
-            writer.writerows(zip(*columns.values(), strict=True))
+            writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
             rows += len(block.number)
     return rows
 
@@ -186,12 +150,12 @@ def _write_parquet(log: LogReader, path: Path) -> int:
         import pyarrow.parquet as pq  # noqa: PLC0415
     except ImportError:
         raise LogError("Parquet needs pyarrow; install it with: pip install 'pneud[parquet]'") from None
-    rows, table = 0, _Table(log)
+    rows, table = 0, TickTable(log)
     writer = None
     try:
         for block in blocks(log):
             part = pa.table(table.columns(block))
-            schema = pa.schema([field.with_metadata(_metadata(field.name)) for field in part.schema])
+            schema = pa.schema([field.with_metadata(about(field.name)) for field in part.schema])
             part = part.cast(schema)
             if writer is None:
                 writer = pq.ParquetWriter(path, schema, compression="zstd")
@@ -201,8 +165,3 @@ def _write_parquet(log: LogReader, path: Path) -> int:
         if writer is not None:
             writer.close()
     return rows
-
-
-def _metadata(name: str) -> dict[str, str]:
-    """Unit and meaning of a column."""
-    return {"unit": unit_of(name), "description": _OWN_MEANINGS.get(name) or meaning_of(name)}

@@ -18,7 +18,7 @@ from pneud.loop.conditions import Conditions
 from pneud.loop.turn import END_TICKS, Turn
 from pneud.replay.simulated_machine import DOWN, HEALTHY, SimulatedMachine
 from pneud.rig.node import PlantNode
-from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES, names
+from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES
 from pneud.safety.supervisor import is_engaged
 from pneud.scenario.engine import Engine
 from pneud.scenario.format import Scenario
@@ -147,32 +147,6 @@ class Simulation:
         return None
 
 
-class Simulated(Record):
-    """A record of a simulated run, with what follows from it."""
-
-    __slots__ = ()
-
-    @property
-    def t_s(self) -> float:
-        """Since the first tick [s]."""
-        return 1e-9 * (self.tick.t_ns - START_NS)
-
-    @property
-    def state_name(self) -> str:
-        """The state as people and scripts read it."""
-        return self.tick.state_name
-
-    @property
-    def error_m(self) -> float:
-        """Reference − estimated position [m]; NaN without a reference."""
-        return self.tick.error_m
-
-    @property
-    def fault_names(self) -> tuple[str, ...]:
-        """Names of the faults that hold now or hold the axis in fault."""
-        return tuple(names(self.tick.present | self.tick.latched))
-
-
 def header_of(loaded: Loaded, **extra: str) -> LogHeader:
     """What a log of a simulated run says of it.
 
@@ -195,8 +169,8 @@ def header_of(loaded: Loaded, **extra: str) -> LogHeader:
     )
 
 
-def simulate(config_file: str | Path, duration_s: float = 10.0, seed: int = 0) -> Iterator[Simulated]:
-    """The ticks of a run in simulated time, with what comes to rest after it.
+def simulate(config_file: str | Path, duration_s: float = 10.0, seed: int = 0) -> Iterator[Record]:
+    """The records of a run in simulated time, with what comes to rest after it.
 
     Raises:
         ConfigError: the configuration cannot be used.
@@ -204,7 +178,7 @@ def simulate(config_file: str | Path, duration_s: float = 10.0, seed: int = 0) -
         BuildError: it requires the compiled law, which cannot be had.
     """
     loaded = load(config_file)
-    return map(Simulated._make, Simulation(loaded, duration_s, seed, backend_of(loaded)).records())
+    return Simulation(loaded, duration_s, seed, backend_of(loaded)).records()
 
 
 def backend_of(loaded: Loaded) -> Backend:

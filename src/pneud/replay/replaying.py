@@ -13,6 +13,7 @@ from pneud.config import conversions
 from pneud.config.models import Config
 from pneud.config.reading import parse
 from pneud.config.sections import ConfigError
+from pneud.control.model import Model, as_replayed
 from pneud.control.step import Controller
 from pneud.control.tunables import parted, tunables, tuned
 from pneud.loading import at_rate, codecs_of
@@ -88,7 +89,7 @@ def replay(
 
     Args:
         log: the log.
-        config: another configuration than the log's own; gains changed in the run stay as they were.
+        config: another configuration than the log's own; what was tuned in the run stays as it was.
         from_s: compare from so long after the log's start.
         look: called with every tick compared, as it is in the log and as it comes out.
 
@@ -110,7 +111,7 @@ def replay(
     gap = ""
     exact = log.metadata.get("detail") == "full"
     told = log.metadata["schema"] not in WITHOUT_STANDING
-    gains = _Gains(p.controller, None if config is None else _configured(log, codecs))
+    tuning = _Tuned(_known(chosen, codecs), None if config is None else _configured(log, codecs))
     expected = 1
     from_ns = log.start_ns() + round(from_s * 1e9) if from_s > 0.0 else 0
     for logged in log.items(from_ns):
@@ -119,7 +120,7 @@ def replay(
                 state = _thawed(log, logged)
                 if expected > 1 or not (from_ns or log.records_before):
                     gap = gap or f"records {expected} to {logged.number} are missing"
-                turn.thaw(state.axis._replace(law=gains.of(state.axis.law)), state.inbox)
+                turn.thaw(state.axis._replace(law=tuning.of(state.axis.law)), state.inbox)
                 expected = logged.number + 1
             continue
         if logged.number != expected:
@@ -129,7 +130,7 @@ def replay(
         turn.open(logged.frames[: logged.before])
         turn.begin(logged.t_ns)
         turn.feed(logged.frames[logged.before :])
-        tick = turn.decide(logged.skipped, logged.host, gains.asked(logged.request))
+        tick = turn.decide(logged.skipped, logged.host, tuning.asked(logged.request))
         turn.sent(next((f.stamp_ns for f in logged.sent if f.can_id == command.can_id), -1))
         if logged.log_time_ns < from_ns:
             continue
@@ -170,21 +171,31 @@ def replay(
     )
 
 
-def _configured(log: LogReader, codecs: Codecs) -> tuple[float, ...] | None:
-    """The gains of the log's own configuration; None where this version cannot use that."""
+class _Known(NamedTuple):
+    """What of a configuration may be tuned."""
+
+    law: Controller
+    model: Model
+
+
+def _known(c: Config, codecs: Codecs) -> _Known:
+    return _Known(conversions.axis_of(c, codecs.command_lsb_v).controller, conversions.model_of(c))
+
+
+def _configured(log: LogReader, codecs: Codecs) -> _Known | None:
+    """What the log's own configuration says; None where this version cannot use that."""
     try:
-        config = at_rate(parse(log.config_text, log.config_name), log.rate_hz)
-        return tunables(conversions.axis_of(config, codecs.command_lsb_v).controller)
+        return _known(at_rate(parse(log.config_text, log.config_name), log.rate_hz), codecs)
     except ConfigError:
         return None
 
 
-class _Gains:
-    """Gains that nobody changed in the run are those of the replay; others stay as they were."""
+class _Tuned:
+    """What nobody tuned in the run is as in the replay; all else stays as it was."""
 
-    def __init__(self, law: Controller, own: tuple[float, ...] | None) -> None:
-        """The replay's law, and the gains of the log's own configuration where that is another one."""
-        self._law = law
+    def __init__(self, here: _Known, own: _Known | None) -> None:
+        """What the replay has, and the log's own configuration where that is another one."""
+        self._here = here
         self._own = own
 
     def of(self, logged: Controller) -> Controller:
@@ -192,16 +203,21 @@ class _Gains:
         if self._own is None:
             return logged
         had = tunables(logged)
-        return self._law if had == self._own else tuned(had, self._law)
+        law = self._here.law
+        return as_replayed(logged, self._own.law, law if had == tunables(self._own.law) else tuned(had, law))
 
     def asked(self, request: Request | None) -> Request | None:
-        """The request in the place of one in the log; one for another reference brings the gains along."""
-        if request is None or self._own is None or request.kind != RequestKind.GAINS:
+        """The request in the place of one in the log; whatever it is for, it brings all gains along."""
+        own, here = self._own, self._here
+        if request is None or own is None or request.kind != RequestKind.GAINS:
             return request
-        gains, motion = parted(request.values) or ((), ())
-        if gains != self._own:
-            return request
-        return Request(request.kind, (*tunables(self._law), *motion))
+        gains, more = parted(request.values) or ((), ())
+        if gains == tunables(own.law):
+            gains = tunables(here.law)
+        rest = len(more) % len(Model._fields)
+        believed = zip(more[rest:], own.model, here.model, strict=False)
+        mixed = (there if was == there_before else was for was, there_before, there in believed)
+        return Request(request.kind, (*gains, *more[:rest], *mixed))
 
 
 def _thawed(log: LogReader, state: LoggedState) -> Snapshot:

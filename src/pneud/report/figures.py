@@ -9,23 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pneud.report.colours import BLACK, BLUE, GREEN, ORANGE, RED
 from pneud.report.gather import LoggedRun
-from pneud.signals import State
-
-# Okabe and Ito's colours, which everybody can tell apart
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
-STATE_COLOURS = {
-    State.STARTING: "#cccccc",
-    State.WAITING: "#b8b8b8",
-    State.DISARMED: "#999999",
-    State.TRACKING: "#009e73",
-    State.MOVING: "#56b4e9",
-    State.HOLDING: "#0072b2",
-    State.HOMING: "#cc79a7",
-    State.STOPPING: "#e69f00",
-    State.FAULT: "#d55e00",
-    State.PROBING: "#f0e442",
-}
 
 
 class Curve(NamedTuple):
@@ -45,8 +30,6 @@ class Figure(NamedTuple):
     series: tuple[Curve, ...]
     note: str = ""
 
-
-BLUE, RED, GREEN, PINK, SKY, ORANGE, BLACK = COLOURS
 
 FIGURES = (
     Figure("tracking", "Position", "mm", (

@@ -19,12 +19,16 @@ from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LogReader
 from pneud.log.format.records import LoggedEvent
 from pneud.loop.tracking import AGAINST, Tracking
+from pneud.replay.motions import Motion, Motions
+from pneud.report.closeup import Closeup
 from pneud.report.decimate import Envelope, Path, Points
 from pneud.report.health import Health
 from pneud.report.learning import Learning
+from pneud.report.planes import Plane, Planes, sample
 from pneud.report.readings import Readings
 from pneud.report.spans import Span, Spans
 from pneud.report.spread import Spread
+from pneud.report.stops import Seen, Stops, seen
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Answer, Reference, Request, RequestKind, State, Timing, error_m, true_error_m
 
@@ -74,6 +78,10 @@ class LoggedRun(NamedTuple):
     columns: dict[str, int]  # name → index in `series.values`
     series: Points
     phase: Points  # position error [mm], velocity error [mm/s]
+    closeup: Closeup  # every tick, as far as there is room
+    planes: list[Plane]
+    motions: list[Motion]
+    faults: list[Seen]
     states: list[Span]
     present: dict[int, list[Span]]  # by bit
     latched: dict[int, list[Span]]
@@ -115,19 +123,25 @@ COLUMNS = (
 EVERYTHING = Window()
 
 
-def gather(log: LogReader, window: Window = EVERYTHING, buckets: int = 8192) -> LoggedRun:
-    """Read a log, or a part of it; its series are drawn together into so many buckets at most.
+def gather(log: LogReader, window: Window = EVERYTHING, buckets: int = 8192, closeup: int = 0) -> LoggedRun:
+    """Read a log, or a part of it.
+
+    Args:
+        log: the log.
+        window: which part of it.
+        buckets: into so many at most its series are drawn together.
+        closeup: bytes that every tick may take, as far as there are ticks.
 
     Raises:
         ConfigError: the configuration in the log cannot be used by this version.
         DatabaseError: nor its DBC.
         LogError: there is no tick in the window.
     """
-    return _Gatherer(log, buckets).run(window)
+    return _Gatherer(log, buckets, closeup).run(window)
 
 
 class _Gatherer:
-    def __init__(self, log: LogReader, buckets: int) -> None:
+    def __init__(self, log: LogReader, buckets: int, closeup: int) -> None:
         self.log = log
         self.config = at_rate(parse(log.config_text, f"{log.path}:{log.config_name}"), log.rate_hz)
         self.period_ns = round(1e9 / log.rate_hz)
@@ -136,6 +150,9 @@ class _Gatherer:
         self.readings, self.learning = Readings(self.config.bus.sync), Learning(self.config)
         self.series = Envelope(len(COLUMNS), buckets)
         self.phase = Path(max(1, buckets // 4))
+        self.closeup = Closeup(COLUMNS, closeup)
+        self.planes, self.motions = Planes(self.config, buckets), Motions(self.config)
+        self.stops = Stops(self.config)
         self.states, self.saturated, self.gaps = Spans(), Spans(), Spans()
         self.in_position, self.hunting = Spans(), Spans()
         self.present: dict[int, Spans] = {}
@@ -174,6 +191,9 @@ class _Gatherer:
                 "columns": {name: i for i, name in enumerate(COLUMNS)},
                 "series": self.series.points(),
                 "phase": self.phase.points(),
+                "planes": self.planes.planes(),
+                "motions": self.motions.finish(),
+                "faults": seen(found["present"], found["latched"], self.stops.finish(), end_s),
                 "error_against": AGAINST["plant" if self.tracking.has_truth else "encoder"],
                 "tracking_mm": self.tracking.tracking_mm(),
                 "command_v": self.tracking.command_v(),
@@ -243,8 +263,24 @@ class _Gatherer:
         engaged = np.flatnonzero(_ENGAGED[np.minimum(state, len(_ENGAGED) - 1)])
         if math.isnan(self.first_engaged_s) and len(engaged):
             self.first_engaged_s = float(t_s[engaged[0]])
+        self.motions.add(block, t_s)
+        self.planes.add(sample(block, t_s, state, columns["error_mm"]))
+        position = (
+            columns["truth_mm"] * 1e-3 if self.tracking.has_truth else block.real("estimate.position_m")
+        )
+        self.stops.add(block, t_s, position)
+        self.closeup.add(t_s, values, self._happens(block, state), _most(columns["error_mm"]))
         self.ticks += len(t_s)
         self.last_s = float(t_s[-1])
+
+    def _happens(self, block: Block, state: NDArray[np.int64]) -> bool:
+        latched = block.ticks["latched"]
+        return bool(
+            self.ticks == 0
+            or (state[1:] != state[:-1]).any()
+            or (latched[1:] != latched[:-1]).any()
+            or any(request.kind != RequestKind.JOG for _, request in block.requests)
+        )
 
     def _count(self, block: Block, error_m: NDArray[np.float64]) -> None:
         """What the summary of the run counts, too."""
@@ -346,6 +382,10 @@ class _Gatherer:
             "pressure_age_ms": _duration(block.ticks["measurement.pressure_age_ns"], 1e-6),
             "valve_age_ms": _duration(block.ticks["measurement.valve_age_ns"], 1e-6),
         }
+
+
+def _most(error_mm: NDArray[np.float64]) -> float:
+    return float(np.fmax.reduce(np.abs(error_mm), initial=0.0))
 
 
 def _duration(ns: Any, factor: float) -> NDArray[np.float64]:

@@ -55,6 +55,10 @@ class Readings:
         worst_s, most = found.most_common(1)[0]
         return f"{count:,}", f"{60.0 * count / max(length_s, 1e-9):.3g}", f"{most} at {worst_s} s"
 
+    def total(self) -> int:
+        """Those of all sources and kinds."""
+        return sum(max(0, found.total()) for found in self.by_second.values())
+
     def total_in_words(self) -> str:
         """Those of all sources, as in the summary of the run."""
         counts = ((sum(self.by_second[source, kind].total() for source in SOURCES), kind) for kind in KINDS)

@@ -58,6 +58,19 @@ def load_scenario(file: str | Path) -> Scenario:
         raise ConfigError(f"{path}: {explain(e)}") from None
 
 
+def in_simulation(scenario: Scenario) -> Scenario:
+    """The scenario, if it takes no more than simulated time has.
+
+    Raises:
+        ConfigError: it takes more.
+    """
+    if scenario.needs_machine:
+        raise ConfigError(
+            f"scenario {scenario.name}: takes a real machine; pneud --virtual --scenario plays it"
+        )
+    return scenario
+
+
 def is_scenario(file: str | Path) -> bool:
     """Whether a file says what it expects, as a scenario does and a configuration does not."""
     try:

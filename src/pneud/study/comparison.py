@@ -36,6 +36,7 @@ RMS_MM = {SINE: 0.05, RECOVERY: 0.05, SPREAD: 0.2}
 MAX_MM = {SINE: 0.15, LOAD: 0.6, MOVE: 0.2, REST: 0.1}
 CHATTER_MV = {SINE: 100.0, REST: 20.0}
 SHOWN = 3
+WIDEST = 10_000  # columns: nothing is folded
 NO_LIMIT = ("sine 1 Hz", "sine 2 Hz")  # nothing is required of these
 
 
@@ -160,14 +161,15 @@ def _row(r: LawRow) -> dict[str, Any]:
     return values | r.figures._asdict()
 
 
-def in_words(c: LawTable) -> str:
-    """The tables, for a person."""
-    out = [
-        _table(c, "RMS / max error [mm]", None, lambda r: f"{_mm(r.figures.rms_m)} / {_mm(r.figures.max_m)}"),
-        _table(c, "settled to 0.1 mm after [s]", (MOVE, LOAD), lambda r: _seconds(r.figures.settled_s)),
-        _table(c, "mean step of u [mV]", (SINE, REST), lambda r: f"{r.figures.chatter_v * 1e3:.1f}"),
-        _table(c, "air [NL/min]", (SINE, REST), lambda r: f"{60.0 * r.figures.air_nl / r.judged_s:.1f}"),
-    ]
+def in_words(c: LawTable, width: int = WIDEST) -> str:
+    """The tables, for a person; laws that do not fit beside each other in so many columns come below."""
+    found: tuple[tuple[str, tuple[str, ...] | None, Callable[[LawRow], str]], ...] = (
+        ("RMS / max error [mm]", None, lambda r: f"{_mm(r.figures.rms_m)} / {_mm(r.figures.max_m)}"),
+        ("settled to 0.1 mm after [s]", (MOVE, LOAD), lambda r: _seconds(r.figures.settled_s)),
+        ("mean step of u [mV]", (SINE, REST), lambda r: f"{r.figures.chatter_v * 1e3:.1f}"),
+        ("air [NL/min]", (SINE, REST), lambda r: f"{60.0 * r.figures.air_nl / r.judged_s:.1f}"),
+    )
+    out = [_table(c, title, groups, cell, width) for title, groups, cell in found]
     if not c.behind:
         out.append(
             "The extended composite leads all baselines in RMS and maximum in every sine, move and load."
@@ -185,15 +187,31 @@ def in_words(c: LawTable) -> str:
     return "\n".join(out)
 
 
-def _table(c: LawTable, title: str, groups: tuple[str, ...] | None, cell: Callable[[LawRow], str]) -> str:
+def _table(
+    c: LawTable, title: str, groups: tuple[str, ...] | None, cell: Callable[[LawRow], str], width: int
+) -> str:
     chosen = [r for r in c.rows if groups is None or r.group in groups]
     laws = list(dict.fromkeys(r.law for r in chosen))
     cells = {(r.case, r.law): cell(r) for r in chosen}
     lines = [[title, *laws]]
     lines += [[case, *(cells[case, law] for law in laws)] for case in dict.fromkeys(r.case for r in chosen)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(laws) + 1)]
-    text = [" | ".join(f"{v:<{w}}" for v, w in zip(line, widths, strict=True)) for line in lines]
-    text.insert(1, "-|-".join("-" * w for w in widths))
+    return "\n".join(_beside(lines, widths, chosen) for chosen in _folded(widths, width))
+
+
+def _folded(widths: list[int], width: int) -> list[list[int]]:
+    """Which columns stand beside each other, the first one always among them."""
+    parts = [[0]]
+    for i in range(1, len(widths)):
+        if len(parts[-1]) > 1 and sum(widths[k] + 3 for k in (*parts[-1], i)) + 1 > width:
+            parts.append([0])
+        parts[-1].append(i)
+    return parts
+
+
+def _beside(lines: list[list[str]], widths: list[int], chosen: list[int]) -> str:
+    text = [" | ".join(f"{line[i]:<{widths[i]}}" for i in chosen) for line in lines]
+    text.insert(1, "-|-".join("-" * widths[i] for i in chosen))
     return "\n".join(f"| {line} |" for line in text) + "\n"
 
 

@@ -5,25 +5,17 @@ from __future__ import annotations
 import base64
 import html
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from pneud.report import frame
+from pneud.report.frame import BAD, GOOD, LOOK, Drawn, Section, Verdict, document, strip
 from pneud.study.claims import DOES_NOT, HOLDS, Claim
 from pneud.study.convergence import Convergence
 from pneud.study.paper import Reproduction
 from pneud.study.paper_figures import Picture
 from pneud.study.reproduction import COMPOSITE, DURATION_S, NAMES, PLANT_STEP_S, STEADY_FROM_S, PaperRow
-
-_STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 1080px; margin: 2em auto; padding: 0 1em }
-h1 { font-size: 1.5em } h2 { font-size: 1.15em; margin-top: 2em; border-bottom: 1px solid #ccc }
-table { border-collapse: collapse; font-size: 12.5px; margin: .6em 0 }
-th, td { padding: 2px 8px; text-align: right; border-bottom: 1px solid #e5e5e5; vertical-align: top }
-th { background: #f3f3f3; font-weight: 600 } td.t, th.t { text-align: left }
-img { max-width: 100%; display: block; margin: .8em 0 }
-.holds { color: #1a7f37; font-weight: 600 } .part { color: #9a6700; font-weight: 600 }
-.not { color: #b3261e; font-weight: 600 } p.note { color: #555; font-size: 13px }
-"""
 
 
 class Table(NamedTuple):
@@ -66,25 +58,40 @@ def tables(found: Reproduction) -> list[Table]:
 
 def page(found: Reproduction, pictures: Sequence[Picture]) -> str:
     """The page, every image inside."""
-    parts = [
-        "<!doctype html><html lang='en'><head><meta charset='utf-8'><title>The paper, reproduced</title>",
-        f"<style>{_STYLE}</style></head><body>",
-        "<h1>Finite-Time Composite Position Control for a Disturbed Pneumatic Servo System, reproduced</h1>",
+    intro = (
         "<p>The paper's two cases on its own ideal plant: Table 1, its gains, exact states, a zero-order"
         " hold; the equations with their misprints corrected."
-        f" Every run begins at {html.escape(found.start)}.</p>",
-        "<h2>The claims</h2>",
-        _html_claims(found.claims),
+        f" Every run begins at {html.escape(found.start)}.</p>"
+    )
+    images = "".join(
+        f'<img alt="{html.escape(p.title, quote=True)}"'
+        f' src="data:image/png;base64,{base64.b64encode(p.png).decode("ascii")}">'
+        for p in pictures
+    )
+    sections = [
+        Section("Claims", _claims(found.claims)),
+        *(
+            Section(one.title, f'<p class="hint">{html.escape(one.note)}</p>' + _cells(one))
+            for one in tables(found)
+        ),
+        Section("Figures", images),
     ]
-    for table in tables(found):
-        parts.append(f"<h2>{html.escape(table.title)}</h2><p class='note'>{html.escape(table.note)}</p>")
-        parts.append(_html_table(table))
-    parts.append("<h2>Figures</h2>")
-    for p in pictures:
-        data = base64.b64encode(p.png).decode("ascii")
-        parts.append(f"<img alt='{html.escape(p.title, quote=True)}' src='data:image/png;base64,{data}'>")
-    parts.append("</body></html>")
-    return "\n".join(parts)
+    return document(
+        "The paper, reproduced",
+        "Finite-Time Composite Position Control for a Disturbed Pneumatic Servo System, reproduced",
+        sections,
+        lead=strip(verdict(found)) + intro,
+    )
+
+
+def verdict(found: Reproduction) -> Verdict:
+    """Whether the figures are within their bounds, and how many claims hold."""
+    counts = Counter(c.verdict for c in found.claims)
+    told = ", ".join(f"{count} {word}" for word, count in counts.items())
+    level, reason = (
+        (GOOD, "every figure is within its bound") if found.good else (BAD, "a figure is out of its bound")
+    )
+    return Verdict(level, (reason, f"of {len(found.claims)} claims: {told}"))
 
 
 def words(found: Reproduction) -> str:
@@ -230,34 +237,19 @@ def _verdict(c: Claim) -> str:
     return f"{c.verdict} {c.when}".strip()
 
 
-def _html_claims(claims: Iterable[Claim]) -> str:
+def _claims(claims: Iterable[Claim]) -> str:
+    levels = {HOLDS: GOOD, DOES_NOT: BAD}
     rows = []
     for c in claims:
-        kind = {HOLDS: "holds", DOES_NOT: "not"}.get(c.verdict, "part")
-        cells = (c.claim, c.where, c.criterion)
-        rows.append(
-            "<tr>"
-            + "".join(f"<td class='t'>{html.escape(cell)}</td>" for cell in cells)
-            + f"<td class='t'><span class='{kind}'>{c.verdict}</span> {html.escape(c.when)}</td>"
-            + f"<td class='t'>{html.escape(c.detail)}</td></tr>"
-        )
-    head = "".join(
-        f"<th class='t'>{x}</th>" for x in ("claim", "in the paper", "held against", "verdict", "figures")
+        judged = frame.badge(levels.get(c.verdict, LOOK), c.verdict)
+        rows.append((c.claim, c.where, c.criterion, Drawn(f"{judged} {html.escape(c.when)}"), c.detail))
+    return frame.table(
+        ("claim", "in the paper", "held against", "verdict", "figures"), rows, label="claims", words=5
     )
-    return f"<table><tr>{head}</tr>{''.join(rows)}</table>"
 
 
-def _html_table(table: Table) -> str:
-    def line(cells: tuple[str, ...], tag: str) -> str:
-        return "".join(
-            f"<{tag} class='t'>{html.escape(c)}</{tag}>"
-            if i < table.words
-            else f"<{tag}>{html.escape(c)}</{tag}>"
-            for i, c in enumerate(cells)
-        )
-
-    body = "".join(f"<tr>{line(row, 'td')}</tr>" for row in table.rows)
-    return f"<table><tr>{line(table.head, 'th')}</tr>{body}</table>"
+def _cells(one: Table) -> str:
+    return frame.table(one.head, one.rows, label=one.title, words=one.words)
 
 
 def _columns(table: Table) -> list[str]:

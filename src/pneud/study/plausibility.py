@@ -15,6 +15,7 @@ from pneud.config import flow
 from pneud.config.conversions import axis_of, friction_of, plant_of, truth_of
 from pneud.config.models import Config
 from pneud.config.plant import PlantConfig
+from pneud.control.model import WIDEST
 from pneud.control.reference import Sine, along, rest, sine, stays, transfer
 from pneud.physics import ratings
 from pneud.physics.cylinder import F0, F1_exhaust, F1_fill
@@ -26,7 +27,7 @@ from pneud.signals import Reference
 STEPS = 200  # of one period of the reference
 MUCH = 0.7  # of what there is: disturbances need the rest
 LIGHT_M_S2, LIGHTEST_M_S2 = 1000.0, 10_000.0  # acceleration by the piston's whole force
-WIDE, WIDEST = 0.15, 0.35  # dead zone over the greatest command
+WIDE = 0.15  # dead zone over the greatest command
 SLOW_RAD_S = 2.0  # bandwidth; disturbances would be left to themselves
 LOOSE, LEAKY = 0.05, 0.05  # hysteresis over the greatest command; opening of a closed valve
 RUBBING = 0.4  # friction over the piston's force

@@ -9,6 +9,7 @@ from pneud.control.homogeneous import feedback
 from pneud.control.laws import adrc
 from pneud.control.laws.pid import Pid
 from pneud.control.laws.slot import ADRC, PID, Slot
+from pneud.control.model import MOST_PUSH_RATIO
 from pneud.control.motion import quickened, triple_pole
 from pneud.control.step import Controller
 from pneud.rig.damage import scaled
@@ -16,8 +17,6 @@ from pneud.rig.damage import scaled
 PID_FF, ADRC4, ADRC3, ISMC, COMPOSITE = "PID + FF", "ADRC, ESO 4", "ADRC, ESO 3", "ISMC", "composite"
 ISMC_PAPER, COMPOSITE_PAPER = "ISMC, paper's gains", "composite, paper's gains"
 EXTENDED, EXTENDED_TUNED = "extended composite", "extended, tuned alike"
-
-MOST_PUSH_RATIO = 2.5  # of the motion filter's two bandwidths, as for the configuration
 
 GAINS: dict[str, dict[str, float]] = {
     PID_FF: {

@@ -67,12 +67,13 @@ def complete_key(incomplete: str) -> list[str]:
 
 
 def complete_tunable(incomplete: str) -> list[str]:
-    """Names of gains, and keys of the reference, ready for their values."""
-    from pneud.control.tunables import LAWS, names_of  # noqa: PLC0415 - whoever completes waits
+    """Names of what may be tuned, ready for their values."""
+    from pneud.control.model import NAMES  # noqa: PLC0415 - whoever completes waits
+    from pneud.control.tunables import LAWS, names_of  # noqa: PLC0415
 
-    names = (f"{name}=" for law in LAWS for name in names_of(law))
-    gains = [name for name in dict.fromkeys(names) if name.startswith(incomplete)]
-    return gains + [key for key in complete_key(incomplete) if key.startswith("reference.")]
+    names = (*dict.fromkeys(name for law in LAWS for name in names_of(law)), *NAMES)
+    found = [f"{name}=" for name in names if name.startswith(incomplete)]
+    return found + [key for key in complete_key(incomplete) if key.startswith("reference.")]
 
 
 ConfigOption = Annotated[

@@ -29,7 +29,7 @@ from pneud.report.gather import gather
 from pneud.report.pictures import require
 from pneud.report.timing import in_words
 from pneud.rt.outputs import require_folder
-from pneud.study.linear import doubts_of
+from pneud.study.running import doubts_of
 from pneud.verbs import (
     JsonOption,
     LogsArgument,

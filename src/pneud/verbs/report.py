@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import sys
+import webbrowser
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +22,7 @@ from pneud.view.progress import progress
 
 _BUCKETS = 8192  # of a page, shared by its logs
 _FEWEST = 1024
+_CLOSEUP = 1_900_000  # bytes of every tick in a page, shared likewise; a third more as text
 
 
 def report(
@@ -41,6 +44,7 @@ def report(
     end: Annotated[
         float | None, typer.Option("--to", metavar="S", help="End so long after the first tick.")
     ] = None,
+    show: Annotated[bool, typer.Option("--open", help="Show the page in a browser.")] = False,
     how: ProgressOption = "auto",
 ) -> int:
     """Write a report on one log, or a comparison of several.
@@ -61,10 +65,12 @@ def report(
     readers = [read_log(log) for log in logs]
     with progress(how) as told:
         watch(told, *readers)
-        runs = [gather(reader, window, buckets) for reader in readers]
+        runs = [gather(reader, window, buckets, _CLOSEUP // len(logs)) for reader in readers]
     write_whole(output, page(runs, setting))
     for path in (output, *(pictures.write(runs, output.with_suffix("")) if png else ())):
         print(path)
+    if show and not webbrowser.open(output.absolute().as_uri()):
+        print("pneud: no browser to show it in", file=sys.stderr)
     return 0 if whole(*readers) else 1
 
 

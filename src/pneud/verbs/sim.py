@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json as json_
 import os
+import shutil
 import sys
 from contextlib import nullcontext
 from pathlib import Path
@@ -21,19 +22,20 @@ from pneud.control.reference import Bounds, Septic
 from pneud.loading import Loaded, load
 from pneud.log.files.naming import log_path, new_log
 from pneud.log.files.writer import LogWriter
-from pneud.log.format.header import SNAPSHOT_S
 from pneud.loop.summary import in_words, summarise
-from pneud.loop.tally import Tally
 from pneud.replay.following import Following
 from pneud.replay.following import in_words as followed
 from pneud.replay.lockstep import Simulation, backend_of, header_of
 from pneud.replay.moves import Course, moves_of
 from pneud.replay.moves import in_words as moves_in_words
+from pneud.replay.running import Ran, through
+from pneud.rt.outputs import require_folder, write_whole
 from pneud.scenario import verdict
-from pneud.scenario.files import load_axis, load_scenario
+from pneud.scenario.files import in_simulation, load_axis, load_scenario
 from pneud.scenario.format import Scenario
-from pneud.signals import RequestKind, State
-from pneud.study.comparison import as_json, compare
+from pneud.signals import Record, State
+from pneud.study import comparison_page
+from pneud.study.comparison import WIDEST, as_json, compare
 from pneud.study.comparison import in_words as compared
 from pneud.verbs import (
     JsonOption,
@@ -71,7 +73,10 @@ ConfigArgument = Annotated[
         metavar="FILE", help="Configuration; default virtual.toml.", autocompletion=complete_config
     ),
 ]
-LogOption = Annotated[Path | None, typer.Option("-o", "--output", metavar="LOG", help="Write a log (.mcap).")]
+LogOption = Annotated[
+    Path | None,
+    typer.Option("-o", "--output", metavar="FILE", help="Write a log (.mcap); with --compare, a page."),
+]
 DurationOption = Annotated[
     float | None, typer.Option("--duration", metavar="S", help="Simulated time; default 10 s.")
 ]
@@ -109,19 +114,21 @@ def sim(
         MovesError: the positions make no sense.
         VerbError: an option does not go with another.
     """
+    if laws:
+        if seed or any(given is not None for given in (scenario_file, goto, track)):
+            raise VerbError(
+                "--compare has its own seed and cases; leave out --seed, --scenario, --goto, --track"
+            )
+        if output is not None:
+            require_suffix(output, ".html", "--compare writes no log but a page of HTML")
+            require_folder(output)
+        rest_s = DURATION_S if duration_s is None else duration_s
+        return _compare(config_file or "virtual.toml", rest_s, output, json, how)
     if output is not None and output.suffix and not output.is_dir():  # else it is a folder
         require_suffix(output, ".mcap", "a log is an MCAP file")
-    if laws:
-        if output is not None or seed or any(given is not None for given in (scenario_file, goto, track)):
-            raise VerbError(
-                "--compare writes no log and has its own seed; leave out -o, --seed, --scenario, --goto and"
-                " --track"
-            )
-        rest_s = DURATION_S if duration_s is None else duration_s
-        return _compare(config_file or "virtual.toml", rest_s, json, how)
     if [scenario_file, goto, track].count(None) < 2:
         raise VerbError("--goto, --track: a scenario's verdict is on tracking; give one of the three")
-    scenario = _playable(scenario_file) if scenario_file is not None else None
+    scenario = in_simulation(load_scenario(scenario_file)) if scenario_file is not None else None
     loaded = load_axis(config_file, None, scenario)
     course = _operator(goto, track, loaded)
     if duration_s is None:
@@ -136,7 +143,8 @@ def sim(
         new_log(path) if path is not None else nullcontext(NO_LOG) as descriptor,
         progress(how) as report,
     ):
-        header = header_of(loaded, seed=str(seed), law=law.name)
+        played = {"scenario": scenario.name} if scenario is not None else {}
+        header = header_of(loaded, seed=str(seed), law=law.name, **played)
         writer = LogWriter(descriptor, header) if path is not None else None
         tally, seen = _run(run, duration_s, loaded.config.loop.rate_hz, writer, course, report)
         whole = writer is None or (writer.close() and not writer.unwritten)
@@ -165,15 +173,6 @@ def sim(
     print(json_.dumps(summary) if json else _in_words(summary))
     good = course.good if course is not None else tally.state == State.TRACKING
     return 0 if good and not tally.ever_latched and whole else 1
-
-
-def _playable(scenario_file: str) -> Scenario:
-    scenario = load_scenario(scenario_file)
-    if scenario.needs_machine:
-        raise ConfigError(
-            f"scenario {scenario.name}: takes a real machine; pneud --virtual --scenario plays it"
-        )
-    return scenario
 
 
 def _operator(goto: str | None, track: str | None, loaded: Loaded) -> Course | Following | None:
@@ -228,34 +227,23 @@ def _run(
     writer: LogWriter | None,
     course: Course | Following | None,
     report: Report,
-) -> tuple[Tally, verdict.Observed]:
+) -> Ran:
     """All ticks, counted and written down."""
-    tally = Tally(truth=True, timed=False, sync=run.inbox.sync)
-    seen = verdict.Observed()
-    snapshot_ticks, written = max(1, round(SNAPSHOT_S * rate_hz)), 0
-    for number, record in enumerate(run.records()):
+
+    def look(number: int, record: Record) -> None:
         if number % TOLD_TICKS == 0:
             report("simulating", number / rate_hz, duration_s, "s")
-        tally.add(record, ending=run.shut)
         if course is not None:
             course.see(record)
-        request = record.tick.request
-        if request is not None and request.kind == RequestKind.ARM:
-            tally.asked_to_arm(record.tick)
-        if not run.shut:
-            seen = seen.then(record.tick)
-        if writer is not None:
-            writer.write(record)
-            written += 1
-            if written % snapshot_ticks == 0:
-                writer.snapshot(run.turn.freeze())
+
+    ran = through(run, rate_hz, writer, look)
     if run.axis.failure is not None:
         print(f"pneud: exception in the cycle: {run.axis.failure!r}", file=sys.stderr)
-    return tally, seen
+    return ran
 
 
-def _compare(config_file: str, rest_s: float, json: bool, how: str) -> int:
-    """Run every law through every case and print the tables."""
+def _compare(config_file: str, rest_s: float, output: Path | None, json: bool, how: str) -> int:
+    """Run every law through every case and print the tables, folded on a terminal; write the page."""
     if not 1.0 <= rest_s <= MOST_REST_S:
         raise ConfigError(f"--duration {rest_s:g}: with --compare, between 1 and {MOST_REST_S:g} s")
     compiled = importlib.util.find_spec("numba") is not None
@@ -263,5 +251,8 @@ def _compare(config_file: str, rest_s: float, json: bool, how: str) -> int:
         print("pneud: three cases only without numba; for all: pip install 'pneud[sim]'", file=sys.stderr)
     with progress(how) as report:
         found = compare(load(config_file), rest_s, compiled, report=report)
-    print(json_.dumps(as_json(found)) if json else compared(found))
+    if output is not None:
+        write_whole(output, comparison_page.page(found))
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else WIDEST
+    print(json_.dumps(as_json(found)) if json else compared(found, width))
     return 0

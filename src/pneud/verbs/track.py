@@ -12,7 +12,6 @@ from pneud.config.sections import ConfigError
 from pneud.console import profiles
 from pneud.console.client import Client, RefusedError
 from pneud.console.profiles import ProfileError
-from pneud.console.protocol import MAX_PIECES
 from pneud.console.results import ask, refused, show
 from pneud.control.reference import Bounds, Septic
 from pneud.verbs import NEGATIVE_NUMBERS, JsonOption, SocketOption
@@ -75,7 +74,7 @@ def track(
 def _upload(client: Client, name: str, make: Callable[[Bounds, float | None], list[Septic]]) -> list[Septic]:
     status = client.ask("status")
     allowed = status["limits"]
-    bounds = Bounds(*(allowed[key] * _MM for key in ("speed_mm_s", "acceleration_mm_s2", "jerk_mm_s3")))
+    bounds = profiles.bounds_in(allowed)
     try:
         pieces = make(bounds, status["position_mm"])
     except ProfileError as e:
@@ -84,7 +83,6 @@ def _upload(client: Client, name: str, make: Callable[[Bounds, float | None], li
         profiles.check(pieces, bounds, allowed["min_mm"] * _MM, allowed["max_mm"] * _MM)
     except ProfileError as e:
         raise RefusedError({"type": "beyond_limits", "message": f"track {name}: {e}"}) from None
-    for at in range(0, len(pieces), MAX_PIECES):
-        some = [list(piece) for piece in pieces[at : at + MAX_PIECES]]
-        client.ask("upload", first=at == 0, last=at + MAX_PIECES >= len(pieces), pieces=some)
+    for fields in profiles.uploads(pieces):
+        client.ask("upload", **fields)
     return pieces

@@ -1,4 +1,4 @@
-"""Gains and reference of the running daemon."""
+"""Gains and reference of the running daemon, dead zone, friction and filters."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import Annotated, Any
 
 import typer
 
-from pneud.config.reading import load_config, load_with_text, with_settings
+from pneud.config.reading import load_config
 from pneud.config.sections import ConfigError
 from pneud.config.writing import put, rewrite
 from pneud.console.client import Client
 from pneud.console.endpoint import PlaceError
 from pneud.console.results import ask, show
-from pneud.console.tuning import NAMES, Values, difference, keys, name_of, settings_of, values_of
+from pneud.console.tuning import MAYBE_NONE, NAMES, Values, difference, keys, name_of, values_of
 from pneud.verbs import JsonOption, SocketOption, complete_tunable
 
 
 def get(socket: SocketOption = None, json: JsonOption = False) -> int:
-    """The running gains and reference."""
+    """What runs of all that may be tuned."""
     return ask(socket, json, "tune_get", _gains)
 
 
@@ -34,7 +34,7 @@ def change(
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> int:
-    """Change gains and reference, all or none, without a step of the command.
+    """Change gains, reference, dead zone, friction or filters, all or none, without a step of the command.
 
     Returns:
         Exit status: 0, or 1 where it was refused.
@@ -58,21 +58,11 @@ def change(
                 raise ConfigError(f"{setting!r}: {value!r} is no finite number")
     status = ask(socket, json, "tune_set", _changed, gains=values)
     if status == 0:
-        for doubt in _doubts(socket):
+        from pneud.study.running import doubts_running  # noqa: PLC0415 - slow to load
+
+        for doubt in doubts_running(*_running(socket)):
             print(f"pneud: warning: {doubt}", file=sys.stderr)
     return status
-
-
-def _doubts(socket: str | None) -> list[str]:
-    """What `pneud check` would warn of, were the running gains in the file."""
-    from pneud.study.linear import doubts_of  # noqa: PLC0415 - slow to load
-
-    running, path = _running(socket)
-    settings = [s for name, value in running.items() for s in settings_of(f"{name}={value}")]
-    try:
-        return doubts_of(with_settings(load_with_text(path)[1], str(path), settings))
-    except ConfigError:  # what is in the file is not what runs
-        return []
 
 
 def reload(socket: SocketOption = None, json: JsonOption = False) -> int:
@@ -131,6 +121,16 @@ def _put(document: Any, old: Values, new: Values) -> None:
     for name, value in new.items():
         if value == old[name]:
             continue
+        if name in MAYBE_NONE and not value:
+            _take_out(document, keys(name)[0])
+            continue
         parts = value.split("-") if isinstance(value, str) else [value]
         for key, part in zip(keys(name), parts, strict=False):  # not each law has a form
             put(document, key, part)
+
+
+def _take_out(document: Any, key: tuple[str, ...]) -> None:
+    table = document
+    for step in key[:-1]:
+        table = table.get(step, {})
+    table.pop(key[-1], None)

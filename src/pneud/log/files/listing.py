@@ -55,6 +55,13 @@ def _listed(logs: Iterable[LogReader]) -> ListedLog:
     )
 
 
+def length_s(paths: Iterable[Path]) -> float:
+    """From the first message of some files to the last [s]; 0 where there is none."""
+    spans = [_span(path) for path in paths]
+    begun_ns = min((start for start, *_ in spans if start), default=0)
+    return max(0, max((end for _, end, _ in spans), default=0) - begun_ns) * 1e-9
+
+
 def _span(path: Path) -> tuple[int, int, bool]:
     """Unix times of the first and the last message [ns], and whether the file has its end."""
     start_ns = end_ns = 0

@@ -422,10 +422,19 @@ def read_log(path: str | Path, *more: str | Path) -> LogReader:
     Raises:
         LogError: no such file, not a log of pneud, of another schema, or of several runs.
     """
+    return LogReader(paths_of(path, *more))
+
+
+def paths_of(path: str | Path, *more: str | Path) -> list[Path]:
+    """The files of a log, as given to `read_log`.
+
+    Raises:
+        LogError: a folder holds none.
+    """
     paths: list[Path] = []
     for given in map(Path, (path, *more)):
         paths += _parts_in(given) if given.is_dir() else [given]
-    return LogReader(paths)
+    return paths
 
 
 def _parts_in(folder: Path) -> list[Path]:

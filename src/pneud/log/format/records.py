@@ -239,7 +239,7 @@ class LoggedTick(NamedTuple):
     @property
     def error_m(self) -> float:
         """Reference − estimated position [m]; NaN without a reference."""
-        return self.record.tick.error_m
+        return self.tick.error_m
 
     @property
     def true_error_m(self) -> float:
@@ -262,10 +262,14 @@ class LoggedTick(NamedTuple):
         return self.measurement.host
 
     @property
+    def tick(self) -> Tick:
+        """What the axis read and decided."""
+        return Tick._make(getattr(self, name) for name in Tick._fields)
+
+    @property
     def record(self) -> Record:
         """The record as the loop handed it over (to the bit where the log's detail is full)."""
-        tick = Tick._make(getattr(self, name) for name in Tick._fields)
-        return Record(tick, *(getattr(self, name) for name in Record._fields[1:]))
+        return Record(self.tick, *(getattr(self, name) for name in Record._fields[1:]))
 
 
 class TickMessage(NamedTuple):
