@@ -332,13 +332,13 @@ def exceptions(case: Case) -> str:
 
 
 COLUMNS = (
-    ("0 V after", "centred_ms", "{:.1f} ms"),
+    ("0 V after", "centred_ms", "{:.1f}\N{NO-BREAK SPACE}ms"),
     ("ticks", "ticks", "{}"),
     ("allowed", "allowed_ticks", "{}"),
-    ("speed", "speed_m_s", "{:.3f} m/s"),
-    ("travel", "travel_mm", "{:.1f} mm"),
-    ("impact", "impact_m_s", "{:.2f} m/s"),
-    ("pressure", "peak_bar", "{:.2f} bar"),
+    ("speed", "speed_m_s", "{:.3f}\N{NO-BREAK SPACE}m/s"),
+    ("travel", "travel_mm", "{:.1f}\N{NO-BREAK SPACE}mm"),
+    ("impact", "impact_m_s", "{:.2f}\N{NO-BREAK SPACE}m/s"),
+    ("pressure", "peak_bar", "{:.2f}\N{NO-BREAK SPACE}bar"),
 )
 
 
@@ -367,11 +367,10 @@ def page(bus: str, cases: list[Case], left_out: dict[str, str], seconds: float) 
     words = (
         "<p><i>0 V after</i> counts from the fault's onset; <i>ticks</i> of the controller count from the"
         " first frame that shows the fault to the one with 0 V, both included; <i>travel</i> is the load's"
-        " furthest way after that frame (where no frame shows the fault: after 0 V), <i>impact</i>"
-        " its hardest meeting with an end stop, <i>pressure</i> the highest in a chamber, all from the"
-        " true plant."
-        " What failed was played once more. The last column tells what went wrong, or why more than 20 mm of"
-        " travel or 0.05 m/s of impact is expected.</p>"
+        " furthest way after that frame (where no frame shows the fault: after 0 V), <i>impact</i> its"
+        " hardest meeting with an end stop, <i>pressure</i> the highest in a chamber, all from the true"
+        " plant. What failed was played once more. The last column tells what went wrong, or why more than"
+        " 20 mm of travel or 0.05 m/s of impact is expected.</p>"
     )
     return document(
         f"pneud: faults on {bus}",

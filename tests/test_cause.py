@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from pneud.console.status_reply import faults
 from pneud.safety.cause import _STORIES, first_cause
-from pneud.safety.faults import FAULT_NAMES, TABLE
+from pneud.safety.faults import FAULT_NAMES, TABLE, F
+from pneud.verbs.status import in_words
 
 # as the axis has them with nothing on its bus
 ALONE = (
@@ -47,6 +49,13 @@ def test_one_node_that_is_silent_explains_what_it_would_have_said_and_no_more() 
     assert pair.words.startswith("neither encoder nor pressures")
 
 
+def test_a_loop_that_stood_still_explains_what_came_of_it() -> None:
+    found = first_cause({"valve_timed_out", "tracking_error", "deadline"})
+    assert found is not None
+    assert found.words == "no tick ran while the axis was engaged"
+    assert set(found.faults) == {"valve_timed_out", "tracking_error", "deadline"}
+
+
 def test_a_burst_hose_explains_the_chamber() -> None:
     found = first_cause({"chamber_pressure", "supply_pressure"})
     assert found is not None
@@ -70,3 +79,26 @@ def test_none_and_unknown_ones_have_no_cause() -> None:
 
 def test_every_name_is_one_of_the_table() -> None:
     assert {name for story in _STORIES for name in (*story.of, *story.explains)} <= set(FAULT_NAMES)
+
+
+def test_status_tells_the_cause_before_the_faults_and_no_cures_that_mislead() -> None:
+    found = first_cause(ALONE)
+    assert found is not None
+    told = {
+        **dict.fromkeys(
+            ("silent_s", "position_mm", "reference_mm", "error_mm", "pressures_bar", "command_v")
+        ),
+        **dict.fromkeys(("hunting", "lateness_us", "sensor_to_command_us", "lease", "learnt")),
+        **dict.fromkeys(("ticks", "skipped", "rate_hz", "log_dropped", "log_written"), 0),
+        **dict.fromkeys(("name", "bus", "state", "log", "config"), "x"),
+        **{"in_position": False, "config_changed": False, "amiss": {}, "amiss_last_minute": {}},
+        "faults": faults(sum(1 << F[name.upper()] for name in (*ALONE, "config_changed")), 0),
+        "cause": {"words": found.words, "cure": found.cure, "faults": list(found.faults)},
+    }
+    _, cause, *lines = in_words(told)
+    assert cause.startswith("nothing on the bus answers SYNC: check")
+    named = [line for line in lines if line.startswith("fault ")]
+    assert len(named) == 8
+    assert not [line for line in named if ": " in line and "config_changed" not in line]
+    (changed,) = [line for line in named if "config_changed" in line]
+    assert "restart to use it" in changed

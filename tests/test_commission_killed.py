@@ -2,30 +2,29 @@
 
 from __future__ import annotations
 
+import os
 import signal
-import subprocess
 import sys
+import tempfile
 import time
+import traceback
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from commands import eventually
+from pneud import cli
+from pneud.axis.state import AxisParameters
 from pneud.config.proof import digest, keep, place
 from pneud.console.client import Client
 from pneud.loading import load
 from pneud.signals import State
+from pneud.study.commissioning import procedure
+from pneud.study.commissioning.steps import Step, dynamic, static
 from running import Running, running
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
-STEP = """
-import sys
-from pneud.cli import main
-from pneud.study.commissioning import procedure, steps
-procedure._steps = lambda p, wishes: [s for s in steps.static(p) + steps.dynamic(p) if s.name == {name!r}][:1]
-main()
-"""
 STEPS = {
     "movement test": State.PROBING,
     "edges": State.PROBING,
@@ -47,29 +46,72 @@ def state(run: Running) -> State:
     return State[run.status()[0].upper()]
 
 
+def rests(run: Running) -> None:
+    """Have the axis disarmed."""
+    if state(run) != State.DISARMED:
+        with Client(run.socket) as client:
+            client.ask("clear" if state(run) == State.FAULT else "disarm")
+    eventually(run.ready)
+
+
 def kept(file: Path) -> list[bytes]:
     return [file.read_bytes(), place(file).read_bytes()]
 
 
-def commissioning(run: Running, name: str) -> subprocess.Popen[str]:
-    """The command, when it is in a step."""
-    words = ["commission", "--yes", "--json", "--socket", run.socket]
-    process = subprocess.Popen(
-        [sys.executable, "-c", STEP.format(name=name), *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+class Commissioning:
+    """The command in a fork of this process, which has nothing to load; it plays one step."""
 
-    def under_way() -> bool:
-        assert process.poll() is None, process.communicate()
-        if state(run) != STEPS[name]:
+    def __init__(self, run: Running, name: str) -> None:
+        self._run, self._state = run, STEPS[name]
+        self._said = tempfile.TemporaryFile("w+")  # noqa: SIM115 - as long as the command
+        self.pid = os.fork()
+        if not self.pid:
+            self._commission(name)
+        try:
+            eventually(self._under_way)
+        except AssertionError:
+            self.ended_by(signal.SIGKILL)
+            raise AssertionError((self._run.status(), self.said())) from None
+
+    def _commission(self, name: str) -> None:
+        status: object = 70
+        try:
+            for stream in (1, 2):
+                os.dup2(self._said.fileno(), stream)
+            sys.stdout, sys.stderr = (open(n, "w", 1, closefd=False) for n in (1, 2))  # noqa: SIM115
+            procedure._steps = lambda p, wishes: steps_of(p, name)
+            sys.argv = ["pneud", "commission", "--yes", "--json", "--socket", self._run.socket]
+            cli.main()
+        except SystemExit as e:
+            status = e.code or 0
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            os._exit(status if isinstance(status, int) else 1)
+
+    def _under_way(self) -> bool:
+        if state(self._run) != self._state:
             return False
         time.sleep(0.2)
-        return state(run) == STEPS[name]
+        return state(self._run) == self._state
 
-    eventually(under_way)
-    return process
+    def ended_by(self, how: signal.Signals) -> int:
+        """Its exit status, or less than 0."""
+        os.kill(self.pid, how)
+        return os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+
+    def said(self) -> str:
+        """On both streams."""
+        self._said.seek(0)
+        return self._said.read()
+
+
+def steps_of(p: AxisParameters, name: str) -> list[Step]:
+    """The first of that name; of the edges, where the valve is opened."""
+    if name == "edges":
+        edges = static(p)[1]
+        return [edges._replace(acts=tuple(act for act in edges.acts if act.lease))]
+    return [step for step in static(p) + dynamic(p) if step.name == name][:1]
 
 
 @pytest.mark.parametrize("name", STEPS)
@@ -77,32 +119,25 @@ def commissioning(run: Running, name: str) -> subprocess.Popen[str]:
 def test_whoever_commissions_is_ended_and_the_axis_rests_and_goes_again(
     daemon: Running, name: str, how: signal.Signals
 ) -> None:
+    rests(daemon)
     file = file_of(daemon)
     loaded = load(file)
     proven = digest(loaded.config, loaded.dbc.read_bytes()) if name != "movement test" else "of another rig"
     keep(file, proven, {"passed": True})
     before = kept(file)
-    process = commissioning(daemon, name)
-    process.send_signal(how)
-    _, err = process.communicate(timeout=20)
+    run = Commissioning(daemon, name)
+    assert run.ended_by(how) == (INTERRUPTED if how == signal.SIGINT else -how), run.said()
     ended_s = time.monotonic()
-    assert process.returncode == (INTERRUPTED if how == signal.SIGINT else -how), err
-    assert "Traceback" not in err
+    assert "Traceback" not in run.said()
     eventually(lambda: state(daemon) in (State.HOLDING, State.DISARMED))
     assert time.monotonic() - ended_s < AT_ONCE_S
     probing = STEPS[name] == State.PROBING
     assert state(daemon) == (State.DISARMED if probing else State.HOLDING)
     assert daemon.status()[1] == []
     assert kept(file) == before
-    with Client(daemon.socket) as client:
-        client.ask("disarm")
-    eventually(daemon.ready)
-    again = commissioning(daemon, name)
-    again.send_signal(signal.SIGINT)
-    again.communicate(timeout=20)
-    with Client(daemon.socket) as client:
-        client.ask("disarm")
-    eventually(daemon.ready)
+    rests(daemon)
+    assert Commissioning(daemon, name).ended_by(signal.SIGINT) == INTERRUPTED
+    rests(daemon)
     assert kept(file) == before
 
 

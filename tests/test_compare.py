@@ -12,6 +12,7 @@ from pneud.control.homogeneous import feedback
 from pneud.loading import load
 from pneud.rig.dynamics import advance, initial_state
 from pneud.study import comparison as compare_
+from pneud.study import comparison_page
 from pneud.study.cases import (
     Figures,
     bench_of,
@@ -192,6 +193,40 @@ def test_compare_writes_no_log() -> None:
     done = pneud("sim", "--compare", "-o", "x.mcap")
     assert done.returncode == 2
     assert "--compare writes no log" in done.stderr
+
+
+def table_of(laws: tuple[str, ...]) -> LawTable:
+    rows = [
+        row(law, 1e-5 * (i + 1), 1e-4 * (i + 1), group)
+        for group in ("sine", "move")
+        for i, law in enumerate(laws)
+    ]
+    return LawTable("x.toml", True, tuple(rows), tuple(behind(rows)), missed(rows))
+
+
+def cells_of(text: str) -> set[str]:
+    rows = (line for line in text.splitlines() if line.startswith("| "))
+    return {cell.strip() for line in rows for cell in line.split("|") if not set(cell) <= {"-", " "}}
+
+
+def test_tables_fold_to_a_width_and_lose_nothing() -> None:
+    c = table_of(LAWS)
+    whole = in_words(c)
+    assert max(map(len, whole.splitlines())) > 120
+    for width in (60, 80, 120):
+        folded = in_words(c, width)
+        assert max(len(line) for line in folded.splitlines() if line.startswith("|")) <= width
+        assert cells_of(whole) == cells_of(folded)
+
+
+def test_the_page_shades_the_best_and_says_who_leads() -> None:
+    text = comparison_page.page(table_of((EXTENDED, PID_FF)))
+    assert '<span class="grade g0">0.01</span>' in text
+    assert '<span class="grade g1">0.02</span>' in text
+    assert "the extended composite leads" in text
+    text = comparison_page.page(table_of((PID_FF, EXTENDED)))
+    assert "a baseline is ahead of the extended composite" in text
+    assert "http" not in text
 
 
 def test_a_rest_of_no_length_is_refused() -> None:

@@ -92,7 +92,7 @@ def test_on_the_screen() -> None:
     history = History()
     history.add(followed(300))
     text = screen(history)
-    for label in ("true err", "rms error", "error"):
+    for label in ("── error", "  rms", "  true"):
         at = text.index(f"{label} ") + len(label)
         assert float(text[at:].split()[0]) == 0.0, label
 

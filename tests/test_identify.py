@@ -156,6 +156,16 @@ def test_forces_at_once_are_those_of_a_sliding_load() -> None:
     assert forces.at_once(w, 1.0) is None
 
 
+def test_a_loop_of_50_hz_is_told_by_readings_that_are_hardly_smoothed() -> None:
+    x = 0.5 + 0.1 * np.sin(2.0 * np.pi * 0.5 * np.arange(500) * 0.02)
+    full = np.full_like(x, 3e5)
+    w = forces.windows(
+        Table(0.02, 0.0, (Piece(x, full, full, full, full),)), forces.Balance(1e-3, 1e-3, 0.0, 1.0)
+    )
+    assert len(w.v_m_s) > 3
+    assert np.isfinite(forces.predicted(w, FRICTION, False)).all()
+
+
 def test_a_breakaway_is_the_peak_before_motion() -> None:
     v = np.concatenate([np.zeros(500), np.linspace(0.0, 0.1, 100), np.full(400, 0.1)])
     force = np.concatenate([np.linspace(0.0, 50.0, 500), np.linspace(50.0, 40.0, 100), np.full(400, 40.0)])

@@ -22,6 +22,7 @@ from pneud.config.models import Config
 from pneud.config.reading import load_config
 from pneud.config.sections import ConfigError
 from pneud.config.writing import put, rewrite
+from pneud.console.operator import Operator
 from pneud.control.adaptation import Learnt
 from pneud.loading import load
 from pneud.log.files.reader import read_log
@@ -32,8 +33,8 @@ from pneud.report.page import page
 from pneud.report.readings import SOURCES
 from pneud.signals import ALL_SOURCES, Defect, Measurement, Record, Source, Timing
 from pneud.verbs.status import in_words
-from pneud.verbs.top import _Link
 from pneud.view.learnt import in_brief
+from pneud.view.show import Show
 from test_console import desk as desk  # noqa: PLC0414  (a fixture)
 from test_view import INFO
 
@@ -372,10 +373,16 @@ def test_the_screen_of_a_running_daemon_asks_for_it_now_and_then() -> None:
             return self.answers
 
     daemon, learnt = Daemon(), values_learnt(DIFFERENT, C)
-    link = _Link(daemon, None)  # type: ignore[arg-type]
-    assert link.attend(INFO).learnt is None
+    operator = Operator(lambda: daemon, look_only=False)  # type: ignore[arg-type,return-value]
+    show = Show(list, INFO, lambda: False, operator=operator)
+
+    def shown() -> object:
+        show.attend()
+        return show.snapshot.info.learnt
+
+    assert shown() is None
     daemon.answers = [{"ok": True, "state": "holding", "learnt": learnt}]
-    assert link.attend(INFO).learnt == learnt
+    assert shown() == learnt
     daemon.answers = [{"ok": True}]  # to something else
-    assert link.attend(INFO).learnt == learnt
+    assert shown() == learnt
     assert daemon.asked == ["status"]

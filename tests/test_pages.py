@@ -15,7 +15,7 @@ from pneud.config.reading import parse
 
 # Commands that are not run here, and why. Each line has to fit a command of a document.
 NOT_HERE = {
-    r"make (test|lint)\b.*": "steps of .ci/run",
+    r"make (test|pages)\b.*": "steps of .ci/run; the pages are compared in tests/test_site.py",
     r"make (vm|systemd|campaign-vm)\b.*|hil/vm/run .*": "need a virtual machine; steps of .ci/run",
     r"make campaign\b.*": "minutes; a step of .ci/run",
     r"make (information|strange)\b.*": "minutes; tests/test_hil_commands.py runs a part of each",
@@ -40,13 +40,13 @@ RIG = {"rig.md": "pneud --config press.toml --headless"}
 # Pages that another test runs as a whole
 ELSEWHERE = {
     "tutorial.md": "tests/test_tutorial.py",
+    "python.md": "tests/test_python_page.py",
     "hil/bench/README.md": "tests/test_bench.py",
     "src/pure2c/README.md": "tests/test_pure2c_build.py",
 }
 # What a page takes for granted, made beforehand
 GIVEN = {
     "laws.md": ["pneud --virtual"],
-    "protocol.md": ["pneud --virtual"],
     "identification.md": [
         "pneud sim -o run.mcap --duration 4",
         f"pneud export run.mcap -o bus.log && cp {ROOT}/configs/pneud.dbc .",

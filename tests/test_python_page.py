@@ -17,10 +17,10 @@ PAGE = Path(__file__).parent.parent / "docs" / "python.md"
 
 
 def blocks(kind: str) -> list[str]:
-    """The examples of a kind, with as many lines before each as there are on the page."""
+    """The examples of a kind, `py` with a daemon, with as many lines before each as on the page."""
     text = PAGE.read_text(encoding="utf-8")
-    found = re.finditer(r"(?:^<!-- (\w+) -->\n)?^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-    return ["\n" * (text[: m.start(2)].count("\n")) + m[2] for m in found if (m[1] or "") == kind]
+    found = re.finditer(r"^```(py|python)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    return ["\n" * (text[: m.start(2)].count("\n")) + m[2] for m in found if m[1] == kind]
 
 
 def play(kind: str, before: Callable[[], None] = lambda: None) -> dict[str, Any]:
@@ -35,8 +35,8 @@ def play(kind: str, before: Callable[[], None] = lambda: None) -> dict[str, Any]
 @pytest.mark.slow
 def test_examples_with_logs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert len(blocks("")) >= 6
-    names = play("")
+    assert len(blocks("python")) >= 6
+    names = play("python")
     assert names["lost"].summary["faults"] == ["encoder_missing"]
     assert names["tracking"].true_error_m.abs().max() < 1e-3
 
@@ -55,7 +55,7 @@ def test_examples_with_a_daemon(
             with pneud.Client() as looking:
                 eventually(lambda: looking.status()["state"] in ("tracking", "holding"))
 
-        play("daemon", still)
+        play("py", still)
     told = capsys.readouterr().out
     assert "the nearest allowed is 979 mm" in told
     assert "goto 300 mm: replaced by stop" in told
@@ -63,4 +63,4 @@ def test_examples_with_a_daemon(
 
 def test_every_example_is_of_a_kind_that_is_played() -> None:
     text = PAGE.read_text(encoding="utf-8")
-    assert len(re.findall(r"^```python", text, re.MULTILINE)) == len(blocks("")) + len(blocks("daemon"))
+    assert len(re.findall(r"^```py", text, re.MULTILINE)) == len(blocks("python")) + len(blocks("py"))

@@ -8,16 +8,26 @@ import os
 import re
 import shutil
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
 
 from mangled import simulated
+from pneud.bench import chart
+from pneud.bench.tables import in_words
 from pneud.log.files.reader import read_log
 from pneud.report.figures import FIGURES
 from pneud.report.gather import gather
 from pneud.report.page import page
+from pneud.study import comparison_page, paper_page
+from pneud.study.comparison import LAWS
+from test_bench import report
+from test_campaign import campaign as campaign  # noqa: PLC0414  (a fixture)
+from test_compare import table_of
+from test_reproduction import reproduction
 
 pytestmark = pytest.mark.slow
 
@@ -83,12 +93,12 @@ addEventListener("load", () => setTimeout(async () => {
 }, 700));
 </script>"""
 COLOURS = {False: ([0x00, 0x72, 0xB2], [0xD5, 0x5E, 0x00]), True: ([0x3E, 0xA6, 0xE6], [0xFF, 0x8B, 0x3D])}
-FRAME = """<!doctype html><body style="margin:0"><iframe src="inner.html"
-style="border:0;width:{width}px;height:900px"></iframe><script>
+FRAME = """<!doctype html><body style="margin:0">{frames}<script>
 addEventListener("message", e => {{
-  const out = document.createElement("output"); out.id = "found"; out.textContent = e.data;
+  const out = document.createElement("output"); out.className = "found"; out.textContent = e.data;
   document.body.append(out);
 }});</script>"""
+INNER = '<iframe src="{n}.html" style="border:0;width:{width}px;height:900px"></iframe>'
 
 
 def axe_core() -> str:
@@ -99,19 +109,21 @@ def axe_core() -> str:
     return ""
 
 
-def tell(folder: Path, text: str, width: int, dark: bool) -> dict[str, Any]:
-    """What a page of a width tells of itself; its frame is as wide as a telephone where it has to be."""
+def tell(folder: Path, texts: Sequence[str], width: int, dark: bool) -> list[dict[str, Any]]:
+    """What pages tell of themselves in frames of a width, which may be that of a telephone."""
     blue, red = COLOURS[dark]
     script = TELL.replace("BLUE", json.dumps(blue)).replace("RED", json.dumps(red))
-    inner = text.replace("</body>", f"<script>{axe_core()}</script>{script}</body>")
-    (folder / "inner.html").write_text(inner)
-    (folder / "outer.html").write_text(FRAME.format(width=width))
+    for n, text in enumerate(texts):
+        inner = text.replace("</body>", f"<script>{axe_core()}</script>{script}</body>")
+        (folder / f"{n}.html").write_text(inner)
+    frames = "".join(INNER.format(n=n, width=width) for n in range(len(texts)))
+    (folder / "outer.html").write_text(FRAME.format(frames=frames))
     theme = f"--blink-settings=preferredColorScheme={0 if dark else 1}"
     options = (theme, "--virtual-time-budget=9000", f"--window-size={max(width, 600)},900", "--dump-dom")
     done = browse(folder, *options, f"file://{folder}/outer.html")
-    (found,) = re.findall(r'<output id="found">(.*?)</output>', done.stdout)
-    told: dict[str, Any] = json.loads(html.unescape(found))
-    return told
+    found = re.findall(r'<output class="found">(.*?)</output>', done.stdout)
+    assert len(found) == len(texts)
+    return [json.loads(html.unescape(one)) for one in found]
 
 
 def browse(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
@@ -154,7 +166,7 @@ SEEN = [(width, dark) for width in (375, 900, 1600) for dark in (False, True)]
 @pytest.mark.parametrize(("width", "dark"), SEEN)
 def test_every_figure_shows_its_lines(text: str, tmp_path: Path, width: int, dark: bool) -> None:
     """Both runs' colours are in every canvas, nothing is wider than the window, the page suits the system."""
-    state = tell(tmp_path, text, width, dark)
+    (state,) = tell(tmp_path, [text], width, dark)
     planes = int(state["drawn"]) - len(FIGURES) - 2
     assert planes >= 6
     assert len(state["canvases"]) == len(FIGURES) + 2 + planes
@@ -169,10 +181,32 @@ def test_every_figure_shows_its_lines(text: str, tmp_path: Path, width: int, dar
 @pytest.mark.parametrize(("width", "dark"), SEEN)
 def test_one_log_with_a_fault_is_shown_close_up(tmp_path: Path, width: int, dark: bool) -> None:
     run = gather(read_log(Path(__file__).parent / "golden" / "supply-lost.mcap"))
-    state = tell(tmp_path, page([run]), width, dark)
+    (state,) = tell(tmp_path, [page([run])], width, dark)
     assert state["closeups"] == "1"
     assert state["wide"] <= width
     assert state["serious"] == []
+
+
+@pytest.mark.parametrize(("width", "dark"), SEEN)
+def test_the_other_pages_suit_every_window(
+    campaign: ModuleType, tmp_path: Path, width: int, dark: bool
+) -> None:
+    """Benchmark, campaign, paper and comparison."""
+    measured = report()
+    case: dict[str, Any] = {
+        "name": "hose-burst", "description": "x " * 40, "reaction": "centre", "met": False, "faults": ["f"],
+        "problems": ["31 mm of travel"], "centred_ms": 1.25, "ticks": 3, "travel_mm": 31.0,
+    }  # fmt: skip
+    texts = [
+        chart.page(measured, in_words(measured)),
+        campaign.page("unixcan", [case], {"bus-off": "takes a CAN interface"}, 9.0),
+        paper_page.page(reproduction(), []),
+        comparison_page.page(table_of(LAWS)),
+    ]
+    for state in tell(tmp_path, texts, width, dark):
+        assert state["wide"] <= width
+        assert state["paper"] == ("rgb(20, 24, 29)" if dark else "rgb(255, 255, 255)")
+        assert state["serious"] == []
 
 
 def test_axe_core_is_there() -> None:
@@ -201,6 +235,37 @@ addEventListener("load", () => setTimeout(() => {
     (found,) = re.findall(r'<output id="found">(.*?)</output>', done.stdout)
     assert found.startswith("Shown: every tick.")
     assert "Every tick is kept of 12" in found
+
+
+def test_figures_are_saved_by_a_button(text: str, tmp_path: Path) -> None:
+    save = """
+<script>
+addEventListener("load", () => setTimeout(async () => {
+  const blobs = [];
+  URL.createObjectURL = blob => { blobs.push(blob); return "#"; };
+  for (const home of ["#plot-error", "#plane-spectrum", "#phase"])
+    for (const button of document.querySelectorAll(home + " h3 button")) button.click();
+  document.querySelector("#s-motions .wide + button").click();
+  await new Promise(done => setTimeout(done, 1500));
+  const out = document.createElement("output");
+  out.id = "found";
+  const told = b => b.type === "text/csv" ? b.text() : `${b.type} ${b.size}`;
+  out.textContent = JSON.stringify(await Promise.all(blobs.map(told)));
+  document.body.append(out);
+}, 500));
+</script>"""
+    (tmp_path / "r.html").write_text(text.replace("</body>", f"{save}</body>"))
+    done = browse(tmp_path, "--virtual-time-budget=8000", "--dump-dom", f"file://{tmp_path}/r.html")
+    (found,) = re.findall(r'<output id="found">(.*?)</output>', done.stdout, re.DOTALL)
+    saved = json.loads(html.unescape(found))
+    tables = [one for one in saved if not one.startswith("image/png ")]
+    assert [int(one.split()[1]) > 5000 for one in saved if one not in tables] == [True] * 3
+    firsts = sorted(table.partition("\n")[0] for table in tables)
+    assert firsts[0].startswith("line,Hz")
+    assert firsts[1].startswith("log,motion,from [s],took [s]")
+    assert firsts[2] == "log,position error [mm],velocity error [mm/s]"
+    assert firsts[3] == "t [s],one: reference − position [mm],two: reference − position [mm]"
+    assert all(len(table.splitlines()) > 2 for table in tables)
 
 
 def test_it_prints(text: str, tmp_path: Path) -> None:

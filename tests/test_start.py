@@ -11,7 +11,7 @@ import pytest
 
 from pneud.loading import load
 
-HEAVY = {"can", "cantools", "google", "mcap", "numpy", "rich", "zstandard"}
+HEAVY = {"can", "cantools", "google", "mcap", "numpy", "rich", "textual", "zstandard"}
 LATER = {  # loaded by the processes and the runs that need them
     "pneud.console.protocol",
     "pneud.console.server",
@@ -21,7 +21,9 @@ LATER = {  # loaded by the processes and the runs that need them
     "pneud.scenario.format",
     "pneud.scenario.sabotage",
     "pneud.scenario.stage",
+    "pneud.view.app",
     "pneud.view.screen",
+    "pneud.view.show",
     "pneud.view.terminal",
     "pneud.view.viewers",
 }

@@ -12,7 +12,10 @@ import signal
 import sys
 import termios
 import time
+import tty
 from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -38,12 +41,18 @@ from pneud.signals import (
     Tick,
     Timing,
 )
-from pneud.view.history import BUCKET_NS, SPAN_S, History, Trace, span_s, sparkline
+from pneud.view import app as app  # noqa: PLC0414 - loaded once, before all forks
+from pneud.view import processes
+from pneud.view.history import BUCKET_NS, SPAN_S, Column, History, Trace, span_s
 from pneud.view.info import ScreenInfo
+from pneud.view.plot import Cells, Curve, Guide, bar, plot, range_limits, samples, signed_limits
 from pneud.view.processes import LEAVE_SCREEN
-from pneud.view.screen import Page, ScreenState, status_line
+from pneud.view.screen import Page, ScreenState, Typed, status_line
+from pneud.view.show import Show
 from pneud.view.terminal import run, run_child
+from pneud.view.text import BOLD, DIM
 
+numbers = st.one_of(st.floats(), st.floats(-1, 1), st.sampled_from([math.nan, math.inf, -math.inf, 0.0]))
 MS = 1_000_000
 T0 = 10**15
 NEVER_NS = 2**62
@@ -90,11 +99,12 @@ def drawn(
     size: tuple[int, int] = (80, 24),
     info: ScreenInfo = INFO,
     ascii_only: bool | None = None,
+    typed: Typed = Typed(),  # noqa: B008
 ) -> list[str]:
     """The page's lines as plain text."""
     console = Console(file=io.StringIO(), width=size[0], color_system=None, legacy_windows=False)
     with console.capture() as capture:
-        console.print(Page(ScreenState(history.last, info), history, size, ascii_only), end="")
+        console.print(Page(ScreenState(history.last, info, typed), history, size, ascii_only), end="")
     return capture.get().splitlines()
 
 
@@ -107,11 +117,13 @@ def history_of(*records: Record) -> History:
 def test_everything_an_operator_needs_stands_on_80_by_24() -> None:
     history = history_of(*(at(i) for i in range(100)), at(102, skipped=2))
     history.log_written, history.log_dropped = 12_345, 7
-    page = "\n".join(drawn(history))
-    wanted = """virtual|unixcan:x1|1000 Hz|tracking|no vcan0 here|none|20 ├|┤ 980 mm|436.801 mm|436.790 mm
-        |-11.0 µm|+157.1 mm/s|-14.6 µm|3.121 bar|2.983 bar|6.004 bar|-43.7 N|+1546 N/s|enabled|-0.312 V
-        |27.5 µs|84.0 µs|run 101|skipped 2|saturated 0|frames in 303|missing 0|corrupt 0|frozen 0|late 0
-        |written 12,345|dropped 7|Ctrl-C stops|virtual-1.mcap"""
+    page = "\n".join(drawn(history, typed=Typed(hints=(("space", "stop"),))))
+    wanted = """virtual|unixcan:x1|1000 Hz|tracking|no vcan0 here|follows the reference|20 ├|┤ 980 mm
+        |436.801 mm|436.790 mm|-11.0 µm|+157.1 mm/s|-14.6 µm|3.121 bar|2.983 bar|6.004 bar
+        |-43.7 N|+1546 N/s|enabled
+        |-0.312 V|27.5 µs|84.0 µs|2 ticks skipped in 10 s|run 101|skipped 2|saturated 0.0 % of 10 s
+        |frames in 303|missing 0|corrupt 0|frozen 0|late 0|written 12,345|dropped 7|space  stop|417 mm left
+        |speed|supply|force|virtual-1.mcap"""
     for text in re.split(r"\s*\|", wanted):
         assert text in page
 
@@ -151,10 +163,9 @@ def test_what_is_learnt_and_what_is_amiss_fit_into_80_columns_and_what_is_at_its
             "N",
         ]
     )
-    (frames,) = [line for line in drawn(history, info=info) if line.startswith("amiss")]
+    (frames,) = [line for line in drawn(history, info=info) if line.startswith("readings")]
     assert "missing 1  late 1  odd 0  per min 2  corrupt 0  frozen 0" in frames
-    (none,) = [line for line in drawn(history) if line.startswith("learnt")]
-    assert none.split() == ["learnt", "-"]
+    assert not [line for line in drawn(history) if line.startswith("learnt")]
     console = Console(file=io.StringIO(), width=80, force_terminal=True, color_system="standard")
     console.print(Page(ScreenState(history.last, info), history, (80, 24)))
     assert "33m400/112 mV" in console.file.getvalue()  # type: ignore[attr-defined]
@@ -165,7 +176,8 @@ def test_latched_and_present_faults_are_named_and_so_is_what_the_host_says() -> 
     record = RECORD._replace(tick=tick)
     lines = drawn(history_of(at(0, record, host=int(Host.LINK_DOWN | Host.RECORDER_LOST))))
     assert "fault" in lines[0]
-    assert lines[2].rstrip().split("  ") == [
+    (row,) = [line for line in lines if line.startswith("faults")]
+    assert row.rstrip().split("  ") == [
         *("faults", "", "over_travel", "valve_timed_out", "bit 30", "link down", "recorder lost")
     ]
 
@@ -177,7 +189,8 @@ def test_how_the_load_stands_at_its_target_is_shown_with_what_to_look_at() -> No
     history = history_of(at(0, holding), at(1, hunting))
     lines = drawn(history)
     assert lines[0].rstrip().endswith("holding, hunting")
-    assert lines[1].rstrip() == f"hunting: check {HUNTING_CURES[Hunting.FRICTION]}"
+    assert lines[1].startswith("hunting: ")
+    assert lines[2].rstrip() == f"check {HUNTING_CURES[Hunting.FRICTION]}"
     assert any("hunting: friction" in line for line in lines)
     assert "holding, hunting" in status_line(ScreenState(history.last, INFO), history)
     history.add([at(2, holding)])
@@ -191,9 +204,6 @@ def test_before_the_first_tick_and_in_silence_the_screen_says_so() -> None:
     history.add([RECORD])
     history.silent_s = 1.25
     assert any("no ticks for 1.2 s" in line for line in drawn(history))
-
-
-numbers = st.one_of(st.floats(), st.floats(-1, 1), st.sampled_from([math.nan, math.inf, -math.inf, 0.0]))
 
 
 @st.composite
@@ -238,12 +248,29 @@ def test_the_page_fills_any_terminal_exactly_whatever_the_values(
     assert "\n" not in status_line(ScreenState(history.last, INFO), history)
 
 
+def swinging(tick: int) -> Record:
+    """A record of a load that swings about its reference."""
+    x, s = 1e-5 * math.sin(0.005 * tick), 1e4 * math.sin(0.003 * tick)
+    record = at(tick)
+    now = record.tick
+    return record._replace(
+        tick=now._replace(
+            reference=now.reference._replace(position_m=now.estimate.position_m + x),
+            measurement=now.measurement._replace(
+                p1_pa=MEASUREMENT.p1_pa + s, p2_pa=MEASUREMENT.p2_pa - 2 * s
+            ),
+            command=now.command._replace(voltage_v=1e4 * x),
+        )
+    )
+
+
 def test_a_larger_terminal_gives_larger_curves() -> None:
-    history = history_of(*(at(i) for i in range(12_000)))
-    blocks = [
-        sum(line.count("█") for line in drawn(history, size)) for size in ((80, 24), (80, 40), (160, 40))
+    history = history_of(*(swinging(i) for i in range(0, 12_000, 10)))
+    dots = [
+        sum(0x2800 < ord(c) < 0x2900 for line in drawn(history, size) for c in line)
+        for size in ((80, 24), (80, 40), (140, 40), (140, 60))
     ]
-    assert blocks[0] < blocks[1] < blocks[2]
+    assert dots == sorted(set(dots))
 
 
 def test_names_from_outside_cannot_command_the_terminal() -> None:
@@ -289,8 +316,9 @@ def test_a_spike_of_one_tick_is_seen_at_full_height(width: int, bucket: int) -> 
     series = Trace()
     for i in range(500):
         series.add(T0 + i * BUCKET_NS, 9.0 if i == bucket else 0.0)
-    columns = series.columns(T0 + 499 * BUCKET_NS, width)
-    assert "█" in sparkline(columns, 0.0, 9.0, 1)[0]
+    columns = series.columns(T0 + 499 * BUCKET_NS, samples(width, False))
+    top, *_ = plot([Curve(columns, DIM)], (0.0, 9.0), (width, 3))
+    assert any(0x2800 < ord(c) < 0x2900 for text, _ in top for c in text)
 
 
 def test_a_curve_moves_without_changing_its_shape() -> None:
@@ -332,10 +360,55 @@ def test_values_that_are_not_finite_leave_a_gap_and_old_ones_are_forgotten() -> 
     assert math.isnan(series.rms(T0 + 200_000 * BUCKET_NS))
 
 
-def test_a_sparkline_fills_from_bottom_to_top() -> None:
-    columns = [None, (0.0, 0.0), (4.0, 4.0), (8.0, 8.0)]
-    assert sparkline(columns, 0.0, 8.0, 1) == [" ▁▄█"]
-    assert sparkline(columns, 0.0, 8.0, 2) == ["   █", " ▁██"]
+known = st.one_of(st.floats(-1e30, 1e30), st.floats(-1, 1), st.just(0.0))  # as a trace has them
+
+
+def text_of(rows: list[Cells]) -> list[str]:
+    return ["".join(text for text, _ in row) for row in rows]
+
+
+def test_a_curve_of_dots_has_no_holes_and_its_guides_are_behind_it() -> None:
+    steps: list[Column] = [(1.0, 1.0), (1.0, 1.0), (-1.0, -1.0), None, None, None]
+    zero = Guide(0.0, "─")
+    assert text_of(plot([Curve(steps, DIM)], (-1.0, 1.0), (3, 2), [zero])) == ["⠉⡆ ", "─⡇─"]
+    assert text_of(plot([], (-1.0, 1.0), (3, 2), [zero])) == ["   ", "───"]
+
+
+def test_of_two_curves_the_last_one_is_in_front_and_letters_tell_them_apart_without_colours() -> None:
+    flat, ramp = Curve([(0.0, 0.0)] * 3, DIM, "a"), Curve([(v, v) for v in (0.0, 1.0, 2.0)], BOLD, "b")
+    assert text_of(plot([flat, ramp], (0.0, 2.0), (3, 3), ascii_only=True)) == ["  b", " b ", "baa"]
+    (row,) = plot([Curve(flat.columns * 2, DIM), Curve(ramp.columns * 2, BOLD)], (0.0, 2.0), (3, 1))
+    assert {style for _, style in row} == {BOLD}
+
+
+@given(st.lists(st.none() | st.tuples(known, known).map(sorted), max_size=9), st.floats(1e-9, 1e9))
+def test_whatever_the_values_a_plot_has_its_size(found: list[Any], least: float) -> None:
+    columns = [c and tuple(c) for c in found]
+    known = [c for c in columns if c]
+    limits = range_limits((min(c[0] for c in known), max(c[1] for c in known)) if known else None, least)
+    for ascii_only in (False, True):
+        curve = Curve(columns[: samples(5, ascii_only)], DIM)
+        rows = plot([curve], limits, (5, 2), [Guide(0.0, "-")], ascii_only)
+        assert [len(text) for text in text_of(rows)] == [5, 5]
+
+
+@given(st.floats(1e-9, 1e9))
+def test_scales_are_round_and_hold_all_values(value: float) -> None:
+    low, high = signed_limits((-0.3 * value, value), 1e-12)
+    assert low == -high
+    assert value <= high * (1 + 1e-9) < 2.6 * value
+    assert f"{high:.0e}"[0] in "125"
+    low, high = range_limits((value, 1.5 * value), 1e-12)
+    assert low <= value
+    assert 1.5 * value <= high * (1 + 1e-9)
+
+
+def test_bars_are_filled_to_a_fraction_and_marked_at_the_worst() -> None:
+    assert bar(0.5, 0.5, 4, False) == "██│·"
+    assert bar(0.3, 0.9, 4, False) == "█▎·│"
+    assert bar(0.3, 0.9, 4, True) == "█··│"
+    assert bar(math.nan, math.nan, 4, False) == "····"
+    assert bar(7.0, 8.0, 4, False) == "████"
 
 
 def test_frames_that_were_not_used_are_counted_by_their_defect() -> None:
@@ -361,12 +434,19 @@ def test_times_that_were_not_taken_are_in_no_histogram() -> None:
     assert (history.lateness.count, history.latency.count) == (1, 1)
 
 
+def streams() -> list[Any]:
+    """Standard input, output and error, as they are after a descriptor has been given another one."""
+    return [open(n, how, encoding="utf-8", closefd=False) for n, how in ((0, "r"), (1, "w"), (2, "w"))]
+
+
 class Screen:
     """A view in a child process on a terminal of its own."""
 
-    def __init__(self, environment: dict[str, str], through: bool = False) -> None:
+    def __init__(self, environment: dict[str, str], through: bool = False, textual: bool = True) -> None:
         self.master, slave = os.openpty()
         termios.tcsetwinsize(slave, (24, 80))
+        self.before = termios.tcgetattr(slave)
+        self.slave = os.dup(slave)  # a terminal that nobody has open forgets its habits
         told_r, self.stop_w = os.pipe()
         names_r, names_w = os.pipe()
         self.between = os.fork() if through else 0
@@ -374,7 +454,7 @@ class Screen:
             self.child = int(os.read(names_r, 20))
         else:
             self.child = crew.fork(
-                lambda: self._be_the_view(slave, told_r, environment),
+                lambda: self._be_the_view(slave, told_r, environment, textual),
                 keep=(slave, told_r),
                 terminal=True,
                 orphaned=signal.SIGTERM,
@@ -388,20 +468,25 @@ class Screen:
         self.seen = ""
 
     @staticmethod
-    def _be_the_view(slave: int, told: int, environment: dict[str, str]) -> None:
+    def _be_the_view(slave: int, told: int, environment: dict[str, str], textual: bool) -> None:
         for descriptor in (0, 1, 2):
             os.dup2(slave, descriptor)
         os.close(slave)
         for name in ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):
             os.environ.pop(name, None)
         os.environ.update({"TERM": "xterm-256color", **environment})
-        sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+        sys.stdin, sys.stdout, err = streams()
+        sys.__stdin__, sys.__stderr__ = sys.stdin, err  # type: ignore[misc]
+        if not textual:
+            sys.modules["textual"] = None  # type: ignore[assignment]
         ticks = iter(range(10**9))
         run_child(
-            lambda: [at(next(ticks)) for _ in range(50)],
-            INFO,
-            lambda: bool(select.select([told], [], [], 0)[0]),
-            log_counts=lambda: (1, 0),
+            lambda over: Show(
+                lambda: [at(next(ticks)) for _ in range(50)],
+                INFO,
+                lambda: over(bool(select.select([told], [], [], 0)[0])),
+                log_counts=lambda: (1, 0, 0),
+            )
         )
 
     def read_until(self, ends: Callable[[str], object]) -> None:
@@ -434,86 +519,146 @@ class Screen:
         with contextlib.suppress(OSError):
             os.close(self.stop_w)
         os.close(self.master)
+        os.close(self.slave)
+
+    def read_to_the_end(self) -> None:
+        """Read what it writes until it is gone."""
+        self.read_until(lambda _: gone(self.child))
+        while select.select([self.master], [], [], 0.05)[0]:
+            self.seen += os.read(self.master, 65536).decode(errors="replace")
+
+
+def gone(pid: int) -> bool:
+    """Whether a process has ended."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return True
 
 
 @contextlib.contextmanager
-def screen(environment: dict[str, str] | None = None, through: bool = False) -> Iterator[Screen]:
-    s = Screen(environment or {}, through)
+def screen(
+    environment: dict[str, str] | None = None, through: bool = False, textual: bool = True
+) -> Iterator[Screen]:
+    s = Screen(environment or {}, through, textual)
     try:
         yield s
     finally:
         s.close()
 
 
-def ended(text: str) -> bool:
-    return False
+MARK = "saturated"  # in a row that every picture draws anew
+BOTH = pytest.mark.parametrize("textual", [True, False], ids=["textual", "rich"])
 
 
-def assert_left_clean(text: str) -> None:
+def assert_left_clean(s: Screen) -> None:
+    text = s.seen
     assert "\x1b[?1049h" in text
     assert text.rindex("\x1b[?1049l") > text.rindex("\x1b[?1049h")
     assert text.rindex("\x1b[?25h") > text.rindex("\x1b[?25l")
-    assert text.rindex("\x1b[?1049l") > text.rindex("Ctrl-C stops")
+    assert text.rindex("\x1b[?1049l") > text.rindex(MARK)
+    assert termios.tcgetattr(s.slave) == s.before
 
 
-@pytest.mark.parametrize("how", ["stop", "SIGTERM", "SIGHUP"])
-def test_the_terminal_is_left_as_it_was(how: str) -> None:
-    with screen() as s:
-        s.read_until(lambda text: text.count("Ctrl-C stops") >= 3)
+@BOTH
+@pytest.mark.parametrize("how", ["stop", "SIGTERM", "SIGHUP", "q"])
+def test_the_terminal_is_left_as_it_was(how: str, textual: bool) -> None:
+    with screen(textual=textual) as s:
+        s.read_until(lambda text: text.count(MARK) >= 2)
+        assert termios.tcgetattr(s.slave) != s.before
         if how == "stop":
             os.close(s.stop_w)
+        elif how == "q":
+            os.write(s.master, b"q")
         else:
             os.kill(s.child, getattr(signal, how))
-        s.read_until(ended)
+        s.read_to_the_end()
         assert s.status() == 0
         assert "tracking" in s.seen
-        assert_left_clean(s.seen)
+        assert_left_clean(s)
 
 
-def test_the_terminal_is_left_clean_when_the_parent_is_killed() -> None:
-    with screen(through=True) as s:
-        s.read_until(lambda text: "Ctrl-C stops" in text)
+@BOTH
+def test_the_terminal_is_left_clean_when_the_parent_is_killed(textual: bool) -> None:
+    with screen(through=True, textual=textual) as s:
+        s.read_until(lambda text: MARK in text)
         os.kill(s.between, signal.SIGKILL)
-        s.read_until(ended)
-        assert_left_clean(s.seen)
+        s.read_to_the_end()
+        assert_left_clean(s)
 
 
-def test_keys_that_send_signals_are_the_parents_matter() -> None:
-    with screen() as s:
-        s.read_until(lambda text: "Ctrl-C stops" in text)
+@BOTH
+def test_keys_that_send_signals_are_the_parents_matter(textual: bool) -> None:
+    with screen(textual=textual) as s:
+        s.read_until(lambda text: MARK in text)
+        assert termios.tcgetattr(s.slave)[3] & termios.ISIG
         for signum in (signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP):
             os.kill(s.child, signum)
-        before = s.seen.count("Ctrl-C stops")
-        s.read_until(lambda text: text.count("Ctrl-C stops") >= before + 3)
-        assert s.seen.count("Ctrl-C stops") >= before + 3
+        before = s.seen.count(MARK)
+        s.read_until(lambda text: text.count(MARK) >= before + 2)
+        assert s.seen.count(MARK) >= before + 2
+
+
+@pytest.mark.parametrize("killed", [True, False])
+def test_the_waiting_process_puts_a_terminal_right_that_was_not_left(killed: bool) -> None:
+    master, slave = os.openpty()
+    before = termios.tcgetattr(slave)
+
+    def view() -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        tty.setraw(0)
+        time.sleep(60)
+
+    def waits() -> None:
+        for descriptor in (0, 1):
+            os.dup2(slave, descriptor)
+        sys.stdin, sys.stdout, _ = streams()
+        found = processes.Screen(view)
+        while termios.tcgetattr(0) == before:
+            time.sleep(0.01)
+        if killed:
+            os.kill(found.pid, signal.SIGKILL)
+            found.wait()
+        else:
+            found.end()
+
+    pid = crew.fork(waits, keep=(slave,), terminal=True)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+    assert termios.tcgetattr(slave) == before
+    assert LEAVE_SCREEN.encode() in os.read(master, 4096)
+    os.close(master)
+    os.close(slave)
 
 
 @pytest.mark.slow
 def test_a_view_on_a_stalled_terminal_still_ends() -> None:
     with screen() as s:
-        s.read_until(lambda text: "Ctrl-C stops" in text)
+        s.read_until(lambda text: MARK in text)
         time.sleep(0.5)  # nobody reads: a page of some kilobytes no longer fits into the terminal's queue
         os.kill(s.child, signal.SIGTERM)
         assert s.status() in (0, -signal.SIGALRM)
 
 
-def test_the_page_follows_the_size_of_the_terminal() -> None:
-    with screen() as s:
-        s.read_until(lambda text: "Ctrl-C stops" in text)
+@BOTH
+def test_the_page_follows_the_size_of_the_terminal(textual: bool) -> None:
+    with screen(textual=textual) as s:
+        s.read_until(lambda text: MARK in text)
         assert "─" * 100 not in s.seen
         termios.tcsetwinsize(s.master, (40, 132))
+        os.kill(s.child, signal.SIGWINCH)  # the kernel tells a terminal's own processes alone
         s.read_until(lambda text: "─" * 100 in text)
         assert "─" * 100 in s.seen
 
 
-def test_no_color_means_no_colour() -> None:
+@BOTH
+def test_no_color_means_no_colour(textual: bool) -> None:
     def colours(text: str) -> list[str]:
         codes = [c for group in re.findall(r"\x1b\[([\d;]*)m", text) for c in group.split(";") if c]
-        return [c for c in codes if int(c) >= 30]
+        return [c for c in codes if int(c) >= 30 and c not in ("39", "49")]  # which are the terminal's own
 
     for environment in ({}, {"NO_COLOR": "1"}):
-        with screen(environment) as s:
-            s.read_until(lambda text: "Ctrl-C stops" in text)
+        with screen(environment, textual=textual) as s:
+            s.read_until(lambda text: MARK in text)
             assert bool(colours(s.seen)) == (not environment)
 
 
@@ -527,7 +672,7 @@ def test_a_dumb_terminal_gets_lines_without_control_codes() -> None:
 def test_without_a_terminal_lines_are_written() -> None:
     out = io.StringIO()
     pictures = iter([False, False, True])
-    run(lambda: [RECORD], INFO, lambda: next(pictures), console=Console(file=out, width=40))
+    run(Show(lambda: [RECORD], INFO, lambda: next(pictures)), console=Console(file=out, width=40))
     assert out.getvalue().splitlines()[0] == status_line(ScreenState(RECORD, INFO), history_of(RECORD))
 
 

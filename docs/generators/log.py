@@ -111,8 +111,10 @@ for block in blocks(read_log("run.mcap")):  # arrays, thousands of ticks at a ti
     pneud export run.mcap -o run.log           # frames: candump log; or .asc, .blf
     cantools decode configs/pneud.dbc < run.log
 
-A report draws at most 8192 buckets of ticks for each line, with the least and the greatest value of each: every peak is
-kept, whatever the length. `--from` and `--to` show a part with every tick.
+A report begins with a verdict and why, then each motion with its error, settling, air and work, and each fault close up.
+Its lines are drawn in at most 8192 buckets of ticks, with the least and the greatest value of each: every peak is kept,
+whatever the length. Zoomed in, every tick is there of some minutes at 1 kHz: of stretches with events first, then of
+those with the greatest errors; the page says which. `--from` and `--to` show a part. `--open` shows the page.
 
 Foxglove, [Lichtblick](https://github.com/lichtblick-suite/lichtblick) and PlotJuggler open the `.mcap` itself; what `pneud export`
 writes for viewers has errors and names in its ticks as well. Layouts

@@ -25,16 +25,7 @@ command the axis: [who may](console.md#who-commands). One JSON object a line, at
 number of the client's, which the reply repeats. Replies come in the order in which requests are done. Lengths are millimetres in
 the stroke coordinate, times seconds. Unknown fields are refused.
 
-From Python, [`pneud.console.client.Client`](api.md#the-console) does all of this:
-
-```python
-from pneud.console.client import Client
-
-with Client() as axis:
-    axis.ask("goto", x_mm=420.0)
-    print(axis.ask("status")["reference_mm"])
-    axis.ask("stop")
-```
+[`pneud.Client`](python.md#a-running-axis) does all of this from Python.
 
 ## Requests
 
@@ -134,6 +125,7 @@ _CONVERSATION = """\
 > stop!
 < {"v": 1, "id": null, "ok": false, "error": {"type": "malformed"}}
 """
+_SAYS_IT_ALL = {"stop": "whoever commands; then hold or centre, as configured"}  # verbs without a comment
 _BY_LENGTH = {  # how to say what has a length; bounds are those of the models
     "pieces": "list of {least} to {most} pieces, nine numbers each",
     "gains": "table of {least} to {most} names with their values",
@@ -151,7 +143,8 @@ def _errors() -> str:
 
 def _plain() -> dict[str, str]:
     """The verbs that say it all, with the comments behind them."""
-    return dict(re.findall(r'^        "(\w+)",(?:  # (.*))?$', inspect.getsource(Plain), re.MULTILINE))
+    found = dict(re.findall(r'^        "(\w+)",(?:  # (.*))?$', inspect.getsource(Plain), re.MULTILINE))
+    return {verb: said or _SAYS_IT_ALL[verb] for verb, said in found.items()}
 
 
 def _requests() -> Iterator[str]:

@@ -14,7 +14,7 @@ from pneud.console.protocol import Error, ProtocolError
 from pneud.console.status_reply import StatusWatch, faults
 from pneud.console.tuning import Tuning
 from pneud.log.live.ring import Ring
-from pneud.safety.faults import CENTRES, FAULT_CURES, FAULT_NAMES, STOPS, F
+from pneud.safety.faults import CENTRES, STOPS, F
 from pneud.safety.supervisor import BLOCKS
 from pneud.signals import Answer, Request, RequestKind, State
 
@@ -81,22 +81,11 @@ class AxisDesk:
 
     def attach(self) -> tuple[dict[str, Any], int]:
         """The fields of the reply to `attach`, and the descriptor that goes with it."""
-        r, limits = self._run, self._run.config.limits
         return {
             "layout": Ring.layout(),
             "slots": self._ring.slots,
             "slot_bytes": self._ring.slot_bytes,
-            "name": r.config.name,
-            "bus": r.bus,
-            "rate_hz": r.config.loop.rate_hz,
-            "travel_min_mm": limits.travel_min_m / _MM,
-            "travel_max_mm": limits.travel_max_m / _MM,
-            "u_max_v": r.config.valve.u_max_v,
-            "note": r.note,
-            "faults": list(FAULT_NAMES),
-            "cures": list(FAULT_CURES),
-            "log": r.log_path,
-            "sync": r.config.bus.sync,
+            **self._run.page(),
         }, self._ring.open_for_reading()
 
     def gains(self) -> dict[str, Any]:

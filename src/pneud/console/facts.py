@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pneud.config.models import Config
+from pneud.safety.faults import BLOCKS_ARM, FAULT_CURES, FAULT_NAMES
 
 
 class RunFacts(NamedTuple):
@@ -20,3 +22,34 @@ class RunFacts(NamedTuple):
     log_path: str
     log_is_given: bool = False  # this very file, not a folder in which each run has its own
     hindrance: Callable[[], str] = str  # why no run could begin with what the files say now; "" for nothing
+
+    def page(self) -> dict[str, Any]:
+        """What a screen has to know beside the records, as JSON has it."""
+        c = self.config
+        limits, cylinder = c.limits, c.cylinder
+        bitrate = c.bus.bitrate_bit_s
+        return {
+            "name": c.name,
+            "bus": self.bus,
+            "rate_hz": c.loop.rate_hz,
+            "travel_min_mm": limits.travel_min_m / 1e-3,
+            "travel_max_mm": limits.travel_max_m / 1e-3,
+            "u_max_v": c.valve.u_max_v,
+            "note": self.note,
+            "faults": list(FAULT_NAMES),
+            "cures": list(FAULT_CURES),
+            "blocks_arm": BLOCKS_ARM,
+            "log": self.log_path,
+            "sync": c.bus.sync,
+            "limits": {
+                "speed_m_s": limits.speed_m_s,
+                "supply_min_pa": limits.supply_min_pa,
+                "supply_max_pa": limits.supply_max_pa,
+                "area_1_m2": cylinder.piston_area_1_m2,
+                "area_2_m2": cylinder.piston_area_2_m2,
+                "atmosphere_pa": c.gas.atmosphere_pa,
+                "dead_zone_v": c.valve.dead_zone_v,
+                "bitrate_bit_s": bitrate if math.isfinite(bitrate) else None,
+                "quota_bytes": c.log.quota_mb * 1e6,
+            },
+        }

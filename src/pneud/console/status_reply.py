@@ -12,6 +12,7 @@ from pneud.control.adaptation import Learnt
 from pneud.log.live.amiss import Amiss
 from pneud.log.live.ring import Ring
 from pneud.rt.histogram import Histogram
+from pneud.safety.cause import first_cause
 from pneud.safety.faults import LOG_LOST, TABLE
 from pneud.signals import HUNTING_CURES, Hunting, State
 
@@ -62,6 +63,7 @@ class StatusWatch:
         fields: dict[str, Any] = {
             "state": State.STARTING.label,
             "faults": [],
+            "cause": None,
             **dict.fromkeys(("position_mm", "velocity_mm_s", "reference_mm", "error_mm")),
             "in_position": False,
             "hunting": None,
@@ -83,6 +85,9 @@ class StatusWatch:
         fields["state"] = State(tick.state).label
         fields["silent_s"] = round(max(0, time.monotonic_ns() - tick.t_ns) * 1e-9, 3)
         fields["faults"] = faults(tick.present, tick.latched)
+        cause = first_cause([fault["name"] for fault in fields["faults"]])
+        if cause is not None:
+            fields["cause"] = {"words": cause.words, "cure": cause.cure, "faults": list(cause.faults)}
         fields["position_mm"] = _scaled(position_m if math.isfinite(position_m) else m.position_m, 1e3)
         fields["velocity_mm_s"] = _scaled(tick.estimate.velocity_m_s, 1e3)
         fields["reference_mm"] = _scaled(tick.reference.position_m, 1e3)

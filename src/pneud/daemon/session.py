@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import os
+import shlex
+import shutil
+import signal
 import socket
 import sys
 from contextlib import ExitStack
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pneud import crew
-from pneud.axis.state import learnt_so_far
 from pneud.bus.codec import DatabaseError
 from pneud.bus.inbox import Inbox
 from pneud.config import conversions
-from pneud.config.learnt import Values, start_of, values_learnt
 from pneud.config.sections import ConfigError
 from pneud.config.toml import flat
 from pneud.console import handoff
+from pneud.console.client import Client
 from pneud.console.facts import RunFacts
 from pneud.console.keeper import fork_console
+from pneud.console.operator import Operator
 from pneud.daemon.preparation import Ready
 from pneud.loading import load
 from pneud.log.format.header import LogHeader, Rotation
@@ -33,9 +37,11 @@ from pneud.loop.turn import Turn
 from pneud.rig.plant_process import Rig, fork_plant
 from pneud.rig.truth import TruthReader, truth_memory
 from pneud.rt import setup
-from pneud.safety.faults import FAULT_CURES, FAULT_NAMES
-from pneud.view.info import ScreenInfo
-from pneud.view.processes import end_screen, fork_screen, fork_viewers
+from pneud.safety.cause import first_cause
+from pneud.safety.faults import FAULT_NAMES
+from pneud.view.hands import Leaving
+from pneud.view.info import info_of
+from pneud.view.processes import fork_screen, fork_viewers
 
 if TYPE_CHECKING:
     from pneud.daemon.places import ViewersPlace
@@ -95,7 +101,7 @@ class Session:
             self._start_viewers(ends, ready.viewers)
         if stage is not None and stage.scenario.orders:
             self._start_saboteur(ends, stage, recorder, plant, console)
-        if not o.headless and sys.stdout.isatty() and not o.json:
+        if self._is_shown:
             self._start_screen(ends)
         self.reports += setup.apply(wanted.priority, cpu, wanted.lock_memory)
         self.ring.set_notes(setup.as_text(self.reports))
@@ -104,6 +110,12 @@ class Session:
         loop = self._loop(recorder, truth, requests)
         stop_on_signals(loop.stop, console)
         return loop
+
+    @property
+    def _is_shown(self) -> bool:
+        """Whether there is a screen."""
+        o = self.ready.options
+        return not o.headless and not o.json and sys.stdout.isatty()
 
     def _loop(self, recorder: int, truth: TruthReader | None, requests: handoff.LoopEnd) -> Loop:
         ready, config, o = self.ready, self.ready.config, self.ready.options
@@ -115,7 +127,8 @@ class Session:
             spin_us=config.loop.spin_us,
             auto_arm=o.virtual or o.arm,
             duration_s=o.duration_s,
-            end_on_fault=o.virtual,
+            # somebody who looks on wants to see it, and has keys to go on or to end it
+            end_on_fault=o.virtual and not (self._is_shown and os.isatty(0)),
             no_realtime=config.realtime.required and not fifo.ok,
             unproven=ready.unproven,
         )
@@ -143,19 +156,14 @@ class Session:
         return recorder
 
     def _start_console(self, ends: ExitStack, asking: socket.socket, words: socket.socket) -> int:
-        (config, path, text, *_), link = self.ready.loaded, self.ready.link
-
         def hindrance() -> str:
             try:
-                load(path, rate_hz=self.ready.options.rate_hz)
+                load(self.ready.loaded.path, rate_hz=self.ready.options.rate_hz)
             except (ConfigError, DatabaseError) as e:
                 return str(e)
             return ""
 
-        given = (self.ready.options.log or "").endswith(".mcap")
-        facts = RunFacts(
-            config, path.absolute(), text, link.name, link.note, str(self.ready.log_file), given, hindrance
-        )
+        facts = self._facts()._replace(hindrance=hindrance)
         console = fork_console(self.ready.socket.listener, asking, words, facts, self.ring)
 
         def end() -> None:
@@ -164,6 +172,12 @@ class Session:
 
         ends.callback(end)
         return console
+
+    def _facts(self) -> RunFacts:
+        """What screen and console are told."""
+        (config, path, text, *_), link = self.ready.loaded, self.ready.link
+        given = (self.ready.options.log or "").endswith(".mcap")
+        return RunFacts(config, path.absolute(), text, link.name, link.note, str(self.ready.log_file), given)
 
     def _stage(self) -> Stage | None:
         scenario = self.ready.scenario
@@ -203,26 +217,23 @@ class Session:
         ends.callback(crew.end, saboteur, SCENARIO_PATIENCE_S)
 
     def _start_screen(self, ends: ExitStack) -> None:
-        config, link, viewers = self.ready.config, self.ready.link, self.ready.viewers
-        info = ScreenInfo(
-            name=config.name,
-            bus=link.name,
-            rate_hz=config.loop.rate_hz,
-            travel_min_m=config.limits.travel_min_m,
-            travel_max_m=config.limits.travel_max_m,
-            u_max_v=config.valve.u_max_v,
-            note=" · ".join(filter(None, (link.note, viewers.note if viewers is not None else ""))),
-            fault_names=FAULT_NAMES,
-            cures=FAULT_CURES,
-            log_path=str(self.ready.log_file),
-            sync=config.bus.sync,
-            learnt=values_learnt(start_of(config), config),
-        )
+        ready = self.ready
+        viewers, socket = ready.viewers, str(ready.socket.path)
+        note = " · ".join(filter(None, (ready.link.note, viewers.note if viewers is not None else "")))
+        info = info_of(self._facts()._replace(note=note).page(), first_cause, _elsewhere(ready))
+        daemon, asks = os.getpid(), "" if ready.options.virtual else "End the daemon, with a controlled stop?"
+        leaving = Leaving("end", lambda: os.kill(daemon, signal.SIGINT), ends_view=False, asks=asks)
+        screen = fork_screen(self.ring, info, Operator(lambda: Client(socket)), leaving)
+        ends.callback(screen.end)
 
-        def learnt(state: dict[str, Any]) -> Values:
-            return values_learnt(learnt_so_far(state["axis"]), config)
 
-        ends.callback(end_screen, fork_screen(self.ring, info, learnt))
+def _elsewhere(ready: Ready) -> str:
+    """The command that shows the run in another terminal, as it was called itself."""
+    program = sys.argv[0] if Path(sys.argv[0]).name == "pneud" else "pneud"
+    if (found := shutil.which("pneud")) and Path(program).exists() and Path(found).samefile(program):
+        program = "pneud"
+    given = ready.options.socket
+    return f"{program} top" + (f" --socket {shlex.quote(given)}" if given else "")
 
 
 def _header(ready: Ready) -> LogHeader:
@@ -242,6 +253,7 @@ def _header(ready: Ready) -> LogHeader:
         extra={
             "law": ready.how.name,
             **({"seed": str(o.seed)} if o.virtual else {}),
+            **({"scenario": ready.scenario.name} if ready.scenario is not None else {}),
             **({"movement_test": "not asked for: --unproven"} if o.unproven else {}),
         },
     )

@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import SNAPSHOT_S
+from pneud.log.format.schema import Level
+from pneud.log.live.notes import Note
 from pneud.loop.tally import Tally
 from pneud.replay.lockstep import Simulation
 from pneud.scenario.verdict import Observed
@@ -31,12 +33,12 @@ def through(
     Args:
         run: one that has not begun.
         rate_hz: of its ticks.
-        writer: gets the ticks, and now and then the state of the axis.
+        writer: gets the ticks, now and then the state of the axis, and when a scenario began.
         look: called with each tick's place, from 0, and record.
     """
     tally = Tally(truth=True, timed=False, sync=run.inbox.sync)
     seen = Observed()
-    snapshot_ticks = max(1, round(SNAPSHOT_S * rate_hz))
+    snapshot_ticks, told = max(1, round(SNAPSHOT_S * rate_hz)), run.engine is None
     for number, record in enumerate(run.records()):
         tally.add(record, ending=run.shut)
         if look is not None:
@@ -47,6 +49,9 @@ def through(
         if not run.shut:
             seen = seen.then(record.tick)
         if writer is not None:
+            if not told and run.engine is not None and run.engine.effects.onset_ns >= 0:
+                begun_ns, told = run.engine.effects.onset_ns, True
+                writer.say(Note(begun_ns, Level.INFO, "scenario", f"{run.engine.scenario.name} begins"))
             writer.write(record)
             if (number + 1) % snapshot_ticks == 0:
                 writer.snapshot(run.turn.freeze())

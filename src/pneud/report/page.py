@@ -19,6 +19,7 @@ from pneud.report.gather import COLUMNS, LoggedRun
 from pneud.report.planes import Plane, together
 from pneud.report.sections import Reference
 from pneud.report.spans import Span
+from pneud.report.stops import Seen
 from pneud.report.verdict import judge
 from pneud.signals import state_name
 
@@ -51,13 +52,13 @@ def page(runs: Sequence[LoggedRun], reference: Reference | None = None) -> str:
             "Faults",
             sections.each(names, [sections.faults(run, i, shift) for i, (run, shift) in enumerate(shifted)]),
         ),
-        Section("Summary", sections.summary(runs, names)),
         Section(
             "Run",
             f'{_HINT}{sections.keys(names)}<div id="timeline" class="plot"></div><div id="plots"></div>'
             '<div id="phase" class="plot"></div>',
         ),
         Section("Maps", '<div id="planes" class="planes"></div>'),
+        Section("Summary", sections.summary(runs, names)),
         Section("Timing", sections.timing(runs, names, reference)),
         Section("Bus", each(sections.bus)),
         Section("Learnt", each(sections.learnt)),
@@ -65,7 +66,7 @@ def page(runs: Sequence[LoggedRun], reference: Reference | None = None) -> str:
         Section("Machine", sections.machine(runs, names)),
         Section("Configuration", sections.configurations(runs, names)),
     ]
-    verdicts = [judge(run) for run in runs]
+    verdicts = [judge(run, shift) for run, shift in shifted]
     return document(
         f"pneud report: {', '.join(names)}",
         runs[0].config.name if len(runs) == 1 else f"{runs[0].config.name}: {len(runs)} logs",
@@ -145,7 +146,7 @@ def _run(run: LoggedRun, name: str, shift_s: float, colour: str) -> dict[str, An
             }
             for bit, spans in {**{b: [] for b in run.latched}, **run.present}.items()
         ],
-        "stops": [_stop(fault, shift_s) for fault in run.faults],
+        "stops": [_stop(run, fault, shift_s) for fault in run.faults],
         "settled": [
             [round(m.end_s - shift_s, 6), round(m.settled_s - shift_s, 6)]
             for m in run.motions[:_SPANS_SHOWN]
@@ -164,12 +165,15 @@ def _closeup(closeup: Closeup, shift_s: float) -> list[list[Any]]:
     ]
 
 
-def _stop(fault: Any, shift_s: float) -> list[list[Any]]:
+def _stop(run: LoggedRun, fault: Seen, shift_s: float) -> list[list[Any]]:
     """Moments of a fault, with their words."""
-    moments = [(fault.seen_s, "seen"), (fault.latched_s, "latched")]
-    if fault.stop is not None:
+    moments = [(t_s, "injected") for t_s, _ in sections.injections(run) if t_s <= fault.latched_s][-1:]
+    if fault.seen_s < fault.latched_s:
+        moments.append((fault.seen_s, "seen"))
+    moments.append((fault.latched_s, "latched" if fault.seen_s != fault.latched_s else "seen, latched"))
+    if fault.stop is not None and not math.isnan(fault.stop.time_s):
         moments.append((fault.latched_s + fault.stop.time_s, "stood"))
-    return [[round(t_s - shift_s, 6), word] for t_s, word in moments if not math.isnan(t_s)]
+    return [[round(t_s - shift_s, 6), word] for t_s, word in moments]
 
 
 def _plane(

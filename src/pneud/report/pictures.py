@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pneud.report.colours import COLOURS, STATE_COLOURS
+from pneud.report.colours import COLOURS, STATE_COLOURS, colours_of
 from pneud.report.figures import FIGURES, line, offsets_s
 from pneud.report.gather import LoggedRun
+from pneud.report.planes import Trace, together
 from pneud.rt.outputs import replacing
 from pneud.signals import State
 
@@ -48,7 +49,7 @@ def write(runs: Sequence[LoggedRun], stem: Path) -> list[Path]:
     """
     from matplotlib.figure import Figure as New  # noqa: PLC0415
 
-    shifts = offsets_s(runs)
+    shifts, colours = offsets_s(runs), colours_of(len(runs))
     written = []
 
     def save(figure: New, name: str) -> None:
@@ -64,7 +65,7 @@ def write(runs: Sequence[LoggedRun], stem: Path) -> list[Path]:
             for series in f.series if len(runs) == 1 else f.series[:1]:
                 values = line(run, series.column)
                 if values is not None:
-                    colour = series.colour if len(runs) == 1 else COLOURS[number % len(COLOURS)]
+                    colour = series.colour if len(runs) == 1 else colours[number]
                     label = series.label if len(runs) == 1 else run.name
                     axes.plot(run.series.t_s - shift, values, color=colour, linewidth=0.9, label=label)
         _finish(axes, f.title, f"{f.unit}", "s")
@@ -74,9 +75,24 @@ def write(runs: Sequence[LoggedRun], stem: Path) -> list[Path]:
     axes = figure.subplots()
     for number, run in enumerate(runs):
         error, speed = run.phase.values.T
-        axes.plot(error, speed, color=COLOURS[number % len(COLOURS)], linewidth=0.6, label=run.name)
+        axes.plot(error, speed, color=colours[number], linewidth=0.6, label=run.name)
     _finish(axes, "Phase plot", "velocity error [mm/s]", "position error [mm]")
     save(figure, "phase")
+
+    for plane, each in together([run.planes for run in runs]):
+        figure = New(figsize=(6.5, 4.2), layout="constrained")
+        axes = figure.subplots()
+        if len(runs) == 1:
+            for trace in plane.traces:
+                _trace(axes, trace, trace.label, trace.colour)
+        for own, run, colour in zip(each if len(runs) > 1 else [], runs, colours, strict=False):
+            if own is not None:
+                _trace(axes, own.traces[0], run.name, colour)
+        if plane.logarithmic:
+            axes.set_xscale("log")
+            axes.set_yscale("log")
+        _finish(axes, plane.title, plane.up, plane.across)
+        save(figure, plane.name)
 
     rows = [
         (run, shift, bit) for run, shift in zip(runs, shifts, strict=True) for bit in (None, *run.present)
@@ -104,6 +120,15 @@ def write(runs: Sequence[LoggedRun], stem: Path) -> list[Path]:
     _finish(axes, "States and faults", "", "s")
     save(figure, "timeline")
     return written
+
+
+def _trace(axes: Axes, trace: Trace, label: str, colour: str) -> None:
+    if trace.kind == "mark":
+        axes.axvline(float(trace.x[0]), color=colour, linestyle="--", linewidth=1.0, label=label)
+    elif trace.kind == "bars":
+        axes.bar(trace.x, trace.y, width=0.9 * (trace.x[1] - trace.x[0]), color=colour, label=label)
+    else:
+        axes.plot(trace.x, trace.y, color=colour, linewidth=0.9, label=label)
 
 
 def _finish(axes: Axes, title: str, y: str, x: str) -> None:

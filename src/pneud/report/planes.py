@@ -95,7 +95,7 @@ class Planes:
     def planes(self) -> list[Plane]:
         """Those that have something in them."""
         found = (part.plane() for part in self._parts)
-        return [plane for plane in found if plane.traces and len(plane.traces[0].x)]
+        return [plane for plane in found if plane.traces and len(plane.traces[0].x) > 1]
 
 
 class _Error:

@@ -81,12 +81,12 @@ def lead(runs: Sequence[LoggedRun], names: Sequence[str], verdicts: Sequence[Ver
     if len(runs) == 1:
         return strip(verdicts[0], facts(runs[0], names[0]))
     rows = (
-        (_keyed(name, colour), badge(verdict.level), "; ".join(verdict.reasons))
-        for name, colour, verdict in zip(names, colours_of(len(runs)), verdicts, strict=True)
+        (_keyed(name, colour), badge(verdict.level), _length(run), "; ".join(verdict.reasons))
+        for run, name, colour, verdict in zip(runs, names, colours_of(len(runs)), verdicts, strict=True)
     )
-    told = [facts(run, "") for run in runs]
+    told = [facts(run, "")[1:] for run in runs]
     alike = [fact for fact in told[0] if all(fact in others for others in told)]
-    return table(("log", "verdict", "why"), rows, label="verdicts", words=3) + facts_list(alike)
+    return table(("log", "verdict", "length", "why"), rows, label="verdicts", words=4) + facts_list(alike)
 
 
 def keys(names: Sequence[str]) -> str:
@@ -114,12 +114,17 @@ def facts(run: LoggedRun, name: str) -> list[tuple[str, str]]:
         ("length", f"{_length(run)} at {log.rate_hz:g} Hz"),
         ("bus", told("bus", "unknown")),
         ("law and gains", gains(run)),
-        ("machine", f"{machine}; pneud {told('pneud', '?')}, law {told('law', 'interpreted')}"),
+        ("machine", "; ".join(filter(None, (machine, f"pneud {told('pneud', '?')}", _law(run))))),
         ("real time", _realtime(run)),
         ("configuration", log.config_name),
     ]
     scenario = told("scenario")
     return [*found, ("scenario", scenario)] if scenario else found
+
+
+def _law(run: LoggedRun) -> str:
+    law = run.log.metadata.get("law")
+    return f"law {law}" if law else ""
 
 
 def _realtime(run: LoggedRun) -> str:
@@ -208,7 +213,15 @@ def _three(run: LoggedRun, name: str) -> str:
 
 _MOTION_HEAD = (
     *("motion", "from [s]", "took [s]", "from [mm]", "to [mm]", "RMS [mm]", "max [mm]", "overshoot [mm]"),
-    *("settled after [s]", "in position after [s]", "peak [mm/s]", "air [NL]", "of that [J]", "work [J]", ""),
+    *(
+        "settled after [s]",
+        "in position after [s]",
+        "peak [mm/s]",
+        "air [NL]",
+        "its energy [J]",
+        "work [J]",
+        "",
+    ),
 )
 
 
@@ -272,7 +285,7 @@ def faults(run: LoggedRun, number: int, shift_s: float) -> str:
     """The faults that were latched: moments, the stop, what to do; a place for the pictures of each."""
     if not run.faults:
         return ""
-    parts = [f"<p>{html.escape(line)}</p>" for line in injected(run)]
+    parts = [f"<p>{html.escape(line)}</p>" for line in injected(run, shift_s)]
     for place, fault in enumerate(run.faults):
         name = run.fault_name(fault.bit)
         known = _FAULTS.get(name)
@@ -284,13 +297,18 @@ def faults(run: LoggedRun, number: int, shift_s: float) -> str:
     return "".join(parts)
 
 
-def injected(run: LoggedRun) -> list[str]:
-    """What a scenario did, by the events; by its name alone where they do not tell."""
-    found = [
-        f"Injected at {1e-9 * event.log_time_ns - run.start_unix_s:.3f} s: {event.message}"
+def injections(run: LoggedRun) -> list[tuple[float, str]]:
+    """When a scenario did something, by the events."""
+    return [
+        (1e-9 * event.log_time_ns - run.start_unix_s, event.message)
         for event in run.events
         if event.name == "scenario"
     ]
+
+
+def injected(run: LoggedRun, shift_s: float) -> list[str]:
+    """What a scenario did, by the events; by its name alone where they do not tell."""
+    found = [f"Injected at {t_s - shift_s:.3f} s: {words}" for t_s, words in injections(run)]
     scenario = run.log.metadata.get("scenario")
     return found or ([f"Injected by the scenario {scenario}"] if scenario else [])
 
@@ -436,7 +454,8 @@ def events(run: LoggedRun) -> str:
         t_s = 1e-9 * event.log_time_ns - run.start_unix_s
         rows.append((f"{t_s:.3f}", level, event.name, event.message))
     more = f"<p>and {run.more_events:,} more</p>" if run.more_events else ""
-    return table(("s", "level", "from", "what"), rows, words=0, last=3, kinds=1, label="events") + more
+    head, levels = ("s", "level", "from", "what"), [level for _, level, *_ in rows]
+    return table(head, rows, words=0, last=3, classes=levels, label="events") + more
 
 
 def machine(runs: Sequence[LoggedRun], names: Sequence[str]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from pneud.log.format.schema import Level
 from pneud.loop.tracking import over_in_words
@@ -17,17 +17,16 @@ _OFTEN = 0.01  # part of the ticks
 _LATE = 0.2  # part of a period
 
 
-def judge(run: LoggedRun) -> Verdict:
-    """The verdict on a log."""
-    found = Verdict()
-    for level, reason in _reasons(run):
-        found = found.and_then(level, reason)
-    return found
+def judge(run: LoggedRun, shift_s: float = 0.0) -> Verdict:
+    """The verdict on a log, whose page takes so much from its times."""
+    order = [BAD, LOOK, GOOD]
+    reasons = sorted(_reasons(run, shift_s), key=lambda found: order.index(found[0]))
+    return Verdict(reasons[0][0] if reasons else GOOD, tuple(reason for _, reason in reasons))
 
 
-def _reasons(run: LoggedRun) -> Iterator[tuple[str, str]]:
+def _reasons(run: LoggedRun, shift_s: float) -> Iterator[tuple[str, str]]:
     yield from _whole(run)
-    yield from _faults(run)
+    yield from _faults(run, shift_s)
     yield from _error(run)
     yield from _motions(run)
     yield from _standing(run)
@@ -43,11 +42,11 @@ def _whole(run: LoggedRun) -> Iterator[tuple[str, str]]:
         yield LOOK, "the axis was never engaged"
 
 
-def _faults(run: LoggedRun) -> Iterator[tuple[str, str]]:
+def _faults(run: LoggedRun, shift_s: float) -> Iterator[tuple[str, str]]:
     if run.latched:
         first = min(span.begin_s for spans in run.latched.values() for span in spans)
         names = ", ".join(map(run.fault_name, run.latched))
-        yield BAD, f"faults latched: {names}; the first one at {first:.3f} s"
+        yield BAD, f"faults latched: {names}; the first one at {first - shift_s:.3f} s"
     elif run.counted.state == State.FAULT:
         yield BAD, "the axis is in fault"
     engaged = [
@@ -128,9 +127,3 @@ def _timing(run: LoggedRun) -> Iterator[tuple[str, str]]:
         p99_us, worst_us = (lateness.percentile_ns(q) / 1e3 for q in (99, 100))
         level = LOOK if p99_us > _LATE * 1e6 / run.log.rate_hz else GOOD
         yield level, f"wake-up {p99_us:.0f} µs late at p99, {worst_us:.0f} at most"
-
-
-def worst(verdicts: Sequence[Verdict]) -> str:
-    """The worst level of several."""
-    order = [GOOD, LOOK, BAD]
-    return max((v.level for v in verdicts), key=order.index)

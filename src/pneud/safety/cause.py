@@ -14,10 +14,14 @@ from pneud.safety.faults import TABLE, Fault, Reaction
 _SENSES = ("encoder", "pressure", "valve")
 _OF_ENCODER = (
     *("encoder_unreferenced", "encoder_lost_reference", "encoder_jump", "travel", "unsettled", "moving"),
-    *("overspeed", "tracking_error", "braking_distance", "deadline"),
+    *("overspeed", "tracking_error", "braking_distance"),
 )
 _OF_PRESSURE = ("chamber_pressure", "supply_pressure", "supply_falling", "pressure_jump", "unsettled")
 _OF_VALVE = ("valve_timed_out", "valve_rebooted", "valve_disagrees", "valve_active", "unsettled")
+_STALLED = (
+    *("valve_timed_out", "valve_rebooted", "tracking_error", "encoder_jump", "encoder_stuck", "console_lost"),
+    *("pressure_jump", "receive_overflow"),
+)
 _MISSING = tuple(f"{source}_missing" for source in _SENSES)
 _ALL = (*_MISSING, *_OF_ENCODER, *_OF_PRESSURE, *_OF_VALVE)
 _BUS = (*_ALL, "send_failed", "send_blocked", "heartbeat_lost")
@@ -56,6 +60,9 @@ _STORIES = (
         "check that the nodes have power, are on this bus, and have its bit rate and the DBC's identifiers",
     ),
     _Story(("other_controller",), ("valve_active", "valve_disagrees", "identifier_clash")),
+    _Story(("no_realtime", "deadline"), _STALLED),
+    _Story(("overloaded", "deadline"), _STALLED),
+    _Story(("deadline",), _STALLED),
     _Story(
         ("encoder_missing", "pressure_missing"),
         (*_OF_ENCODER, *_OF_PRESSURE),
@@ -70,8 +77,6 @@ _STORIES = (
     _Story(("valve_fault",), _OF_VALVE),
     _Story(("supply_falling",), ("supply_pressure", "chamber_pressure", "saturated", "saturated_long")),
     _Story(("supply_pressure",), ("chamber_pressure", "saturated", "saturated_long", "tracking_error")),
-    _Story(("no_realtime",), ("overloaded", "deadline")),
-    _Story(("overloaded",), ("deadline",)),
 )
 _BY_NAME = {fault.name: fault for fault in TABLE}
 _STRENGTH = (Reaction.CENTRE, Reaction.STOP, Reaction.NO_ARM, Reaction.WARN, Reaction.LIMIT)

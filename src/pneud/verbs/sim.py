@@ -143,7 +143,8 @@ def sim(
         new_log(path) if path is not None else nullcontext(NO_LOG) as descriptor,
         progress(how) as report,
     ):
-        header = header_of(loaded, seed=str(seed), law=law.name)
+        played = {"scenario": scenario.name} if scenario is not None else {}
+        header = header_of(loaded, seed=str(seed), law=law.name, **played)
         writer = LogWriter(descriptor, header) if path is not None else None
         tally, seen = _run(run, duration_s, loaded.config.loop.rate_hz, writer, course, report)
         whole = writer is None or (writer.close() and not writer.unwritten)

@@ -27,9 +27,14 @@ def in_words(s: dict[str, Any]) -> list[str]:
     lines = [f"{s['name']} on {s['bus']}: {s['state']}"]
     if s["silent_s"] is not None and s["silent_s"] > _SILENT_S:
         lines.append(f"no ticks for {s['silent_s']:.1f} s")
+    cause = s.get("cause") or {"faults": ()}
+    several = len(cause["faults"]) > 1  # which would each have a cure, and mislead
+    if several:
+        lines.append(f"{cause['words']}: {cause['cure']}")
     for fault in s["faults"]:
         kind = " and ".join(k for k in ("latched", "present") if fault[k])
-        lines.append(f"fault {fault['name']} ({kind}; {fault['effect']}): {fault['cure']}")
+        cure = "" if several and fault["name"] in cause["faults"] else f": {fault['cure']}"
+        lines.append(f"fault {fault['name']} ({kind}; {fault['effect']}){cure}")
     lines.append(
         f"position {number(s['position_mm'], '.3f')} mm, reference {number(s['reference_mm'], '.3f')} mm,"
         f" error {number(s['error_mm'], '.3f')} mm{', in position' if s['in_position'] else ''}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable
+from itertools import takewhile
 from typing import NamedTuple
 
 from pneud.log.live.amiss import Amiss
@@ -17,6 +18,8 @@ _SPAN_BUCKETS = round(SPAN_S * 1e9 / BUCKET_NS)
 _LARGEST = 1e30  # squares of smaller values and their sums stay finite
 _EVENTS = 16
 _BLOCKS = " ▁▂▃▄▅▆▇█"
+_SECOND_NS = 1_000_000_000
+_FRAME_BITS, _STUFFING = 47, 1.1  # of a frame without data, interframe space included; as bits are stuffed
 
 Column = tuple[float, float] | None
 """Smallest and largest value in one column of a curve; None in a gap."""
@@ -67,9 +70,20 @@ class Trace:
 
     def rms(self, t_ns: int) -> float:
         """Root mean square of the last `SPAN_S` seconds before t_ns; NaN when there is no value."""
+        squares = count = 0.0
+        for bucket in self._recent(t_ns):
+            squares += bucket[4]
+            count += bucket[3]
+        return math.sqrt(squares / count) if count else math.nan
+
+    def _recent(self, t_ns: int) -> list[list[float]]:
         oldest = t_ns // BUCKET_NS - _SPAN_BUCKETS
-        recent = [b for b in self._buckets if b[0] > oldest]
-        return math.sqrt(sum(b[4] for b in recent) / sum(b[3] for b in recent)) if recent else math.nan
+        return list(takewhile(lambda b: b[0] > oldest, reversed(self._buckets)))
+
+    def lately(self, t_ns: int) -> tuple[float, float]:
+        """Smallest and largest value of the last `SPAN_S` seconds before t_ns; NaN when there is none."""
+        recent = self._recent(t_ns)
+        return (min(b[1] for b in recent), max(b[2] for b in recent)) if recent else (math.nan, math.nan)
 
     def columns(self, t_ns: int, width: int) -> list[Column]:
         """The last `span_s(width)` seconds in `width` columns of extremes, oldest first; None in gaps.
@@ -90,25 +104,6 @@ class Trace:
         self._merged = self._index
         first = t_ns // BUCKET_NS // group - width + 1
         return [known.get(at) for at in range(first, first + width)]
-
-
-def sparkline(columns: list[Column], low: float, high: float, height: int) -> list[str]:
-    """Rows of block characters, top first, that fill each column from `low` to its value.
-
-    Of the two extremes of a column the one farther from the middle is drawn.
-    """
-    span = high - low if high > low else 1.0
-    middle = 0.5 * (low + high)
-    levels: list[int] = []
-    for column in columns:
-        if column is None:
-            levels.append(0)
-            continue
-        value = column[1] if column[1] - middle >= middle - column[0] else column[0]
-        levels.append(max(1, min(8 * height, round((value - low) / span * 8 * height))))
-    rest = 8 * (height - 1)
-    ramp = " " * rest + _BLOCKS + "█" * rest
-    return ["".join([ramp[level + shift] for level in levels]) for shift in range(0, rest + 1, 8)]
 
 
 def shape(h: Histogram, low_ns: float, high_ns: float, width: int) -> str:
@@ -154,9 +149,18 @@ class History:
         self.lateness = Histogram()
         self.latency = Histogram()
         self.error = Trace()
+        self.position = Trace()
+        self.reference = Trace()
+        self.velocity = Trace()
         self.command = Trace()
         self.p1 = Trace()
         self.p2 = Trace()
+        self.supply = Trace()
+        self.force = Trace()
+        self.bus_bit_s = math.nan  # on the wire, in the last whole second
+        self._limited = Trace()  # 1 where the command was
+        self._skips: deque[tuple[int, int]] = deque(maxlen=4096)  # time, ticks skipped before it
+        self._bits, self._bits_ns = 0, 0  # since then
         self.events: deque[Event] = deque(maxlen=_EVENTS)
         self.first_ns = 0
 
@@ -164,6 +168,14 @@ class History:
     def elapsed_s(self) -> float:
         """Time between the first and the newest tick."""
         return (self.last.tick.t_ns - self.first_ns) * 1e-9 if self.last else 0.0
+
+    def skipped_lately(self, t_ns: int) -> int:
+        """Ticks skipped in the last `SPAN_S` seconds before t_ns."""
+        return sum(n for at_ns, n in self._skips if at_ns > t_ns - SPAN_S * 1e9)
+
+    def saturated_lately(self, t_ns: int) -> float:
+        """Share of the last `SPAN_S` seconds before t_ns in which the command was limited; or NaN."""
+        return self._limited.rms(t_ns) ** 2
 
     def add(self, records: Iterable[Record]) -> None:
         """Take records in their order."""
@@ -175,9 +187,11 @@ class History:
         m = tick.measurement
         t_ns = tick.t_ns
         if self.last is None:
-            self.first_ns = t_ns
+            self.first_ns = self._bits_ns = t_ns
         else:
-            self.skipped += m.skipped
+            if m.skipped:
+                self.skipped += m.skipped
+                self._skips.append((t_ns, m.skipped))
             self._note_events(self.last.tick, tick)
         self.last = record
         self.ticks += 1
@@ -189,9 +203,25 @@ class History:
             self.latency.add(timing.latency_ns)
         self.amiss.add(m)
         self.error.add(t_ns, tick.error_m)
+        self.position.add(t_ns, tick.estimate.position_m)
+        self.reference.add(t_ns, tick.reference.position_m)
+        self.velocity.add(t_ns, tick.estimate.velocity_m_s)
         self.command.add(t_ns, tick.command.voltage_v)
         self.p1.add(t_ns, m.p1_pa)
         self.p2.add(t_ns, m.p2_pa)
+        self.supply.add(t_ns, m.supply_pa)
+        self.force.add(t_ns, tick.estimate.x3_n)
+        self._limited.add(t_ns, float(tick.command.saturated))
+        self._count_bits(record, t_ns)
+
+    def _count_bits(self, record: Record, t_ns: int) -> None:
+        """What the frames of a tick keep the wire busy with; those of others are heard of, or not."""
+        for frames in (record.frames, record.sent):
+            for frame in frames:
+                self._bits += _FRAME_BITS + 8 * len(frame.data)
+        if t_ns - self._bits_ns >= _SECOND_NS:
+            self.bus_bit_s = _STUFFING * self._bits / ((t_ns - self._bits_ns) * 1e-9)
+            self._bits, self._bits_ns = 0, t_ns
 
     def _note_events(self, before: Tick, now: Tick) -> None:
         if now.request is not None and not self._repeats(now):

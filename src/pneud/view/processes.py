@@ -5,11 +5,15 @@ What they draw and serve with is loaded there, beside the loop's own start.
 
 from __future__ import annotations
 
+import contextlib
+import os
 import signal
 import socket
 import sys
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, TypeAlias
+import termios
+import time
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
 
 from pneud import crew
 from pneud.log.format.header import LogHeader
@@ -18,50 +22,96 @@ from pneud.view.info import ScreenInfo
 
 if TYPE_CHECKING:
     from pneud.view.admission import Admission
+    from pneud.view.hands import Leaving, Operator
 
-LEAVE_SCREEN = "\x1b[?1049l\x1b[?25h\x1b[0m"
+LEAVE_SCREEN = "\x1b[?2004l\x1b[?1004l\x1b[?2048l\x1b[<u\x1b[?7h\x1b[?1049l\x1b[?25h\x1b[0m"
 """What a parent writes to the terminal when the screen's process did not end by itself."""
 
 SCREEN_PATIENCE_S = 3.0
+_LOOK_S = 0.005
 
-Learnt: TypeAlias = Callable[[Any], Mapping[str, Mapping[str, Any]]]
+
+class Screen:
+    """A screen in a process of its own, and the terminal that it is on.
+
+    Attributes:
+        pid: its process id.
+    """
+
+    def __init__(self, main: Callable[[], None], keep: Iterable[int] = ()) -> None:
+        """Begin.
+
+        Args:
+            main: its whole life.
+            keep: descriptors that it needs.
+        """
+        self._keyboard = termios.tcgetattr(0) if sys.stdin is not None and sys.stdin.isatty() else None
+        self.pid = crew.fork(main, keep=keep, terminal=True, orphaned=signal.SIGTERM)
+
+    def wait(self) -> None:
+        """Wait until it has ended, and leave the terminal as it was whatever has become of it."""
+        self._tidy(os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1]) == 0)
+
+    def end(self) -> None:
+        """Tell it to leave, and leave the terminal as it was whatever it does."""
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(self.pid, signal.SIGTERM)
+        give_up_s = time.monotonic() + SCREEN_PATIENCE_S
+        while time.monotonic() < give_up_s:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            if pid:
+                self._tidy(os.waitstatus_to_exitcode(status) == 0)
+                return
+            time.sleep(_LOOK_S)
+        crew.kill(self.pid)
+        self._tidy(False)
+
+    def _tidy(self, in_order: bool) -> None:
+        if self._keyboard is not None:
+            # a process in the background would be stopped for touching its terminal
+            before = signal.signal(signal.SIGTTOU, signal.SIG_IGN)
+            with contextlib.suppress(termios.error):
+                termios.tcsetattr(0, termios.TCSANOW, self._keyboard)
+            signal.signal(signal.SIGTTOU, before)
+        if not in_order and sys.stdout.isatty():
+            sys.stdout.write(LEAVE_SCREEN)
+            sys.stdout.flush()
 
 
-def fork_screen(ring: Ring, info: ScreenInfo, learnt: Learnt) -> int:
-    """The live screen on this terminal, until the ring is closed.
+def fork_screen(
+    ring: Ring, info: ScreenInfo, operator: Operator | None, leaving: Leaving, keep: Iterable[int] = ()
+) -> Screen:
+    """The live screen on this terminal, until the ring is closed or it is left.
 
-    Returns:
-        Its process id.
+    Args:
+        ring: of the records.
+        info: what they belong to.
+        operator: whom keys ask.
+        leaving: what `q` does.
+        keep: descriptors that the operator needs.
     """
 
     def main() -> None:
+        from pneud.view.show import Show  # noqa: PLC0415
         from pneud.view.terminal import run_child  # noqa: PLC0415
 
-        def log_counts() -> tuple[int, int]:
+        def log_counts() -> tuple[int, int, int]:
             status = ring.status()
-            return status.written, status.lost
+            return status.written, status.lost, status.file_bytes
 
-        def attend(info: ScreenInfo) -> ScreenInfo:
-            for state in filter(None, reader.states().values()):
-                info = info._replace(learnt=learnt(state))
-            return info
+        def show(told: Callable[[bool], bool]) -> Show:
+            return Show(
+                ring.reader().poll,
+                info,
+                lambda: told(ring.closed),
+                log_counts=log_counts,
+                operator=operator,
+                leaving=leaving,
+            )
 
-        reader = ring.reader()
-        run_child(reader.poll, info, lambda: ring.closed, log_counts=log_counts, attend=attend)
+        run_child(show)
 
-    return crew.fork(main, terminal=True, orphaned=signal.SIGTERM)
-
-
-def end_screen(pid: int) -> None:
-    """Tell the screen to leave, and leave the terminal clean whatever it does."""
-    if not crew.end(pid, SCREEN_PATIENCE_S):
-        leave_screen()
-
-
-def leave_screen() -> None:
-    """Put the terminal right for a screen that could not."""
-    sys.stdout.write(LEAVE_SCREEN)
-    sys.stdout.flush()
+    return Screen(main, keep)
 
 
 def fork_viewers(

@@ -1,4 +1,4 @@
-"""The live screen on a terminal, twenty pictures a second, in a process of its own.
+"""The live screen on a terminal, in a process of its own: with textual, else a page drawn by rich, or lines.
 
 A slow or stalled terminal is nobody else's matter, and an end of the process leaves the terminal as it was.
 """
@@ -6,93 +6,160 @@ A slow or stalled terminal is nobody else's matter, and an end of the process le
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import os
+import re
+import select
 import signal
+import sys
+import termios
 import time
-from collections.abc import Callable
+import tty
+from collections.abc import Callable, Iterator
+from typing import Any
 
 from rich.console import Console
 from rich.control import Control
 
-from pneud.signals import Record
-from pneud.view.history import History
-from pneud.view.info import ScreenInfo
-from pneud.view.screen import Page, ScreenState, status_line
+from pneud.view.screen import Page, status_line
+from pneud.view.show import Show, is_ascii
 
-FRAME_S = 0.05
+FRAME_S = 0.1
 PLAIN_LINE_S = 2.0
+_LEAVE_S = 2  # that a terminal may take to be left
+_KEY = re.compile(rb"\x1b\[[0-?]*[ -/]*[@-~]|\x1bO.|[^\x1b]|\x1b", re.DOTALL)
+_NAMED = {
+    b"\x1b[D": "left",
+    b"\x1bOD": "left",
+    b"\x1b[C": "right",
+    b"\x1bOC": "right",
+    b"\r": "enter",
+    b"\n": "enter",
+    b"\x1b": "escape",
+    b"\x7f": "backspace",
+    b"\x08": "backspace",
+    b"\x04": "ctrl+d",
+}
 
 
-def run(
-    poll: Callable[[], list[Record]],
-    info: ScreenInfo,
-    stop: Callable[[], bool],
-    *,
-    log_counts: Callable[[], tuple[int, int]] | None = None,
-    console: Console | None = None,
-    attend: Callable[[ScreenInfo], ScreenInfo] | None = None,
-) -> None:
-    """Show an axis until told to stop; the terminal is as before afterwards.
+def keys_in(data: bytes) -> list[str]:
+    """The names of keys in what a terminal has sent; those of no meaning here are left out."""
+    names = []
+    for found in _KEY.findall(data):
+        if found in _NAMED:
+            names.append(_NAMED[found])
+        elif len(found) == 1 and 0x20 <= found[0] < 0x7F:
+            names.append(found.decode())
+    return names
+
+
+def has_keyboard() -> bool:
+    """Whether standard input is a terminal whose keys come to this program."""
+    if sys.stdin is None or not sys.stdin.isatty():
+        return False
+    try:
+        return os.tcgetpgrp(0) == os.getpgrp()
+    except OSError:  # a terminal that nobody's jobs are controlled from
+        return True
+
+
+def run(show: Show, console: Console | None = None) -> None:
+    """Show an axis until it is over; the terminal is as before afterwards.
 
     On a terminal that cannot move its cursor (TERM=dumb), or no terminal at all, a line every two seconds
-    stands in for the screen.
+    stands in for the screen. Where textual is not installed, or no keyboard there, rich draws the page.
 
     Args:
-        poll: all records since the last call.
-        info: what they belong to.
-        stop: looked at before every picture.
-        log_counts: records written to the log and dropped.
-        console: where to draw; standard output if not given.
-        attend: called before every picture; may change what does not come from the records.
+        show: what to show.
+        console: where to draw with rich; standard output if not given.
 
     Raises:
         OSError: the terminal is gone.
     """
-    console = console or Console(highlight=False)
-    history = History(info.sync)
-    # the font of the Linux console has neither the eighth blocks nor combining characters
-    ascii_only = True if os.environ.get("TERM") == "linux" else None
+    given, console = console, console or Console(highlight=False)
     plain = not console.is_terminal or console.is_dumb_terminal
-    frame_s = PLAIN_LINE_S if plain else FRAME_S
-    with contextlib.nullcontext() if plain else console.screen():
-        heard_s = due_s = time.monotonic()
-        while not stop():
-            records = poll()
-            now_s = time.monotonic()
-            if records:
-                history.add(records)
-                heard_s = now_s
-            history.silent_s = now_s - heard_s
-            if attend is not None:
-                info = attend(info)
-            if log_counts is not None:
-                history.log_written, history.log_dropped = log_counts()
-            if now_s >= due_s - 0.5 * FRAME_S:
-                snapshot = ScreenState(history.last, info)
-                if plain:
-                    console.print(
-                        status_line(snapshot, history), soft_wrap=True, markup=False, highlight=False
-                    )
-                else:
-                    # half the work of rich's Live, which lays a picture out twice; a page has its exact shape
-                    page = Page(snapshot, history, console.size, ascii_only)
-                    console.print(Control.home(), page, end="", crop=False)
-                due_s = now_s + frame_s
-            time.sleep(max(0.0, now_s + FRAME_S - time.monotonic()))
+    keyboard = given is None and has_keyboard()
+    if given is None and keyboard and not plain and importlib.util.find_spec("textual") is not None:
+        from pneud.view.app import run_app  # noqa: PLC0415 - takes longer to load than all the rest
+
+        run_app(show)
+        return
+    with _keyboard(keyboard) as pressed:
+        if plain:
+            _lines(show, console, pressed)
+        else:
+            with console.screen():
+                _pages(show, console, pressed)
 
 
-def run_child(
-    poll: Callable[[], list[Record]],
-    info: ScreenInfo,
-    stop: Callable[[], bool],
-    *,
-    log_counts: Callable[[], tuple[int, int]] | None = None,
-    attend: Callable[[ScreenInfo], ScreenInfo] | None = None,
-) -> None:
+def _lines(show: Show, console: Console, pressed: Callable[[], list[str] | None]) -> None:
+    due_s = 0.0
+    while _attend(show, pressed):
+        if time.monotonic() >= due_s:
+            due_s = time.monotonic() + PLAIN_LINE_S
+            line = status_line(show.snapshot, show.history)
+            console.print(line, soft_wrap=True, markup=False, highlight=False)
+        time.sleep(FRAME_S)
+
+
+def _pages(show: Show, console: Console, pressed: Callable[[], list[str] | None]) -> None:
+    ascii_only = is_ascii(console.encoding)
+    while _attend(show, pressed):
+        begun_s = time.monotonic()
+        # half the work of rich's Live, which lays a picture out twice; a page has its exact shape
+        page = Page(show.snapshot, show.history, console.size, ascii_only)
+        console.print(Control.home(), page, end="", crop=False)
+        time.sleep(max(0.0, begun_s + FRAME_S - time.monotonic()))
+
+
+def _attend(show: Show, pressed: Callable[[], list[str] | None]) -> bool:
+    keys = pressed()
+    for key in keys or ():
+        show.hands.press(key)
+    return show.attend() and keys is not None
+
+
+@contextlib.contextmanager
+def _keyboard(there: bool) -> Iterator[Callable[[], list[str] | None]]:
+    """Keys as they are pressed, while Ctrl-C stays a signal; None once the terminal is gone."""
+    if not there:
+        yield list
+        return
+    before = termios.tcgetattr(0)
+
+    def pressed() -> list[str] | None:
+        data = b""
+        while select.select([0], [], [], 0.0)[0]:
+            more = os.read(0, 1024)
+            if not more:
+                return None
+            data += more
+        return keys_in(data)
+
+    tty.setcbreak(0)
+    try:
+        yield pressed
+    finally:
+        restore(before)
+
+
+def restore(attributes: list[Any] | None) -> None:
+    """Give the terminal's keyboard back its habits."""
+    if attributes is not None:
+        # a process in the background would be stopped for touching its terminal
+        signal.signal(signal.SIGTTOU, signal.SIG_IGN)
+        with contextlib.suppress(termios.error):
+            termios.tcsetattr(0, termios.TCSANOW, attributes)
+
+
+def run_child(make: Callable[[Callable[[bool], bool]], Show]) -> None:
     """`run` as the whole life of a forked process: leaves in order on SIGTERM and SIGHUP.
 
     Where the terminal takes no more output, SIGALRM ends the process two seconds after it was told to leave;
-    the parent then writes `LEAVE_SCREEN`.
+    the parent then puts the terminal right.
+
+    Args:
+        make: the show, of what is told whether all is over, and tells whether it is time to leave.
     """
     leaving = False
 
@@ -101,10 +168,10 @@ def run_child(
         if not leaving:
             leaving = True
             signal.signal(signal.SIGALRM, signal.SIG_DFL)
-            signal.alarm(2)
+            signal.alarm(_LEAVE_S)
 
-    def told_to_stop() -> bool:
-        if stop():
+    def told(over: bool) -> bool:
+        if over:
             leave()
         return leaving
 
@@ -112,4 +179,4 @@ def run_child(
         signal.signal(signum, leave)
     os.nice(5)  # the picture may be late, the plant and the recorder beside it may not
     with contextlib.suppress(OSError, SystemExit):  # the terminal is gone; rich exits on a broken pipe
-        run(poll, info, told_to_stop, log_counts=log_counts, attend=attend)
+        run(make(told))

@@ -10,12 +10,12 @@ from rich.segment import Segment
 from rich.style import Style
 
 LABEL_WIDTH = 10
-HAT = "\u0302"  # combining, as in d̂
 PLAIN = Style()
 DIM = Style(dim=True)
+BOLD = Style(bold=True)
 
 # one for one
-_ASCII = str.maketrans("µ·─├┤│●█▁▂▃▄▅▆▇…←→" + HAT, "u--|||O#_.:-=+*.<>^")
+_ASCII = str.maketrans("µ·─═├┤│┊┄●█▏▎▍▌▋▊▉▁▂▃▄▅▆▇…←→±", "u.-=||||.O########_.:-=+*.<>+")
 
 
 class Rows:
@@ -23,7 +23,7 @@ class Rows:
 
     def __init__(self, width: int, ascii_only: bool) -> None:
         self.width = width
-        self._ascii_only = ascii_only
+        self.ascii_only = ascii_only
         self._rows: list[list[Segment]] = []
         self.room = 0
 
@@ -37,7 +37,7 @@ class Rows:
 
     def put(self, text: str, style: Style = PLAIN, width: int = 0) -> None:
         """Append text, padded or cropped to a width if one is given, and to what room is left."""
-        if self._ascii_only and not text.isascii():
+        if self.ascii_only and not text.isascii():
             text = text.translate(_ASCII).encode("ascii", "replace").decode()
         cells = cell_len(text)
         wanted = min(width or cells, self.room)
@@ -54,22 +54,63 @@ class Rows:
             self.put(" " * gap)
         self.put(text, style)
 
-    def rule(self, title: str) -> None:
-        """A line across with a title."""
+    def title(self, name: str, *numbers: tuple[str, Style]) -> None:
+        """A line across with a name and what is to be said beside it; what does not fit is left out."""
         self.row()
-        self.put(f"── {title} " + "─" * self.width, DIM, self.width)
+        self.put("── ", DIM)
+        self.put(name, BOLD)
+        self.put(" ", DIM)
+        for text, style in numbers:
+            if text and cell_len(text) + 3 <= self.room:
+                self.put(" ", DIM)
+                self.put(text, style)
+                self.put(" ", DIM)
+        self.put("─" * self.room, DIM)
+
+    def wrapped(self, text: str, style: Style, most: int) -> None:
+        """Whole words in as many rows as they take, `most` at most."""
+        words, line = text.split(), ""
+        while words and most > 0:
+            line = words.pop(0)
+            while words and cell_len(line) + 1 + cell_len(words[0]) <= self.width:
+                line += f" {words.pop(0)}"
+            most -= 1
+            cut = words and not most
+            self.row()
+            self.put(f"{line[: self.width - 2]} …" if cut else line, style)
+
+    @property
+    def count(self) -> int:
+        """Rows so far."""
+        return len(self._rows)
+
+    def extend(self, *parts: Rows) -> None:
+        """Append rows made elsewhere, side by side; with the gaps they are as wide as all of this."""
+        self._finish()
+        self.room = 0
+        height = max(part.count for part in parts)
+        for line in zip(*(part.filled(height) for part in parts), strict=True):
+            row = list(line[0])
+            for piece in line[1:]:
+                row += [Segment("  ", PLAIN), *piece]
+            self._rows.append(row)
+
+    def filled(self, height: int) -> list[list[Segment]]:
+        """Exactly `height` rows of the full width, empty ones below."""
+        self._finish()
+        self.room = 0
+        return (self._rows + [[Segment(" " * self.width, PLAIN)]] * (height - self.count))[:height]
 
     def done(self, height: int) -> list[list[Segment]]:
         """Exactly `height` rows of the full width; the last one stays the last."""
-        self._finish()
-        rows = self._rows
-        empty = [Segment(" " * self.width)]
+        rows = self.filled(self.count)
+        empty = [Segment(" " * self.width, PLAIN)]
         return (rows[:-1] + [empty] * (height - len(rows)))[: height - 1] + rows[-1:]
 
     def _finish(self) -> None:
         """Pad the row under construction: what stood there before must not show through."""
         if self._rows and self.room:
-            self._rows[-1].append(Segment(" " * self.room))
+            self._rows[-1].append(Segment(" " * self.room, PLAIN))
 
 
 def number(value: float, form: str, unit: str) -> str:

@@ -12,6 +12,8 @@
   };
   const paint = colour => css("--c-" + colour.slice(1)) || colour;
 
+  // markers of a legend, which follow the page
+  const legend = (colours, extra) => ({ markers: { stroke: (u, i) => `var(--c-${colours[i].slice(1)}, ${colours[i]})` }, ...extra });
   const deep = colour => [1, 3, 5].reduce((sum, at, k) => sum + parseInt(colour.slice(at, at + 2), 16) * [0.3, 0.59, 0.11][k], 0) < 110;
 
   const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
@@ -143,7 +145,7 @@
       : runs.some(r => r.view !== r) ? "every tick where it is kept, else the least and greatest value of " + told(coarse)
       : "the least and greatest value of every " + told(coarse)}.`;
     return coarse < 2.5 * run.period ? shows : `${shows} Every tick is kept of ${told(kept)}`
-      + `${several ? " of the first log" : ""} in ${run.closeup.length} stretches`
+      + `${several ? " of the first log" : ""} in ${run.closeup.length} stretch${run.closeup.length === 1 ? "" : "es"}`
       + " (those with events first, then those with the greatest errors); zoom in to see them.";
   }
   let looking = 0;
@@ -227,7 +229,7 @@
       if (!there.length) continue;
       shares.push([run, there]);
       for (const s of there) {
-        lines.push({ run, main: s === figure.series[0] });
+        lines.push({ run, main: s === figure.series[0], colour: several ? run.colour : s.colour });
         series.push({
           label: several ? `${run.name}: ${s.label}` : s.label, width: 1.2,
           stroke: () => paint(several ? run.colour : s.colour), dash: several && s !== figure.series[0] ? [5, 3] : undefined,
@@ -252,6 +254,7 @@
     });
     const options = common(element, narrow ? 180 : 210, figure.name === "tracking" || figure.name === "error");
     options.series = series;
+    options.legend = legend(["", ...lines.map(l => l.colour)]);
     options.axes = [timeAxis(last), axis(null, { size: LEFT })];
     const u = keep(element, new uPlot(options, table(), element), plots, title);
     u.table = table; u.lines = lines;
@@ -380,7 +383,7 @@
     for (const part of tables) for (const v of part[k]) if (Number.isFinite(v) && (!logarithmic || v > 0)) { if (v < low) low = v; if (v > high) high = v; }
     if (!(low <= high)) [low, high] = logarithmic ? [0.1, 1] : [-1, 1];
     if (logarithmic) return [low / 1.2, high * 1.2];
-    const margin = 0.05 * (high - low) || 1e-6;
+    const margin = 0.05 * (high - low) || 0.05 * Math.abs(high) || 1;
     return [low - margin, high + margin];
   };
 
@@ -398,7 +401,7 @@
     const powers = (low, high) => { const found = []; for (let k = Math.ceil(Math.log10(low)); k <= Math.log10(high); k++) found.push(+`1e${k}`); return found; };
     const decades = figure.logarithmic ? { splits: (u, k, low, high) => powers(low, high), values: (u, splits) => splits.map(String), filter: (u, splits) => splits } : {};
     keep(element, new uPlot({
-      mode: 2, width: width(element), height: 300, cursor: { show: false }, legend: { show: traces.length > 1, live: false },
+      mode: 2, width: width(element), height: 300, cursor: { show: false }, legend: legend(["", ...traces.map(t => t.colour)], { show: traces.length > 1, live: false }),
       scales: { x: { time: false, distr, range: () => ranges[0] }, y: { distr, range: () => ranges[1] } },
       series: [null, ...traces.map(t => ({ label: t.label, stroke: () => paint(t.colour), paths: tracer(traces) }))],
       axes: [Object.assign(across(figure.across), decades), axis(figure.up, { size: 58, ...decades })],
@@ -433,7 +436,7 @@
     };
     const traces = runs.map(run => ({ colour: run.colour, kind: "line" }));
     const u = keep(element, new uPlot({
-      mode: 2, width: width(element), height: narrow ? 320 : 420, cursor: { show: false }, legend: { show: several, live: false },
+      mode: 2, width: width(element), height: narrow ? 320 : 420, cursor: { show: false }, legend: legend(["", ...traces.map(t => t.colour)], { show: several, live: false }),
       scales: { x: { time: false, range: () => ranges[0] }, y: { range: () => ranges[1] } },
       series: [null, ...runs.map(run => ({ label: run.name, stroke: () => paint(run.colour), paths: tracer(traces) }))],
       axes: [across("position error [mm]"), axis("velocity error [mm/s]", { size: 64 })],
@@ -467,8 +470,8 @@
   const CLOSE = [["tracking", "Position [mm]"], ["velocity", "Velocity [mm/s]"], ["pressures", "Pressures [bar]"], ["command", "Valve command [V]"]];
   async function closeup(element) {
     const run = runs[+element.dataset.run], moments = run.stops[+element.dataset.fault];
-    const at = moments.find(m => m[1] === "latched")[0], last = Math.max(...moments.map(m => m[0]));
-    const min = Math.max(whole[0], at - 0.25), max = Math.min(whole[1], Math.max(last, at + 0.2) + 0.25);
+    const at = moments.find(m => m[1].endsWith("latched"))[0], last = Math.max(...moments.map(m => m[0]));
+    const min = Math.max(run.t[0], Math.max(at - 1, Math.min(at, moments[0][0])) - 0.25), max = Math.min(run.t[run.t.length - 1], Math.max(last, at + 0.2) + 0.25);
     const view = await looked(run, min, max);
     const first = view.t.findIndex(t => t >= min), end = view.t.findLastIndex(t => t <= max) + 1;
     for (const [name, title] of CLOSE) {
@@ -490,7 +493,7 @@
         });
       })] } };
       keep(home, new uPlot({
-        width: width(home), height: 190, cursor: { show: false }, legend: { live: false }, plugins: [lines],
+        width: width(home), height: 190, cursor: { show: false }, legend: legend(["", ...there.map(s => s.colour)], { live: false }), plugins: [lines],
         scales: { x: { time: false, range: () => [min, max] } },
         series: [{ label: "t" }, ...there.map(s => ({ label: s.label, width: 1.2, stroke: () => paint(s.colour), points: { show: false } }))],
         axes: [across("s"), axis(null, { size: 52 })],
@@ -535,6 +538,7 @@
   };
   const repaint = () => { theme = new Map(); for (const u of everything()) u.redraw(false, true); };
   let frame = 0;
+  for (const d of document.querySelectorAll("details")) d.addEventListener("toggle", () => fit());
   addEventListener("resize", () => { cancelAnimationFrame(frame); frame = requestAnimationFrame(() => fit()); });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
   // paper is white, and narrower than most windows; what is drawn for it stays sharp

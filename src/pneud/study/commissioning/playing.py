@@ -59,7 +59,7 @@ class Player:
         if self.verdict is not None:
             return Request(RequestKind.SHUTDOWN)
         act = self._act
-        if act is None or (self.taken and self._stood * self._h >= act.dwell_s):
+        if act is None or (self._stood and self._stood * self._h >= act.dwell_s):
             act = self._next(state)
             if act is None:
                 return None

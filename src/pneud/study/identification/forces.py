@@ -87,8 +87,8 @@ def windows(t: Table, rig: Balance, wider: float = 1.0) -> Forces:
         rig: what is known of the cylinder.
         wider: how much more all is smoothed than need be.
     """
-    width = wider * min(MOST_S, LEAST_S + 400.0 * encoder_step_m(t)) / t.h
     light = max(0.5, wider * LIGHT_S / t.h)
+    width = max(light, wider * min(MOST_S, LEAST_S + 400.0 * encoder_step_m(t)) / t.h)
     margin = math.ceil(max(WARM_S / t.h, 4.0 * width))
     length = max(50, round(WINDOW_S / t.h))
     rows: list[tuple[Floats, ...]] = []

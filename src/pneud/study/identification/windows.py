@@ -34,7 +34,9 @@ class Smooth(NamedTuple):
 
 
 def smoothed(values: Floats, width: float) -> Floats:
-    """Without delay, by a bell of `width` samples."""
+    """Without delay, by a bell of `width` samples; by none, where that is 0."""
+    if not width:
+        return values
     found: Floats = gaussian_filter1d(values, width, mode="nearest", truncate=4.0, axis=-1)
     return found
 
