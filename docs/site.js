@@ -6,5 +6,6 @@ for (const code of document.querySelectorAll("pre > code")) {
   keep();
 }
 addEventListener("load", () => {
-  for (const wrap of document.querySelectorAll(".md-typeset__scrollwrap")) wrap.tabIndex = 0;
+  const wide = '.md-typeset__scrollwrap, .md-typeset p:has(> img[src$=".svg"])';
+  for (const wrap of document.querySelectorAll(wide)) wrap.tabIndex = 0;
 });

@@ -15,7 +15,7 @@ from pneud.config.reading import parse
 
 # Commands that are not run here, and why. Each line has to fit a command of a document.
 NOT_HERE = {
-    r"make (test|lint)\b.*": "steps of .ci/run",
+    r"make (test|pages)\b.*": "steps of .ci/run; the pages are compared in tests/test_site.py",
     r"make (vm|systemd|campaign-vm)\b.*|hil/vm/run .*": "need a virtual machine; steps of .ci/run",
     r"make campaign\b.*": "minutes; a step of .ci/run",
     r"make (information|strange)\b.*": "minutes; tests/test_hil_commands.py runs a part of each",

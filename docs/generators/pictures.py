@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.text import Text
 
 FOLDER = Path(__file__).parent.parent / "pictures"
-COLUMNS = 100
+COLUMNS = 90
 TERMINALS = {
     "moves": ["pneud sim --goto 450,550@200,500"],
     "fault": ["pneud sim --scenario encoder-missing -o fault.mcap", "pneud replay fault.mcap"],
@@ -48,11 +48,16 @@ class Page(NamedTuple):
     page: str  # that they write
     width: int  # of the window, and of the picture [px]
     height: int
+    section: str = ""  # of the page, the only one in the picture
     dark: bool = False
 
 
+_MOVES = ("pneud sim -o moves.mcap --goto 450,550@200,500", "pneud report moves.mcap")
+_SINE = ("pneud sim -o sine.mcap", "pneud report sine.mcap")
 PAGES = {
-    "report": Page(("pneud sim -o run.mcap", "pneud report run.mcap"), "run.html", 1200, 1000),
+    "report": Page(_MOVES, "moves.html", 1100, 680),
+    "report-run": Page(_MOVES, "moves.html", 1100, 880, "s-run", dark=True),
+    "report-maps": Page(_SINE, "sine.html", 1100, 1300, "s-maps"),
 }
 
 
@@ -85,13 +90,16 @@ def browser() -> str | None:
 
 
 def drawn(page: Page, folder: Path, picture: Path) -> None:
-    """A picture of the top of a page, in few colours."""
+    """A picture of the top of a page, or of one of its sections, in few colours."""
     from PIL import Image  # noqa: PLC0415 - comes with matplotlib
 
     for command in page.commands:
         run(command, folder)
     program = browser()
     assert program is not None, "needs Chromium"
+    if page.section:
+        with (folder / page.page).open("a", encoding="utf-8") as file:
+            file.write(f"<style>header, nav, section:not(#{page.section}) {{ display: none }}</style>")
     subprocess.run(
         [program, *QUIET, f"--user-data-dir={folder / 'profile'}", f"--window-size={page.width},{page.height}",
          *(["--blink-settings=preferredColorScheme=0"] if page.dark else []),
@@ -103,7 +111,7 @@ def drawn(page: Page, folder: Path, picture: Path) -> None:
 
 
 def make(into: Path) -> None:
-    """All of them."""
+    """All of them but those of the screen, which `screens` makes."""
     into.mkdir(exist_ok=True)
     for name in TERMINALS:
         with tempfile.TemporaryDirectory() as folder:
@@ -114,4 +122,7 @@ def make(into: Path) -> None:
 
 
 if __name__ == "__main__":
+    from generators import screens
+
+    screens.write(FOLDER.parent)
     make(FOLDER)

@@ -125,6 +125,7 @@ _CONVERSATION = """\
 > stop!
 < {"v": 1, "id": null, "ok": false, "error": {"type": "malformed"}}
 """
+_SAYS_IT_ALL = {"stop": "whoever commands; then hold or centre, as configured"}  # verbs without a comment
 _BY_LENGTH = {  # how to say what has a length; bounds are those of the models
     "pieces": "list of {least} to {most} pieces, nine numbers each",
     "gains": "table of {least} to {most} names with their values",
@@ -142,7 +143,8 @@ def _errors() -> str:
 
 def _plain() -> dict[str, str]:
     """The verbs that say it all, with the comments behind them."""
-    return dict(re.findall(r'^        "(\w+)",(?:  # (.*))?$', inspect.getsource(Plain), re.MULTILINE))
+    found = dict(re.findall(r'^        "(\w+)",(?:  # (.*))?$', inspect.getsource(Plain), re.MULTILINE))
+    return {verb: said or _SAYS_IT_ALL[verb] for verb, said in found.items()}
 
 
 def _requests() -> Iterator[str]:
