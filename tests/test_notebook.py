@@ -6,6 +6,7 @@ import builtins
 import doctest
 import gc
 import json
+import re
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -141,9 +142,13 @@ def test_the_summary_of_a_log_is_what_sim_prints(run: Run, log: logs.Log, tmp_pa
 def test_what_notebooks_show(run: Run, log: logs.Log) -> None:
     shown = log._repr_html_()
     assert shown.startswith("<table>")
-    for text in ("run.mcap", "virtual", "simulated", "tracking", "faults", "none"):
+    for text in ("run.mcap", "virtual", "simulated", "no tracking error", "faults", "none"):
         assert text in shown
-    assert "track" in log.motions()._repr_html_()
+    moved = log.motions()
+    rows = re.findall("<tr>.*?</tr>", moved._repr_html_())
+    assert len(rows) == 1 + len(moved)
+    cells = re.findall("<td.*?>(.*?)</td>", rows[1])
+    assert (cells[0], cells[3]) == ("track", f"{1e3 * moved[0].from_m:.4g}")
     assert log.motions().to_pandas().attrs["units"]["rms_error_m"] == "m"
     assert "V at most" not in run.summary._repr_html_()  # too short to be judged
     assert repr(run).startswith("<Run virtual.mcap: name virtual, bus simulated")
@@ -152,7 +157,7 @@ def test_what_notebooks_show(run: Run, log: logs.Log) -> None:
 
 def test_a_large_log_is_shown_without_its_summary(log: logs.Log, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(logs, "MOST_SHOWN_BYTES", 1)
-    assert "tracking" not in pneud.read_log(log.path)._repr_html_()
+    assert "no tracking error" not in pneud.read_log(log.path)._repr_html_()
 
 
 def test_a_configuration_in_memory_runs_like_its_file(run: Run) -> None:

@@ -237,6 +237,37 @@ addEventListener("load", () => setTimeout(() => {
     assert "Every tick is kept of 12" in found
 
 
+def test_figures_are_saved_by_a_button(text: str, tmp_path: Path) -> None:
+    save = """
+<script>
+addEventListener("load", () => setTimeout(async () => {
+  const blobs = [];
+  URL.createObjectURL = blob => { blobs.push(blob); return "#"; };
+  for (const home of ["#plot-error", "#plane-spectrum", "#phase"])
+    for (const button of document.querySelectorAll(home + " h3 button")) button.click();
+  document.querySelector("#s-motions .wide + button").click();
+  await new Promise(done => setTimeout(done, 1500));
+  const out = document.createElement("output");
+  out.id = "found";
+  const told = b => b.type === "text/csv" ? b.text() : `${b.type} ${b.size}`;
+  out.textContent = JSON.stringify(await Promise.all(blobs.map(told)));
+  document.body.append(out);
+}, 500));
+</script>"""
+    (tmp_path / "r.html").write_text(text.replace("</body>", f"{save}</body>"))
+    done = browse(tmp_path, "--virtual-time-budget=8000", "--dump-dom", f"file://{tmp_path}/r.html")
+    (found,) = re.findall(r'<output id="found">(.*?)</output>', done.stdout, re.DOTALL)
+    saved = json.loads(html.unescape(found))
+    tables = [one for one in saved if not one.startswith("image/png ")]
+    assert [int(one.split()[1]) > 5000 for one in saved if one not in tables] == [True] * 3
+    firsts = sorted(table.partition("\n")[0] for table in tables)
+    assert firsts[0].startswith("line,Hz")
+    assert firsts[1].startswith("log,motion,from [s],took [s]")
+    assert firsts[2] == "log,position error [mm],velocity error [mm/s]"
+    assert firsts[3] == "t [s],one: reference − position [mm],two: reference − position [mm]"
+    assert all(len(table.splitlines()) > 2 for table in tables)
+
+
 def test_it_prints(text: str, tmp_path: Path) -> None:
     (tmp_path / "r.html").write_text(text)
     browse(tmp_path, f"--print-to-pdf={tmp_path / 'r.pdf'}", f"file://{tmp_path}/r.html")

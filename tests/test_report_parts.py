@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import webbrowser
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -10,6 +11,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from commands import pneud_here
 from mangled import simulated
 from pneud.config.conversions import reference_of
 from pneud.config.reading import load_config
@@ -23,6 +25,7 @@ from pneud.report.frame import BAD, GOOD, LOOK, Section, Verdict, document
 from pneud.report.gather import LoggedRun, gather
 from pneud.report.page import page
 from pneud.report.planes import _Period, sample
+from pneud.report.sections import injections
 from pneud.report.spans import Span
 from pneud.report.stops import Stops, seen
 from pneud.report.verdict import judge
@@ -244,3 +247,29 @@ def test_a_page_keeps_every_tick_where_the_overview_does_not(tmp_path: Path) -> 
     assert stretch.ticks == run.ticks > len(run.series.t_s)
     few: Any = gather(read_log(tmp_path / "run.mcap"), buckets=64)
     assert not few.closeup.stretches
+
+
+def test_a_simulated_log_tells_when_its_scenario_began(tmp_path: Path) -> None:
+    done = pneud_here("sim", "--scenario", "hose-burst", "-o", tmp_path / "burst.mcap")
+    assert "as expected" in done.stdout
+    run = gather(read_log(tmp_path / "burst.mcap"))
+    assert run.log.metadata["scenario"] == "hose-burst"
+    ((t_s, words),) = injections(run)
+    assert words == "hose-burst begins"
+    assert 0.4 < t_s < run.faults[0].latched_s
+    assert f"Injected at {t_s:.3f} s" in page([run])
+
+
+def test_a_report_is_shown_where_there_is_a_browser(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[str] = []
+
+    def nowhere(address: str) -> bool:
+        shown.append(address)
+        return False
+
+    monkeypatch.setattr(webbrowser, "open", nowhere)
+    log = GOLDEN / "composite.mcap"
+    done = pneud_here("report", log, "-o", tmp_path / "r.html", "--open")
+    assert shown == [(tmp_path / "r.html").as_uri()]
+    assert "no browser" in done.stderr
+    assert done.returncode == 0

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from pneud.safety.cause import first_cause
-from pneud.safety.faults import BLOCKS_ARM, FAULT_CURES, FAULT_NAMES, F
+from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES, F
 from pneud.signals import Hunting, Record, State
 from pneud.view.banner import Banner, Level, banner_of
 from pneud.view.disk import Disk
@@ -17,9 +17,7 @@ from pneud.view.margins import margins_of
 from pneud.view.screen import timing_verdict
 from test_view import INFO, RECORD, T0, at
 
-BANNER_INFO = INFO._replace(
-    fault_names=FAULT_NAMES, cures=FAULT_CURES, blocks_arm=BLOCKS_ARM, first_cause=first_cause
-)
+BANNER_INFO = INFO._replace(fault_names=FAULT_NAMES, blocks_arm=BLOCKS_ARM, first_cause=first_cause)
 
 
 def bits(*faults: F) -> int:

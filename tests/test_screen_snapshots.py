@@ -15,6 +15,7 @@ from pneud.signals import Answer, Record, Request, RequestKind, State
 from pneud.view.app import ScreenApp
 from pneud.view.hands import Leaving
 from pneud.view.info import ScreenInfo
+from pneud.view.palette import palette
 from pneud.view.screen import Page, status_line
 from pneud.view.show import Show
 from snapshots import assert_same
@@ -27,7 +28,6 @@ FULL = INFO._replace(
     blocks_arm=BLOCKS_ARM,
     first_cause=first_cause,
     speed_m_s=2.0,
-    error_m=0.02,
     supply_min_pa=4.5e5,
     supply_max_pa=8e5,
     area_1_m2=1.2566e-3,
@@ -119,6 +119,7 @@ def text_of(found: Show, size: tuple[int, int], ascii_only: bool = False) -> str
 
 def ansi_of(found: Show, size: tuple[int, int]) -> str:
     """With its colours, whose codes can be read."""
+    palette.cache_clear()  # styles keep the codes of the first terminal that they were drawn for
     out = io.StringIO()
     console = Console(file=out, width=size[0], force_terminal=True, color_system="256", no_color=False)
     console.print(Page(found.snapshot, found.history, size, ascii_only=False), end="", crop=False)

@@ -22,7 +22,7 @@ from pneud.compiled.backend import backend
 from pneud.config import conversions
 from pneud.console.facts import RunFacts
 from pneud.loading import load
-from pneud.replay.lockstep import Simulation
+from pneud.replay.lockstep import Operator, Simulation
 from pneud.safety.cause import first_cause
 from pneud.scenario.files import load_scenario
 from pneud.signals import Record, Request, RequestKind, State
@@ -72,7 +72,7 @@ def run(duration_s: float = 14.0, scenario: str = "", goto_m: float = 0.0) -> tu
     return tuple(_timed(simulation.records()))
 
 
-def _go(goto_m: float):  # type: ignore[no-untyped-def]
+def _go(goto_m: float) -> Operator:
     steps = iter((Request(RequestKind.ARM), Request(RequestKind.GOTO, (goto_m, 0.0, 0.0, 0.0))))
 
     def ask(state: int, present: int) -> Request | None:

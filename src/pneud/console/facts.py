@@ -43,7 +43,6 @@ class RunFacts(NamedTuple):
             "sync": c.bus.sync,
             "limits": {
                 "speed_m_s": limits.speed_m_s,
-                "tracking_error_m": limits.tracking_error_m,
                 "supply_min_pa": limits.supply_min_pa,
                 "supply_max_pa": limits.supply_max_pa,
                 "area_1_m2": cylinder.piston_area_1_m2,

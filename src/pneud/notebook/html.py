@@ -8,6 +8,8 @@ from html import escape
 from typing import Any
 
 DIGITS = 4
+_LEFT = 'style="text-align:left"'
+_CELL = 'style="text-align:right;padding:0 0.5em"'
 
 
 def shown(value: Any) -> str:
@@ -20,17 +22,17 @@ def shown(value: Any) -> str:
 def facts(title: str, rows: Mapping[str, Any]) -> str:
     """Names and values below a title."""
     lines = "".join(
-        f'<tr><th style="text-align:left">{escape(name)}</th>'
-        f'<td style="text-align:left">{escape(shown(value))}</td></tr>'
+        f"<tr><th {_LEFT}>{escape(name)}</th><td {_LEFT}>{escape(shown(value))}</td></tr>"
         for name, value in rows.items()
     )
-    return f"<table><caption>{escape(title)}</caption>{lines}</table>"
+    return f"<table><caption {_LEFT}>{escape(title)}</caption>{lines}</table>"
 
 
 def table(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     """Rows below the names of their columns."""
-    head = "".join(f"<th>{escape(name)}</th>" for name in names)
+    head = "".join(f"<th {_CELL}>{escape(name)}</th>" for name in names)
     body = "".join(
-        "<tr>" + "".join(f"<td>{escape(shown(value))}</td>" for value in row) + "</tr>" for row in rows
+        "<tr>" + "".join(f"<td {_CELL}>{escape(shown(value))}</td>" for value in row) + "</tr>"
+        for row in rows
     )
     return f"<table><tr>{head}</tr>{body}</table>"

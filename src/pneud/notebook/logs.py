@@ -26,6 +26,20 @@ if TYPE_CHECKING:
 
 MOST_SHOWN_BYTES = 20_000_000  # of a log whose summary is made only to be looked at
 FACTS = ("name", "bus", "rate_hz", "pneud", "seed")
+SHOWN = {  # of motions, in a notebook: field, and what it is multiplied by
+    "motion": ("kind", 1.0),
+    "from [s]": ("begin_s", 1.0),
+    "for [s]": ("duration_s", 1.0),
+    "from [mm]": ("from_m", 1e3),
+    "to [mm]": ("to_m", 1e3),
+    "error, RMS [mm]": ("rms_error_m", 1e3),
+    "at most [mm]": ("max_error_m", 1e3),
+    "overshoot [mm]": ("overshoot_m", 1e3),
+    "settling [s]": ("settling_s", 1.0),
+    "in position after [s]": ("in_position_s", 1.0),
+    "air [normal l]": ("air_anr_m3", 1e3),
+    "work [J]": ("work_j", 1.0),
+}
 
 
 class MotionList(list[Motion]):
@@ -47,7 +61,11 @@ class MotionList(list[Motion]):
         return frame
 
     def _repr_html_(self) -> str:
-        return html.table(Motion._fields, self)
+        rows = (
+            [getattr(m, name) if by == 1.0 else by * getattr(m, name) for name, by in SHOWN.values()]
+            for m in self
+        )
+        return html.table([*SHOWN], rows)
 
 
 class Log(LogReader):
@@ -221,6 +239,7 @@ class Log(LogReader):
 
     def _repr_html_(self) -> str:
         rows: dict[str, Any] = {**self.facts, "length": f"{self.duration_s:.4g} s"}
+        del rows["rate_hz"]  # beside the ticks
         small = sum(path.stat().st_size for path in self.paths) <= MOST_SHOWN_BYTES
         if small or self._summary is not None:
             rows |= self.summary.facts()

@@ -33,7 +33,7 @@ class Summary(dict[str, Any]):
         return {
             "state": self["state"],
             "ticks": f"{self['ticks']} at {self['rate_hz']:g} Hz, {self['skipped']} skipped",
-            "tracking": tracking_in_words(self["tracking_mm"]),
+            "error": tracking_in_words(self["tracking_mm"]).removeprefix("tracking error "),
             "command": f"{command['max']:.2f} V at most" if command else None,
             "saturated": f"{self['saturated_ticks']} ticks",
             "faults": ", ".join(faults) or "none",

@@ -6,11 +6,13 @@ import html
 import re
 from collections.abc import Iterable, Sequence
 from importlib.resources import files
+from itertools import zip_longest
 from typing import NamedTuple
 
 from pneud import __version__
 
 GOOD, LOOK, BAD = "good", "look here", "bad"
+LONG = 60  # characters: a fact that takes the room of two
 _LEVELS = {GOOD: "good", LOOK: "look", BAD: "bad"}  # classes
 
 
@@ -87,7 +89,9 @@ def document(
 def facts_list(facts: Iterable[tuple[str, str]]) -> str:
     """Facts beside each other, as many as fit."""
     told = "".join(
-        f"<div><dt>{html.escape(name)}</dt><dd>{html.escape(value)}</dd></div>" for name, value in facts
+        f"<div{' class=long' if len(value) > LONG else ''}>"
+        f"<dt>{html.escape(name)}</dt><dd>{html.escape(value)}</dd></div>"
+        for name, value in facts
     )
     return f'<dl class="facts">{told}</dl>'
 
@@ -123,7 +127,7 @@ def table(
     label: str = "table",
     words: int = 1,
     last: int = 0,
-    kinds: int = -1,
+    classes: Sequence[str] = (),
     name: str = "",
 ) -> str:
     """A table, which scrolls where the window is narrow.
@@ -134,21 +138,21 @@ def table(
         label: what it is, for those who do not see it.
         words: so many columns at first are words,
         last: and so many at last.
-        kinds: column with the class of a row.
+        classes: of the rows, where they have any.
         name: by which it is saved as CSV, where it can be.
     """
 
     def cells(row: Sequence[str], tag: str) -> str:
         left = set(range(words)) | set(range(len(row) - last, len(row)))
         return "".join(
-            f"<{tag}{' class=w' if i in left else ''}>"
+            f"<{tag}{' class=w' if i in left else ' class=n' if '-' in cell and ' ' not in cell else ''}>"
             f"{cell if isinstance(cell, Drawn) else html.escape(cell)}</{tag}>"
             for i, cell in enumerate(row)
         )
 
     body = "".join(
-        f"<tr{f' class={html.escape(row[kinds], quote=True)}' if kinds >= 0 else ''}>{cells(row, 'td')}</tr>"
-        for row in rows
+        f"<tr{f' class={html.escape(kind, quote=True)}' if kind else ''}>{cells(row, 'td')}</tr>"
+        for row, kind in zip_longest(rows, classes, fillvalue="")
     )
     saved = f' data-name="{html.escape(name, quote=True)}"' if name else ""
     return (

@@ -52,13 +52,13 @@ def page(runs: Sequence[LoggedRun], reference: Reference | None = None) -> str:
             "Faults",
             sections.each(names, [sections.faults(run, i, shift) for i, (run, shift) in enumerate(shifted)]),
         ),
-        Section("Summary", sections.summary(runs, names)),
         Section(
             "Run",
             f'{_HINT}{sections.keys(names)}<div id="timeline" class="plot"></div><div id="plots"></div>'
             '<div id="phase" class="plot"></div>',
         ),
         Section("Maps", '<div id="planes" class="planes"></div>'),
+        Section("Summary", sections.summary(runs, names)),
         Section("Timing", sections.timing(runs, names, reference)),
         Section("Bus", each(sections.bus)),
         Section("Learnt", each(sections.learnt)),
@@ -66,7 +66,7 @@ def page(runs: Sequence[LoggedRun], reference: Reference | None = None) -> str:
         Section("Machine", sections.machine(runs, names)),
         Section("Configuration", sections.configurations(runs, names)),
     ]
-    verdicts = [judge(run) for run in runs]
+    verdicts = [judge(run, shift) for run, shift in shifted]
     return document(
         f"pneud report: {', '.join(names)}",
         runs[0].config.name if len(runs) == 1 else f"{runs[0].config.name}: {len(runs)} logs",

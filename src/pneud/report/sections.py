@@ -81,12 +81,12 @@ def lead(runs: Sequence[LoggedRun], names: Sequence[str], verdicts: Sequence[Ver
     if len(runs) == 1:
         return strip(verdicts[0], facts(runs[0], names[0]))
     rows = (
-        (_keyed(name, colour), badge(verdict.level), "; ".join(verdict.reasons))
-        for name, colour, verdict in zip(names, colours_of(len(runs)), verdicts, strict=True)
+        (_keyed(name, colour), badge(verdict.level), _length(run), "; ".join(verdict.reasons))
+        for run, name, colour, verdict in zip(runs, names, colours_of(len(runs)), verdicts, strict=True)
     )
-    told = [facts(run, "") for run in runs]
+    told = [facts(run, "")[1:] for run in runs]
     alike = [fact for fact in told[0] if all(fact in others for others in told)]
-    return table(("log", "verdict", "why"), rows, label="verdicts", words=3) + facts_list(alike)
+    return table(("log", "verdict", "length", "why"), rows, label="verdicts", words=4) + facts_list(alike)
 
 
 def keys(names: Sequence[str]) -> str:
@@ -213,7 +213,15 @@ def _three(run: LoggedRun, name: str) -> str:
 
 _MOTION_HEAD = (
     *("motion", "from [s]", "took [s]", "from [mm]", "to [mm]", "RMS [mm]", "max [mm]", "overshoot [mm]"),
-    *("settled after [s]", "in position after [s]", "peak [mm/s]", "air [NL]", "of that [J]", "work [J]", ""),
+    *(
+        "settled after [s]",
+        "in position after [s]",
+        "peak [mm/s]",
+        "air [NL]",
+        "its energy [J]",
+        "work [J]",
+        "",
+    ),
 )
 
 
@@ -446,7 +454,8 @@ def events(run: LoggedRun) -> str:
         t_s = 1e-9 * event.log_time_ns - run.start_unix_s
         rows.append((f"{t_s:.3f}", level, event.name, event.message))
     more = f"<p>and {run.more_events:,} more</p>" if run.more_events else ""
-    return table(("s", "level", "from", "what"), rows, words=0, last=3, kinds=1, label="events") + more
+    head, levels = ("s", "level", "from", "what"), [level for _, level, *_ in rows]
+    return table(head, rows, words=0, last=3, classes=levels, label="events") + more
 
 
 def machine(runs: Sequence[LoggedRun], names: Sequence[str]) -> str:

@@ -17,16 +17,16 @@ _OFTEN = 0.01  # part of the ticks
 _LATE = 0.2  # part of a period
 
 
-def judge(run: LoggedRun) -> Verdict:
-    """The verdict on a log."""
+def judge(run: LoggedRun, shift_s: float = 0.0) -> Verdict:
+    """The verdict on a log, whose page takes so much from its times."""
     order = [BAD, LOOK, GOOD]
-    reasons = sorted(_reasons(run), key=lambda found: order.index(found[0]))
+    reasons = sorted(_reasons(run, shift_s), key=lambda found: order.index(found[0]))
     return Verdict(reasons[0][0] if reasons else GOOD, tuple(reason for _, reason in reasons))
 
 
-def _reasons(run: LoggedRun) -> Iterator[tuple[str, str]]:
+def _reasons(run: LoggedRun, shift_s: float) -> Iterator[tuple[str, str]]:
     yield from _whole(run)
-    yield from _faults(run)
+    yield from _faults(run, shift_s)
     yield from _error(run)
     yield from _motions(run)
     yield from _standing(run)
@@ -42,11 +42,11 @@ def _whole(run: LoggedRun) -> Iterator[tuple[str, str]]:
         yield LOOK, "the axis was never engaged"
 
 
-def _faults(run: LoggedRun) -> Iterator[tuple[str, str]]:
+def _faults(run: LoggedRun, shift_s: float) -> Iterator[tuple[str, str]]:
     if run.latched:
         first = min(span.begin_s for spans in run.latched.values() for span in spans)
         names = ", ".join(map(run.fault_name, run.latched))
-        yield BAD, f"faults latched: {names}; the first one at {first:.3f} s"
+        yield BAD, f"faults latched: {names}; the first one at {first - shift_s:.3f} s"
     elif run.counted.state == State.FAULT:
         yield BAD, "the axis is in fault"
     engaged = [

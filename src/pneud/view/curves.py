@@ -131,6 +131,7 @@ def _pressures(record: Record, info: ScreenInfo, look: Palette, curves: tuple[Cu
 def _valve(record: Record, info: ScreenInfo, look: Palette, curve: Curve) -> Group:
     m, c = record.tick.measurement, record.tick.command
     valve = {ValveState.ENABLED: look.good, ValveState.TIMED_OUT: look.bad, ValveState.FAULT: look.bad}
+    old = _old(m.valve_age_ns, info, look)
     low, high = zone_of(info)
     zone = f"zone {1e3 * low:+.0f} {1e3 * high:+.0f} mV" if high > low else ""
     return Group(
@@ -138,8 +139,11 @@ def _valve(record: Record, info: ScreenInfo, look: Palette, curve: Curve) -> Gro
         (
             (number(c.voltage_v, "+.3f", "V"), look.bad if c.saturated else look.command),
             (f"applied {number(m.applied_v, '+.3f', 'V')}", PLAIN),
-            _old(m.valve_age_ns, info, look),
-            (name_of(ValveState, m.valve_state), valve.get(m.valve_state, look.warn)),  # type: ignore[call-overload]
+            old,
+            (
+                name_of(ValveState, m.valve_state),
+                DIM if old[0] else valve.get(m.valve_state, look.warn),  # type: ignore[call-overload]
+            ),
             (zone, DIM),
         ),
         (curve,),

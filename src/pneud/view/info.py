@@ -36,12 +36,10 @@ class ScreenInfo(NamedTuple):
     fault_names: tuple[str, ...]  # by bit
     log_path: str
     sync: bool = True  # every source answers every SYNC
-    cures: tuple[str, ...] = ()  # by bit
     learnt: Mapping[str, Mapping[str, Any]] | None = None  # as in the status, values by name
     blocks_arm: int = 0  # bits of the faults that keep an axis from being armed
     first_cause: Callable[[Collection[str]], Cause | None] = _no_cause  # of faults by their names
     speed_m_s: float = math.nan  # the most that is allowed
-    error_m: float = math.nan  # likewise, against the reference
     supply_min_pa: float = math.nan
     supply_max_pa: float = math.nan
     area_1_m2: float = math.nan  # of the piston
@@ -75,11 +73,9 @@ def info_of(
         fault_names=tuple(f["faults"]),
         log_path=f["log"],
         sync=f["sync"],
-        cures=tuple(f["cures"]),
         blocks_arm=int(f.get("blocks_arm", 0)),
         first_cause=first_cause,
         speed_m_s=known("speed_m_s"),
-        error_m=known("tracking_error_m"),
         supply_min_pa=known("supply_min_pa"),
         supply_max_pa=known("supply_max_pa"),
         area_1_m2=known("area_1_m2"),

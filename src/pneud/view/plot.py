@@ -179,22 +179,3 @@ def bar(fraction: float, worst: float, n: int, ascii_only: bool) -> str:
         if at >= eighths / 8:
             cells[at] = "│"
     return "".join(cells[:n])
-
-
-def centred_bar(fraction: float, zone: tuple[float, float], n: int) -> str:
-    """A bar from the middle to a fraction −1 … 1, with the middle and a zone about it marked."""
-    middle = n // 2
-    cells = ["─"] * n
-
-    def at(value: float) -> int:
-        return max(0, min(n - 1, middle + round(max(-1.0, min(1.0, value)) * middle)))
-
-    for edge in zone:
-        if math.isfinite(edge) and edge:
-            cells[at(edge)] = "┊"
-    if math.isfinite(fraction):
-        tip = at(fraction)
-        for i in range(min(tip, middle), max(tip, middle) + 1):
-            cells[i] = "█"
-    cells[middle] = "│"
-    return "".join(cells)

@@ -20,9 +20,8 @@ from typing import Any
 
 from rich.console import Console
 from rich.control import Control
-from rich.segment import Segment, Segments
 
-from pneud.view.screen import status_line
+from pneud.view.screen import Page, status_line
 from pneud.view.show import Show, is_ascii
 
 FRAME_S = 0.1
@@ -54,6 +53,16 @@ def keys_in(data: bytes) -> list[str]:
     return names
 
 
+def has_keyboard() -> bool:
+    """Whether standard input is a terminal whose keys come to this program."""
+    if sys.stdin is None or not sys.stdin.isatty():
+        return False
+    try:
+        return os.tcgetpgrp(0) == os.getpgrp()
+    except OSError:  # a terminal that nobody's jobs are controlled from
+        return True
+
+
 def run(show: Show, console: Console | None = None) -> None:
     """Show an axis until it is over; the terminal is as before afterwards.
 
@@ -69,7 +78,7 @@ def run(show: Show, console: Console | None = None) -> None:
     """
     given, console = console, console or Console(highlight=False)
     plain = not console.is_terminal or console.is_dumb_terminal
-    keyboard = given is None and sys.stdin is not None and sys.stdin.isatty()
+    keyboard = given is None and has_keyboard()
     if given is None and keyboard and not plain and importlib.util.find_spec("textual") is not None:
         from pneud.view.app import run_app  # noqa: PLC0415 - takes longer to load than all the rest
 
@@ -97,17 +106,10 @@ def _pages(show: Show, console: Console, pressed: Callable[[], list[str] | None]
     ascii_only = is_ascii(console.encoding)
     while _attend(show, pressed):
         begun_s = time.monotonic()
-        rows = show.picture((console.size.width, console.size.height), ascii_only)
         # half the work of rich's Live, which lays a picture out twice; a page has its exact shape
-        console.print(Control.home(), Segments(_joined(rows)), end="", crop=False)
+        page = Page(show.snapshot, show.history, console.size, ascii_only)
+        console.print(Control.home(), page, end="", crop=False)
         time.sleep(max(0.0, begun_s + FRAME_S - time.monotonic()))
-
-
-def _joined(rows: list[list[Segment]]) -> Iterator[Segment]:
-    for i, row in enumerate(rows):
-        if i:
-            yield Segment.line()
-        yield from row
 
 
 def _attend(show: Show, pressed: Callable[[], list[str] | None]) -> bool:

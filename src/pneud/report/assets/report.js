@@ -471,7 +471,7 @@
   async function closeup(element) {
     const run = runs[+element.dataset.run], moments = run.stops[+element.dataset.fault];
     const at = moments.find(m => m[1].endsWith("latched"))[0], last = Math.max(...moments.map(m => m[0]));
-    const min = Math.max(whole[0], Math.max(at - 1, Math.min(at, moments[0][0])) - 0.25), max = Math.min(whole[1], Math.max(last, at + 0.2) + 0.25);
+    const min = Math.max(run.t[0], Math.max(at - 1, Math.min(at, moments[0][0])) - 0.25), max = Math.min(run.t[run.t.length - 1], Math.max(last, at + 0.2) + 0.25);
     const view = await looked(run, min, max);
     const first = view.t.findIndex(t => t >= min), end = view.t.findLastIndex(t => t <= max) + 1;
     for (const [name, title] of CLOSE) {
@@ -538,6 +538,7 @@
   };
   const repaint = () => { theme = new Map(); for (const u of everything()) u.redraw(false, true); };
   let frame = 0;
+  for (const d of document.querySelectorAll("details")) d.addEventListener("toggle", () => fit());
   addEventListener("resize", () => { cancelAnimationFrame(frame); frame = requestAnimationFrame(() => fit()); });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
   // paper is white, and narrower than most windows; what is drawn for it stays sharp

@@ -7,20 +7,15 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from pneud.config.models import Config
+from pneud.report.frame import Section, document, table
 from pneud.study.identification.comparing import OFF, Row
 from pneud.study.identification.estimating import Identified
 from pneud.study.identification.explaining import Bin, flow_map, friction_map
 from pneud.study.identification.words import HEAD, cells
 
-WIDTH, HEIGHT, LEFT, BOTTOM, TOP, RIGHT = 640, 320, 70, 45, 15, 15
+WIDTH, HEIGHT, LEFT, BOTTOM, TOP, RIGHT = 640, 320, 70, 45, 15, 30
 TICKS = 4  # of a scale, about
 EDGE_SPANS = tuple((0.05 * i, 0.05 * (i + 1)) for i in range(-16, 16))  # of the spool [V]
-STYLE = (
-    "body{font:15px/1.5 sans-serif;max-width:1000px;margin:2em auto;padding:0 1em}text{font:12px sans-serif}"
-    "table{border-collapse:collapse;font-size:13px}td,th{padding:2px 12px 2px 0;text-align:right;"
-    "border-bottom:1px solid #ddd}td:first-child,th:first-child{text-align:left}.off td{background:#fbe6da}"
-    "svg{max-width:100%}figcaption{font-size:13px;color:#555}"
-)
 
 
 class Picture(NamedTuple):
@@ -50,11 +45,9 @@ def page(title: str, lines: Iterable[str], tables: Iterable[Table], pictures: It
         pictures: maps.
     """
     said = "".join(f"<p>{html.escape(line)}</p>" for line in lines)
-    return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
-        f"<style>{STYLE}</style></head><body>\n<h1>{html.escape(title)}</h1>{said}\n"
-        + "\n".join([*(_table(*table) for table in tables), *(_figure(*picture) for picture in pictures)])
-        + "\n</body></html>\n"
+    sections = [Section(one.title or "Parameters", _cells(one)) for one in tables]
+    return document(
+        title, title, [*sections, *(Section(one.title, _figure(one)) for one in pictures)], lead=said
     )
 
 
@@ -76,21 +69,15 @@ def maps(found: Identified, c: Config) -> list[Picture]:
     return drawn
 
 
-def _table(title: str, head: Sequence[str], rows: Sequence[tuple[Sequence[str], bool]]) -> str:
-    heading = f"<h2>{html.escape(title)}</h2>" if title else ""
-    top = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
-    body = "".join(
-        f"<tr{' class=off' if stands_out else ''}>"
-        + "".join(f"<td>{html.escape(cell)}</td>" for cell in row)
-        + "</tr>"
-        for row, stands_out in rows
-    )
-    return f"{heading}<table><tr>{top}</tr>{body}</table>"
+def _cells(one: Table) -> str:
+    kinds = ["off" if stands_out else "" for _, stands_out in one.rows]
+    return table(one.head, [cells for cells, _ in one.rows], classes=kinds, label=one.title or "Parameters")
 
 
-def _figure(title: str, across: str, up: str, bins: Sequence[Bin]) -> str:
+def _figure(picture: Picture) -> str:
+    title, across, up, bins = picture
     if len(bins) < 2:
-        return f"<h2>{html.escape(title)}</h2><p>The logs have too little for this picture.</p>"
+        return "<p>The logs have too little for this picture.</p>"
     xs = [b.at for b in bins]
     ys = [y for b in bins for y in (b.measured, b.model)]
     x0, x1, y0, y1 = min(xs), max(xs), min(*ys, 0.0), max(*ys, 0.0)
@@ -111,7 +98,7 @@ def _figure(title: str, across: str, up: str, bins: Sequence[Bin]) -> str:
     parts += [f'<circle cx="{x(b.at):.1f}" cy="{y(b.measured):.1f}" r="3.5" fill="#d55e00"/>' for b in bins]
     name = html.escape(title)
     return (
-        f'<figure><h2>{name}</h2><svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{name}">'
+        f'<figure><svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{name}">'
         + "".join(parts)
         + f"</svg><figcaption>{html.escape(up)} over {html.escape(across)}: points as measured, the line as"
         " the model has it</figcaption></figure>"
