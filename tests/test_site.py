@@ -122,6 +122,7 @@ def test_the_number_of_the_readme_is_what_its_command_prints() -> None:
     (command,) = (step.text for step in steps(ROOT / "README.md") if step.text.startswith("pneud sim"))
     done = pneud(*command.split()[1:])
     assert f"tracking error {rms} mm RMS, {most} mm max" in done.stdout
+    assert f"{rms} mm RMS" in (FOLDER / "index.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
