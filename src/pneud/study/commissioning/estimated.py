@@ -34,9 +34,9 @@ def encoder_step_m(t: Table) -> float:
     """The usual distance of neighbouring readings of the encoder [m]."""
     levels = np.unique(np.round(np.concatenate([p.position_m for p in t.pieces]) / LEVEL_M))
     apart = np.diff(levels)
-    return (
-        LEVEL_M * float(np.median(apart[apart <= 1.5 * np.quantile(apart, BRIDGED)])) if len(apart) else 0.0
-    )
+    if not len(apart):
+        return 0.0
+    return LEVEL_M * float(np.median(apart[apart <= 1.5 * np.quantile(apart, BRIDGED)]))
 
 
 def believed(found: Mapping[str, Estimate], step_m: float, c: Config) -> Values:
