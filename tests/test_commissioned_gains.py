@@ -108,6 +108,10 @@ def test_the_step_of_an_encoder_shows_in_its_readings(step_m: float) -> None:
     nothing = np.zeros(len(shown))
     table = Table(1e-3, 5e-4, (Piece(shown, nothing, nothing, nothing, nothing),))
     assert encoder_step_m(table) == pytest.approx(step_m, abs=0.5e-6)
+    bridged = shown.copy()
+    bridged[1000:1003] += 4e-9
+    pieces = (table.pieces[0]._replace(position_m=bridged),)
+    assert encoder_step_m(table._replace(pieces=pieces)) == pytest.approx(step_m, abs=0.5e-6)
 
 
 def test_the_spread_has_both_ends_of_each_interval(found: Config) -> None:

@@ -27,13 +27,16 @@ SAME = (
 STEP, START, MAP = "control.motion.encoder_resolution_m", "control.adaptation.start", "valve.map"
 CRITICAL_RATIOS = (0.01, 0.59)  # that a configuration may have
 LEVEL_M = 1e-9  # readings closer than that are the same
+BRIDGED = 0.02  # of the distances: those beside readings that were missing, and lie anywhere
 
 
 def encoder_step_m(t: Table) -> float:
     """The usual distance of neighbouring readings of the encoder [m]."""
     levels = np.unique(np.round(np.concatenate([p.position_m for p in t.pieces]) / LEVEL_M))
     apart = np.diff(levels)
-    return LEVEL_M * float(np.median(apart[apart <= 1.5 * apart.min()])) if len(apart) else 0.0
+    if not len(apart):
+        return 0.0
+    return LEVEL_M * float(np.median(apart[apart <= 1.5 * np.quantile(apart, BRIDGED)]))
 
 
 def believed(found: Mapping[str, Estimate], step_m: float, c: Config) -> Values:
