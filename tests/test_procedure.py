@@ -275,6 +275,7 @@ def test_slow_motion_alone_makes_a_slow_axis(
     assert rig.loaded.config.cylinder.moving_mass_kg == 15.0
     assert rig.loaded.config.limits.motion.speed_m_s == pytest.approx(0.1)
     said = json.loads(json.dumps(procedure.as_json(outcome), allow_nan=False))
+    assert said["warnings"] == [procedure.SLOW_ONLY]
     assert said["verdict"] in ("passed", "missed")
     assert {"value", "low", "high", "configured"} <= said["parameters"]["valve.dead_zone_v"].keys()
     assert said["after"]["figures"]

@@ -204,7 +204,8 @@ def _worth(o: Outcome) -> list[str]:
         return []
     from pneud.study.commissioning import page  # noqa: PLC0415
 
-    lines = [*o.found.warnings, *(f"not told: {note}" for note in o.found.identified.notes)]
+    lines = [f"warning: {text}" for text in o.found.warnings]
+    lines += [f"not told: {note}" for note in o.found.identified.notes]
     lines += [f"the model cannot explain {text}" for text in o.found.unexplained]
     lines += [page.gains(o.found.chosen)] if o.found.chosen is not None else []
     if o.after is not None:

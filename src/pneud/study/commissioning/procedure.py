@@ -28,7 +28,7 @@ LOOP = {"tracking_error", "braking_distance", "overspeed"}  # faults of a loop w
 SHORT = 3  # motions of the verification that are tried beforehand: a sine, and rest
 SLOWER = 0.2  # of limits.motion, where nothing has been found out about quick motion
 SLOW_ONLY = (
-    "warning: nothing is found out about quick motion; mass, flow and friction are hardly told, gains stay,"
+    "nothing is found out about quick motion; mass, flow and friction are hardly told, gains stay,"
     f" and limits.motion become {SLOWER:g} of what they are"
 )
 
@@ -140,7 +140,7 @@ def planned(loaded: Loaded, wishes: Wishes) -> list[str]:
         lines.append(f"movement test: {words} {1e3 * MOVE_M:g} mm at {1e3 * SPEED_M_S:g} mm/s at most")
     if wishes.steps:
         lines += map(_announced, _steps(p, wishes))
-        lines += [] if wishes.dynamic else [SLOW_ONLY]
+        lines += [] if wishes.dynamic else [f"warning: {SLOW_ONLY}"]
         lines.append("verification: a sine, rest and steps about the middle of the travel")
     return lines
 
