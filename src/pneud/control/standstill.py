@@ -175,8 +175,8 @@ def stand(
 
 
 def given_back(s: StandstillState) -> StandstillState:
-    """The law has the load again, and no longer a while before it gives way; giving way was of no use."""
-    return _entered(_tried(s, s.tries + 1), LAW, 0, 0.0)
+    """The law has the load again, and no longer a while before it gives way."""
+    return _entered(_tried(s, max(1, s.tries)), LAW, 0, 0.0)
 
 
 def would_rest(s: StandstillState, error_m: float, p: Standstill) -> bool:
