@@ -67,7 +67,8 @@ systemd: $(DEV) ## the service under systemd, in a virtual machine, from the whe
 	@exec hil/vm/run -s -t 560 -- $(CURDIR)/$(BIN)/python -m pytest -m systemd -p no:cacheprovider tests/vm/test_service.py $(ARGS)
 
 docs: $(DOCS) ## the documents as a site: build/site/index.html; nothing in it is fetched from elsewhere
-	@NO_MKDOCS_2_WARNING=1 exec $(BIN)/mkdocs build --strict -d build/site $(ARGS)
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict -d build/site $(ARGS)
+	@echo 'build/site/index.html, or with its search: $(BIN)/python -m http.server -d build/site'
 
 pages: $(DEV) ## what of the documents is made from the code, made anew
 	@PYTHONPATH=docs exec $(BIN)/python -m generators.pages

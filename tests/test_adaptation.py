@@ -28,6 +28,7 @@ from pneud.control.adaptation import (
     learn_valve,
     valve_learnt,
 )
+from pneud.control.model import stiffest
 from pneud.control.prediction import Spool
 from pneud.control.reference import Sine, rest, septic, sine, way
 from pneud.control.step import Controller, ControllerState, as_learnt, start
@@ -377,6 +378,23 @@ def test_friction_that_comes_too_soon_is_of_stiffer_bristles(sign: float) -> Non
     assert learnt.plain
 
 
+def test_bristles_are_stiff_enough_where_the_reference_meets_more_friction_than_the_load() -> None:
+    lags = learn_force(
+        MOVING._replace(plain=True), 60.0, 65.0, 0.01, 0.01, 0.0, 0.0, P.h, 15.0, P.friction, P.motion, A
+    )
+    assert lags.stiffness == 1.0
+
+
+@pytest.mark.parametrize(
+    ("coulomb_n", "step_m", "most"),
+    [(36.0, 1e-6, 20.0), (36.0, 0.0, 20.0), (0.0, 0.0, 20.0), (36.0, 40e-6, 36.0 / 10.8), (5.0, 40e-6, 1.0)],
+)
+def test_bristles_are_no_stiffer_than_the_encoder_can_tell(
+    coulomb_n: float, step_m: float, most: float
+) -> None:
+    assert stiffest(coulomb_n, 9e4, step_m) == pytest.approx(most)
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_force_that_was_there_before_the_reversal_says_nothing_of_bristles(sign: float) -> None:
     learnt = bent_too_soon(sign, plain=False)
@@ -391,7 +409,7 @@ def test_bristles_bent_for_good_tell_whether_all_is_explained(beyond_n: float, p
     steady_n = stribeck(v, f) + f.viscous_n_s_m * v
     for before in (True, False):
         learnt = learn_force(
-            MOVING._replace(plain=before),
+            MOVING._replace(plain=before, bent_m=stribeck(v, f) / f.sigma0_n_m),
             steady_n + beyond_n,
             steady_n,
             v,

@@ -508,3 +508,21 @@ def test_codecs_are_immutable() -> None:
     with pytest.raises(AttributeError):
         CODECS.command_lsb_v = 1.0  # type: ignore[misc]
     assert isinstance(CODECS, Codecs)
+
+
+def test_a_device_may_have_neither_counter_nor_checksum() -> None:
+    bus = BusConfig.model_validate(
+        {
+            "frames": {
+                "encoder": {
+                    "message": "ENCODER",
+                    "signals": {"position_m": "Position"},
+                    "counter": "",
+                    "crc": "",
+                }
+            }
+        }
+    )
+    codec = load_codecs(bus, DBC).encoder
+    assert (codec.counter_mask, codec.crc) == (0, False)
+    assert codec.check(bytes(8)) == 0

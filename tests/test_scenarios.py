@@ -164,7 +164,7 @@ def test_what_a_scenario_changes_stands_in_the_text_that_goes_into_the_log() -> 
 def test_the_example_of_the_documentation_is_a_scenario(tmp_path: Path) -> None:
     page = Path(__file__).parent.parent / "docs" / "hil.md"
     file = tmp_path / "example.toml"
-    file.write_text(page.read_text().partition("```toml\n")[2].partition("```")[0])
+    file.write_text(page.read_text().partition("```toml")[2].partition("\n")[2].partition("```")[0])
     example = load_scenario(file)
     verdict.check_names(example)
     load(example.config, None, example.change)

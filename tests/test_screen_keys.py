@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pneud.console.client import Client
@@ -76,6 +76,7 @@ def test_what_a_key_asks(keys: str | list[str], asked: list[tuple[str, dict[str,
     assert pressed(keys) == asked
 
 
+@settings(deadline=None)
 @given(st.lists(st.sampled_from([*KEYS, "y", "1", "enter", "escape", "backspace", "right", "%"]), max_size=9))
 def test_space_stops_whatever_has_been_pressed_before(before: list[str]) -> None:
     found = pressed([*before, " "])

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from commands import PNEUD, children, eventually
+from running import patient_axis
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 _CODES = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]|\x1b\][^\x07]*\x07")
@@ -86,6 +87,11 @@ def terminal(*words: object, **environment: str) -> Iterator[Terminal]:
         os.close(found.slave)
 
 
+def virtual(folder: Path) -> tuple[object, ...]:
+    """A virtual run that a stall of a shared machine does not end."""
+    return "--virtual", "--config", patient_axis(folder), "--log", folder / "run.mcap"
+
+
 def assert_as_it_was(t: Terminal) -> None:
     assert termios.tcgetattr(t.slave) == t.before
     assert t.seen.rindex("\x1b[?1049l") >= 0
@@ -93,7 +99,7 @@ def assert_as_it_was(t: Terminal) -> None:
 
 
 def test_keys_of_a_virtual_run_stop_go_and_end_it(tmp_path: Path) -> None:
-    with terminal("--virtual", "--log", tmp_path / "run.mcap") as t:
+    with terminal(*virtual(tmp_path)) as t:
         t.until("follows the reference", "elsewhere: pneud top")
         t.press(" ")
         t.until("stop: taken", "holding")
@@ -127,7 +133,7 @@ def test_a_scenario_with_a_duration_ends_by_itself(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("how", ["Ctrl-C", "SIGTERM", "SIGKILL", "the screen is killed"])
 def test_the_terminal_comes_back(how: str, tmp_path: Path) -> None:
-    with terminal("--virtual", "--log", tmp_path / "run.mcap") as t:
+    with terminal(*virtual(tmp_path)) as t:
         t.until("follows the reference")
         if how == "Ctrl-C":
             os.killpg(t.process.pid, signal.SIGINT)  # as the kernel does for the terminal's own group
@@ -145,7 +151,7 @@ def test_the_terminal_comes_back(how: str, tmp_path: Path) -> None:
 def test_top_shows_another_daemon_and_leaves_it_running(tmp_path: Path) -> None:
     socket = tmp_path / "axis.sock"
     daemon = subprocess.Popen(
-        [*PNEUD, "--virtual", "--headless", "--json", "--log", str(tmp_path), "--socket", str(socket)],
+        [*PNEUD, *map(str, virtual(tmp_path)), "--headless", "--json", "--socket", str(socket)],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )

@@ -301,7 +301,7 @@ def hold_v(c: Config, k: cyl.Cylinder) -> float:
 def standstill_of(c: Config) -> Standstill:
     """When a load counts as standing still."""
     step_m, h = c.control.motion.encoder_resolution_m, 1.0 / c.loop.rate_hz
-    return model.standing(model_of(c), c.cylinder.moving_mass_kg, step_m, h, c.valve.u_max_v)
+    return model.standing(model_of(c), motion_of(c), c.cylinder.moving_mass_kg, step_m, h, c.valve.u_max_v)
 
 
 def limits_of(c: Config) -> Limits:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from pneud.config.flow import area_of
 from pneud.control.adaptation import Adaptation, Learnt, Rate, within
-from pneud.control.model import most_edge_v
+from pneud.control.model import most_edge_v, stiffest
 
 if TYPE_CHECKING:
     from pneud.config.models import Config
@@ -54,7 +54,8 @@ ADDED = ("edge_plus_v", "edge_minus_v", "load_n")  # all others are factors
 def adaptation_of(c: Config) -> Adaptation:
     """What is learnt, how fast, and within which bounds."""
     a, u_max_v, dead_zone_v = c.control.adaptation, c.valve.u_max_v, c.valve.dead_zone_v
-    force = c.control.estimate_force
+    force, f, step_m = c.control.estimate_force, c.control.friction, c.control.motion.encoder_resolution_m
+    most_stiff = stiffest(f.coulomb_n, f.bristle_stiffness_n_m, step_m)
     load_n = (c.gas.supply_pa - c.gas.atmosphere_pa) * c.cylinder.piston_area_1_m2
     return Adaptation(
         enabled=a.enabled,
@@ -62,7 +63,7 @@ def adaptation_of(c: Config) -> Adaptation:
         flow=Rate(1.0 * a.flow, 0.5, 2.0),
         lag=Rate(20.0 * a.lag, 1.0, 4.0),
         friction=Rate(3.0 * (a.friction and force), 0.3, 3.0),
-        stiffness=Rate(150.0 * (a.stiffness and force), 1.0, 20.0),
+        stiffness=Rate(150.0 * (a.stiffness and force), 1.0, most_stiff),
         load=Rate(1.0 * (a.load and force), -load_n, load_n),
         mass=Rate(3.0 * a.mass, 0.4, 2.5),
     )

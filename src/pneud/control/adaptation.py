@@ -10,10 +10,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from pneud.control.feedforward import bristles_after
 from pneud.control.motion import MotionFilter
 from pneud.control.prediction import Spool
 from pneud.physics.cylinder import Cylinder
-from pneud.physics.friction import Friction, stribeck
+from pneud.physics.friction import Friction, friction_force, relaxation_rate, stribeck
 from pneud.physics.valve import Valve
 
 MOVING_M_S = 3e-3  # slower is no motion to learn from
@@ -22,6 +23,7 @@ OPENING_V = 0.5  # opening at which the flow is learnt best
 LAG_V = 0.2  # lagging behind by so much, the lag is
 BENT = 0.05  # part of the friction that bristles which are bent for good may lack
 STIFFER = 0.01  # part by which the stiffness changes in a sample at most
+LAGGING = 0.05  # part of the friction by which F̂ may lag behind the reference's, for bristles to be stiffer
 PLAIN = 0.18  # part of the friction that may be amiss without a word of its bristles
 SLIDING_M_S = 2e-2  # slower, bristles may hold a load that is shaken
 SHAKE_M = 1e-5  # innovation by which the mass is: a load that shakes
@@ -71,7 +73,8 @@ class Learnt(NamedTuple):
     shake: Shake = Shake()
     usable: bool = False  # the last sample may be learnt from
     moving: bool = False  # the reference moved at the last sample
-    plain: bool = False  # friction and load explained the force when the bristles were bent for good last
+    bent_m: float = 0.0  # bristles, as the load itself has bent them
+    plain: bool = False  # friction and load explained the force when these were bent for good last
 
 
 def values_of(so_far: Learnt) -> Learnt:
@@ -163,8 +166,8 @@ def learn_valve(
         p: rates and bounds.
     """
     plus, minus, flow, lag = so_far.edge_plus_v, so_far.edge_minus_v, so_far.flow, so_far.lag
-    usable = fresh and abs(v) >= MOVING_M_S and abs(spool.position_v) < SATURATED * valve.u_max_v
-    if usable and so_far.moving and u_v != 0.0:
+    usable = fresh and abs(spool.position_v) < SATURATED * valve.u_max_v
+    if usable and abs(v) >= MOVING_M_S and so_far.moving and u_v != 0.0:
         missing = dt * max(-valve.u_max_v, min(valve.u_max_v, missing_v))  # one odd reading is no valve
         prior = valve.dead_zone_v
         if u_v > 0.0:
@@ -187,6 +190,7 @@ def learn_valve(
         so_far.shake,
         usable,
         False,  # until `learn_force` knows better
+        so_far.bent_m,
         so_far.plain,
     )
 
@@ -224,12 +228,19 @@ def learn_force(
     psi, shake = shaken(so_far.shake, (pushed_n - so_far.load_n - friction_n) / M, h, filter)
     moving = abs(goal_v) >= MOVING_M_S
     level, stiffness, load, mass = so_far.friction, so_far.stiffness, so_far.load_n, so_far.mass
-    plain = so_far.plain
-    if so_far.usable and moving and v * goal_v > 0.0:
-        rest = force_n - load - friction_n
+    # over a gap nobody knows how far the load has bent them
+    plain, rest = so_far.plain and so_far.usable, force_n - load - friction_n
+    own = friction_learnt(f, so_far)
+    bent_m = bristles_after(so_far.bent_m, v, relaxation_rate(v, own), h)
+    learning = so_far.usable and moving and v * goal_v > 0.0
+    if learning and f.coulomb_n > 0.0:
+        met_n = friction_force(v, bent_m, own)
+        lag_n = -rest if v > 0.0 else rest
+        stiffness, plain = stiffness_corrected(so_far, force_n - load - met_n, met_n, lag_n, v, h, f, p)
+    if learning and abs(v) >= MOVING_M_S:
         load = within(load + p.load.per_s * h * rest, p.load)
         if f.coulomb_n > 0.0:
-            level, stiffness, plain = friction_corrected(so_far, rest, friction_n, goal_v, h, f, p)
+            level = level_corrected(level, rest, friction_n, goal_v, h, f, p)
         if abs(goal_v) >= SLIDING_M_S:
             r = innovation_m - max(-filter.blind_m, min(filter.blind_m, innovation_m))
             r = max(-abs(psi), min(abs(psi), r))
@@ -247,21 +258,20 @@ def learn_force(
         shake,
         so_far.usable,
         moving,
+        bent_m,
         plain,
     )
 
 
-def friction_corrected(
-    so_far: Learnt, rest_n: float, friction_n: float, goal_v: float, h: float, f: Friction, p: Adaptation
-) -> tuple[float, float, bool]:
-    """Level and stiffness of the friction after one sample, and whether all of it was explained lately.
+def level_corrected(
+    level: float, rest_n: float, friction_n: float, goal_v: float, h: float, f: Friction, p: Adaptation
+) -> float:
+    """Level of the friction after one sample.
 
-    The level is learnt where friction changes most, just after a reversal: there alone an error costs.
-    Bristles that bend less far than believed show as force that comes too soon. For a moment, a load that
-    changes looks just like that: they are learnt after reversals before which nothing was left to explain.
+    It is learnt where friction changes most, just after a reversal: there alone an error costs.
 
     Args:
-        so_far: as learnt.
+        level: as learnt.
         rest_n: force that friction and load do not explain [N].
         friction_n: friction that the reference meets, as learnt [N].
         goal_v: velocity of the reference [m/s].
@@ -269,25 +279,55 @@ def friction_corrected(
         f: friction as configured, with dry friction in it.
         p: rates and bounds.
     """
-    level, stiffness = so_far.friction, so_far.stiffness
     dry = stribeck(goal_v, f) * level
     rest = max(-dry, min(dry, rest_n))
     speed = goal_v / f.stribeck_m_s
     weight = 1.0 / (1.0 + speed * speed * speed * speed)
-    steady = (dry if goal_v > 0.0 else -dry) + f.viscous_n_s_m * level * goal_v
+    step = h / (dry * dry)
+    return within(level + p.friction.per_s * step * weight * rest * friction_n * level, p.friction)
+
+
+def stiffness_corrected(
+    so_far: Learnt,
+    rest_n: float,
+    friction_n: float,
+    lag_n: float,
+    v: float,
+    h: float,
+    f: Friction,
+    p: Adaptation,
+) -> tuple[float, bool]:
+    """Stiffness of the bristles after one sample, and whether all force was explained lately.
+
+    Bristles that bend less far than believed hold the load back while the reference goes on: they show as
+    force that comes too soon for the way that the load itself has gone. For a moment, a load that changes
+    looks just like that: they are learnt after reversals before which nothing was left to explain. F̂ is fed
+    forward along the reference: bristles that come sooner there than F̂ does are stiff enough.
+
+    Args:
+        so_far: as learnt.
+        rest_n: force that load and the friction of the load's own motion do not explain [N].
+        friction_n: that friction, as learnt [N].
+        lag_n: by which F̂ lags behind load and the reference's friction, in the direction of the motion [N].
+        v: velocity of the load [m/s].
+        h: sample time [s].
+        f: friction as configured, with dry friction in it.
+        p: rates and bounds.
+    """
+    dry = stribeck(v, f) * so_far.friction
+    rest = max(-dry, min(dry, rest_n))
+    steady = (dry if v > 0.0 else -dry) + f.viscous_n_s_m * so_far.friction * v
     short = steady - friction_n  # what bristles that still bend have not taken yet
-    if short * goal_v < 0.0:
+    if short * v < 0.0:
         short = 0.0
     odd = rest - max(-PLAIN * dry, min(PLAIN * dry, rest))
-    step = h / (dry * dry)
-    plain = so_far.plain
+    stiffness, plain = so_far.stiffness, so_far.plain
     if abs(short) <= BENT * dry:
         plain = odd == 0.0
-    if plain:
-        more = max(-STIFFER, min(STIFFER, p.stiffness.per_s * step * odd * short))
+    if plain and (odd * short < 0.0 or lag_n <= LAGGING * dry):
+        more = max(-STIFFER, min(STIFFER, p.stiffness.per_s * h / (dry * dry) * odd * short))
         stiffness = within(stiffness * (1.0 + more), p.stiffness)
-    level = within(level + p.friction.per_s * step * weight * rest * friction_n * level, p.friction)
-    return level, stiffness, plain
+    return stiffness, plain
 
 
 def shaken(s: Shake, a: float, h: float, p: MotionFilter) -> tuple[float, Shake]:

@@ -27,13 +27,18 @@ MOST_PUSH_RATIO = (
 )
 MOST_RAD_S = 5_000.0  # bandwidth of a filter
 MOST_HOLD_V = 1.0
+MOST_STIFFER = 20.0  # factor of the bristles' stiffness that may be learnt
+LEAST_BENT = 3.0  # steps of the encoder by which bristles have to bend, for their stiffness to be seen
 MOST_EDGE = 0.08  # part of the greatest opening that an edge of the dead zone may be learnt to be
 WIDEST = 0.35  # dead zone over the greatest command
 LEAST_HELD_M = 5e-6  # error that may be left rather than cross the dead zone, at least
 BALANCE = 0.03  # of dry friction that may be out of balance while a load counts as held by it
 SMOOTH_S = 0.02  # of force and speed of a standing load
 SETTLE_S = 1.0  # that the law has, before it gives way to a load that would swing on its bristles
+PATIENCE_S, BRIEF_S = 0.1, 0.05  # of hunting, until the valve is closed; where bristles are beyond the law
+NEAR_M, FAR_M = 1e-4, 3e-4  # error within which the law may give way, and beyond which it has the load back
 DIED = 3.0  # time constants until a swing has died
+BEYOND = 0.55  # of the motion filter's bandwidth, above which a swing is seen too late to be damped
 SHUT = 0.02  # of the greatest command, up to which the law keeps the valve shut at rest
 GRACE_S = 0.08  # that a load has to come to rest when the valve is closed
 RESTLESS_V = 0.03  # mean step of the command that is hunting
@@ -102,14 +107,15 @@ def remodelled(m: Model, p: Controller) -> Controller:
     motion = motion_filter(m, h, step_m) if m.motion_rad_s > 0.0 else p.motion
     hold = hold_v(m.hold_v, M * p.sliding.gains.k1, step_m, p.cylinder.F1_nominal)
     edges = p.adaptation.edges._replace(most=most_edge_v(m.dead_zone_v, p.valve.u_max_v))
+    stiffness = p.adaptation.stiffness._replace(most=stiffest(m.coulomb_n, m.stiffness_n_m, step_m))
     return p._replace(
         valve=p.valve._replace(dead_zone_v=m.dead_zone_v, centre_v=m.centre_v),
         friction=m.friction,
         motion=motion,
         sliding=p.sliding._replace(hold_v=hold),
         force_rate_gain=force_rate_gain(m.force_rate_rad_s, h),
-        standstill=standing(m, M, step_m, h, p.valve.u_max_v),
-        adaptation=p.adaptation._replace(edges=edges),
+        standstill=standing(m, motion, M, step_m, h, p.valve.u_max_v),
+        adaptation=p.adaptation._replace(edges=edges, stiffness=stiffness),
         creep=creeping(m, behind(m.friction, motion, M, h)),
     )
 
@@ -163,14 +169,25 @@ def most_edge_v(dead_zone_v: float, u_max_v: float) -> float:
     return max(MOST_EDGE * u_max_v, dead_zone_v)
 
 
+def stiffest(coulomb_n: float, stiffness_n_m: float, step_m: float) -> float:
+    """Factor up to which bristles are learnt to be stiffer: they bend by some steps of the encoder."""
+    told_n = LEAST_BENT * step_m * stiffness_n_m  # of friction that bends them by just that
+    return max(1.0, coulomb_n / told_n) if coulomb_n < MOST_STIFFER * told_n else MOST_STIFFER
+
+
 def behind(f: Friction, motion: MotionFilter, M: float, h: float) -> float:
     """How far the motion filter lags behind friction that falls with speed: its lag times that pole."""
     fall_n = max(0.0, f.static_n - f.coulomb_n)
     if f.sigma0_n_m <= 0.0 or fall_n == 0.0:
         return 0.0
     pole_rad_s = STEEPEST * fall_n / (f.stribeck_m_s * M)
-    omega_rad_s: float = motion.gamma ** (1.0 / 3.0) / h  # of a triple pole
-    return pole_rad_s * 3.0 / omega_rad_s
+    return pole_rad_s * 3.0 / seen_rad_s(motion, h)
+
+
+def seen_rad_s(motion: MotionFilter, h: float) -> float:
+    """Bandwidth of the motion filter, by that of a triple pole."""
+    omega_rad_s: float = motion.gamma ** (1.0 / 3.0) / h
+    return omega_rad_s
 
 
 def creeping(m: Model, lag: float) -> Creep:
@@ -183,8 +200,12 @@ def creeping(m: Model, lag: float) -> Creep:
     return Creep(1.0 / (1.0 + lag**8), 3.0 * m.stribeck_m_s, m.stribeck_m_s / PASSING_S)
 
 
-def standing(m: Model, M: float, step_m: float, h: float, u_max_v: float) -> Standstill:
-    """When a load counts as standing still: from mass, friction and the encoder's step."""
+def standing(m: Model, motion: MotionFilter, M: float, step_m: float, h: float, u_max_v: float) -> Standstill:
+    """When a load counts as standing still: from mass, friction and the encoder's step.
+
+    Where a swing on the bristles dies at once, or is too fast for the motion filter, the law does no good: it
+    soon gives way, and to a load that hunts at any error from which nudges find home.
+    """
     if not m.standstill or m.stiffness_n_m <= 0.0 or m.coulomb_n <= 0.0:
         return Standstill()
     omega = math.sqrt(m.stiffness_n_m / M)
@@ -193,11 +214,13 @@ def standing(m: Model, M: float, step_m: float, h: float, u_max_v: float) -> Sta
     stick = max(8, math.ceil(math.sqrt(2.0 * M * stick_m / (BALANCE * m.coulomb_n)) / h))
     swing_s = 2.0 * math.pi / omega
     dies_out = 0.5 * m.damping_n_s_m / M * GRACE_S >= DIED
+    beyond = dies_out or omega > BEYOND * seen_rad_s(motion, h)
     return Standstill(
         enter_m=enter_m,
         leave_m=max(11e-6, 1.3 * step_m),
-        near_m=1e-4,
-        far_m=3e-4,
+        near_m=NEAR_M,
+        far_m=FAR_M,
+        hunts_m=FAR_M if beyond else NEAR_M,
         leave_m_s=4e-3 + 50.0 * step_m,
         omega_rad_s=omega,
         stiffness_n_m=m.stiffness_n_m,
@@ -205,7 +228,7 @@ def standing(m: Model, M: float, step_m: float, h: float, u_max_v: float) -> Sta
         swing=max(1, round(max(0.02, swing_s) / h)),
         smooth=1.0 - math.exp(-h / SMOOTH_S),
         stuck=max(round(1.5 * stick), round(0.6 * swing_s / h)),
-        patience=round(0.1 / h),
+        patience=round((BRIEF_S if beyond else PATIENCE_S) / h),
         grace=round(GRACE_S / h),
         restless=1.0 - math.exp(-h / 0.05),
         restless_v=RESTLESS_V,
@@ -213,6 +236,6 @@ def standing(m: Model, M: float, step_m: float, h: float, u_max_v: float) -> Sta
         stick_m=stick_m,
         stick=stick,
         held=1.0 - math.exp(-h / 0.01),
-        settle=round((GRACE_S if dies_out else SETTLE_S) / h),
+        settle=round((GRACE_S if beyond else SETTLE_S) / h),
         shut_v=SHUT * u_max_v,
     )

@@ -47,6 +47,7 @@ class Standstill(NamedTuple):
     leave_m: float = 0.0  # error beyond which it no longer is
     near_m: float = 0.0  # error within which the law may give way to nudges
     far_m: float = 0.0  # error beyond which the law has the load back
+    hunts_m: float = 0.0  # error within which the valve is closed on a load that hunts
     leave_m_s: float = 0.0  # and speed
     omega_rad_s: float = 1.0  # of the load on its bristles
     stiffness_n_m: float = 1.0  # of the bristles, as configured
@@ -152,7 +153,7 @@ def stand(
             return _entered(s, CLOSED, p.grace, s.restless_v)
         if size <= p.near_m and s.same >= p.stuck:
             return planned(s, error_m, force_n, friction_n, p)
-        if size <= p.near_m and s.restless_v > p.restless_v and s.ticks > p.patience:
+        if size <= p.hunts_m and s.restless_v > p.restless_v and s.ticks > p.patience:
             return _entered(_tried(s, s.tries + 1), CLOSED, 0, s.restless_v)
         return s
     coming = s.mode == CLOSED and s.ticks < p.grace

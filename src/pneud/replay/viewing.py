@@ -131,14 +131,17 @@ def _blueprint(rrb: Any) -> Any:
         for panel in panels()
     ]
     states = rrb.StateTimelineView(origin="/states", name="State and faults", contents="/states/**")
-    half = (len(plots) + 1) // 2
+    half = len(plots) // 2
     words = rrb.Tabs(
         rrb.TextDocumentView(origin="/faults", name="Faults"),
         rrb.TextLogView(origin="/events", name="Events", contents="/events/**"),
         rrb.TextDocumentView(origin="/about", name="About"),
     )
     return rrb.Blueprint(
-        rrb.Horizontal(rrb.Vertical(states, *plots[:half]), rrb.Vertical(words, *plots[half:])),
+        rrb.Horizontal(
+            rrb.Vertical(states, *plots[:half], row_shares=[1.3, *(1 for _ in plots[:half])]),
+            rrb.Vertical(words, *plots[half:], row_shares=[2, *(1 for _ in plots[half:])]),
+        ),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline="t"),
@@ -198,10 +201,10 @@ class _Writer:
     def _spans(self) -> None:
         """A lane for each fault."""
         for name in dict.fromkeys(span[0] for span in self._faults.spans):
-            changes: list[tuple[float, str | None]] = []
+            changes: list[tuple[float, str]] = []
             for _, begun_s, until_s, latched in (s for s in self._faults.spans if s[0] == name):
                 changes.append((begun_s, "latched" if latched else "present"))
-                changes += [(until_s, None)] if until_s is not None else []
+                changes += [(until_s, "gone")] if until_s is not None else []
             states = self._rr.StateChange.columns(state=[state for _, state in changes])
             self._send(f"/states/{name}", [t_s for t_s, _ in changes], states)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from pneud.report.colours import COLOURS, STATE_COLOURS, colours_of
 from pneud.report.figures import FIGURES, line, offsets_s
 from pneud.report.gather import LoggedRun
-from pneud.report.planes import Trace, together
+from pneud.report.planes import Plane, Trace, together
 from pneud.rt.outputs import replacing
 from pneud.signals import State
 
@@ -81,24 +81,34 @@ def write(runs: Sequence[LoggedRun], stem: Path) -> list[Path]:
 
     for plane, each in together([run.planes for run in runs]):
         figure = New(figsize=(6.5, 4.2), layout="constrained")
-        axes = figure.subplots()
-        if len(runs) == 1:
-            for trace in plane.traces:
-                _trace(axes, trace, trace.label, trace.colour)
-        for own, run, colour in zip(each if len(runs) > 1 else [], runs, colours, strict=False):
-            if own is not None:
-                _trace(axes, own.traces[0], run.name, colour)
-        if plane.logarithmic:
-            axes.set_xscale("log")
-            axes.set_yscale("log")
-        _finish(axes, plane.title, plane.up, plane.across)
+        _plane(figure.subplots(), plane, each, runs)
         save(figure, plane.name)
 
+    rows = sum(1 + len(run.present) for run in runs)
+    figure = New(figsize=(SIZE[0], 1.2 + 0.25 * rows), layout="constrained")
+    _timeline(figure.subplots(), runs, shifts)
+    save(figure, "timeline")
+    return written
+
+
+def _plane(axes: Axes, plane: Plane, each: Sequence[Plane | None], runs: Sequence[LoggedRun]) -> None:
+    if len(runs) == 1:
+        for trace in plane.traces:
+            _trace(axes, trace, trace.label, trace.colour)
+    else:
+        for own, run, colour in zip(each, runs, colours_of(len(runs)), strict=True):
+            if own is not None:
+                _trace(axes, own.traces[0], run.name, colour)
+    if plane.logarithmic:
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+    _finish(axes, plane.title, plane.up, plane.across)
+
+
+def _timeline(axes: Axes, runs: Sequence[LoggedRun], shifts: Sequence[float]) -> None:
     rows = [
         (run, shift, bit) for run, shift in zip(runs, shifts, strict=True) for bit in (None, *run.present)
     ]
-    figure = New(figsize=(SIZE[0], 1.2 + 0.25 * len(rows)), layout="constrained")
-    axes = figure.subplots()
     for y, (run, shift, bit) in enumerate(reversed(rows)):
         if bit is None:
             for value in sorted({span.value for span in run.states}):
@@ -118,8 +128,6 @@ def write(runs: Sequence[LoggedRun], stem: Path) -> list[Path]:
     names = [run.name if bit is None else run.fault_name(bit) for run, _, bit in reversed(rows)]
     axes.set_yticks(range(len(rows)), names)
     _finish(axes, "States and faults", "", "s")
-    save(figure, "timeline")
-    return written
 
 
 def _trace(axes: Axes, trace: Trace, label: str, colour: str) -> None:

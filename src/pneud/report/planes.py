@@ -137,10 +137,11 @@ class _Friction:
             Trace("mean − deviation", 1e3 * v, mean - spread, SKY),
         ]
         if f.coulomb_n > 0.0 and len(v):
-            dry = f.coulomb_n + (f.static_n - f.coulomb_n) * np.exp(-((v / f.stribeck_m_s) ** 2))
-            traces.append(
-                Trace("friction as configured", 1e3 * v, np.sign(v) * dry + f.viscous_n_s_m * v, BLACK)
-            )
+            w = fine_about_zero(float(np.abs(v).max()), 2 * _SHOWN)
+            w = w[(w >= v[0]) & (w <= v[-1])]
+            dry = f.coulomb_n + (f.static_n - f.coulomb_n) * np.exp(-((w / f.stribeck_m_s) ** 2))
+            model = np.sign(w) * dry + f.viscous_n_s_m * w
+            traces.append(Trace("friction as configured", 1e3 * w, model, BLACK))
         return Plane(
             "friction", "Friction map: F̂ over velocity", "mm/s", "N", tuple(traces),
             "while engaged; a load shifts it, inertia that is not known widens it",

@@ -19,6 +19,7 @@ from pneud.view.terminal import FRAME_S
 _NAMED = {"left", "right", "enter", "escape", "backspace", "ctrl+d"}
 
 
+_REPEATED = {"left", "right"}  # many times a second, each of which is not worth a picture
 _ANEW = 10  # pictures, after which all rows are drawn: others may have written to the terminal
 
 
@@ -99,7 +100,8 @@ class ScreenApp(App[None], inherit_bindings=False):
         key = event.key if event.key in _NAMED else event.character
         if key:
             self.show.hands.press(key)
-            self.step()
+            if key not in _REPEATED:
+                self.step()
 
 
 def run_app(show: Show) -> None:

@@ -6,7 +6,6 @@ A slow or stalled terminal is nobody else's matter, and an end of the process le
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import os
 import re
 import select
@@ -79,11 +78,12 @@ def run(show: Show, console: Console | None = None) -> None:
     given, console = console, console or Console(highlight=False)
     plain = not console.is_terminal or console.is_dumb_terminal
     keyboard = given is None and has_keyboard()
-    if given is None and keyboard and not plain and importlib.util.find_spec("textual") is not None:
-        from pneud.view.app import run_app  # noqa: PLC0415 - takes longer to load than all the rest
+    if keyboard and not plain:
+        with contextlib.suppress(ImportError):
+            from pneud.view.app import run_app  # noqa: PLC0415 - takes longer to load than all the rest
 
-        run_app(show)
-        return
+            run_app(show)
+            return
     with _keyboard(keyboard) as pressed:
         if plain:
             _lines(show, console, pressed)
