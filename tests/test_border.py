@@ -429,7 +429,7 @@ SAYING = ["--help", "--version", "check virtual.toml", "sim --duration 0.01", "r
 GOLDEN = Path(__file__).with_name("golden") / "composite.mcap"
 NEW = "new x -o OUT.toml --cylinder 25/10 --stroke 200 --mass 3 --valve 350 --yes"
 WORKING = [*SAYING, "sim --duration 0.01 --json", "sim --help", "doctor", "doctor --json", "check SCENARIO"]
-WORKING += ["replay LOG --json", "replay LOG --against LOG", "replay LOG --set control.k1=1"]
+WORKING += ["replay LOG --json", "replay LOG --against LOG", "replay LOG --set control.k1=9e4"]
 WORKING += ["export LOG -o OUT.csv", "export LOG -o OUT.log", "import RECORDING --dbc DBC -o OUT.mcap"]
 WORKING += ["scenarios", "scenarios --json", "logs .", "logs . --json"]
 WORKING += ["commission --virtual --movement-test", "commission --virtual --movement-test --json"]
