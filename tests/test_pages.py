@@ -7,6 +7,7 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -100,14 +101,20 @@ def test_what_is_not_run_is_there() -> None:
     assert {*ELSEWHERE, *GIVEN, *RIG, *CHECKOUT} <= {named(page) for page in PAGES}
 
 
-def lively() -> list[Path]:
-    """The pages with something to be done."""
-    return [page for page in PAGES if named(page) not in ELSEWHERE and any(to_be_done(page))]
+def lively() -> Iterator[Any]:
+    """The pages with something to be done; those that start a daemon are a matter of time."""
+    for page in PAGES:
+        if named(page) not in ELSEWHERE and any(to_be_done(page)):
+            typed = [step.text for step in to_be_done(page) if step.kind == "command"]
+            timed = any(
+                re.search(r"--virtual|--bus|make virtual", words)
+                for words in typed + GIVEN.get(named(page), [])
+            )
+            yield pytest.param(page, marks=pytest.mark.realtime if timed else ())
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
-@pytest.mark.parametrize("page", lively(), ids=named)
+@pytest.mark.parametrize("page", [*lively()], ids=named)
 def test_a_reader_can_do_what_a_page_says(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
