@@ -124,8 +124,8 @@ class Log(LogReader):
 
         Examples:
             >>> found = log.columns("t_s", "error_m")
-            >>> found["t_s"][0], len(found["t_s"]) == len(found["error_m"])
-            (np.float64(0.0), True)
+            >>> float(found["t_s"][0]), len(found["t_s"]) == len(found["error_m"])
+            (0.0, True)
 
         Raises:
             KeyError: there is no such column.
