@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 import shutil
 import signal
 import socket
@@ -19,10 +18,8 @@ from pneud.config import conversions
 from pneud.config.sections import ConfigError
 from pneud.config.toml import flat
 from pneud.console import handoff
-from pneud.console.client import Client
 from pneud.console.facts import RunFacts
 from pneud.console.keeper import fork_console
-from pneud.console.operator import Operator
 from pneud.daemon.preparation import Ready
 from pneud.loading import load
 from pneud.log.format.header import LogHeader, Rotation
@@ -37,9 +34,7 @@ from pneud.loop.turn import Turn
 from pneud.rig.plant_process import Rig, fork_plant
 from pneud.rig.truth import TruthReader, truth_memory
 from pneud.rt import setup
-from pneud.safety.cause import first_cause
 from pneud.safety.faults import FAULT_NAMES
-from pneud.view.hands import Leaving
 from pneud.view.info import info_of
 from pneud.view.processes import fork_screen, fork_viewers
 
@@ -217,6 +212,12 @@ class Session:
         ends.callback(crew.end, saboteur, SCENARIO_PATIENCE_S)
 
     def _start_screen(self, ends: ExitStack) -> None:
+        # a service has no screen, and begins without what it takes
+        from pneud.console.client import Client  # noqa: PLC0415
+        from pneud.console.operator import Operator  # noqa: PLC0415
+        from pneud.safety.cause import first_cause  # noqa: PLC0415
+        from pneud.view.hands import Leaving  # noqa: PLC0415
+
         ready = self.ready
         viewers, socket = ready.viewers, str(ready.socket.path)
         note = " · ".join(filter(None, (ready.link.note, viewers.note if viewers is not None else "")))
@@ -229,6 +230,8 @@ class Session:
 
 def _elsewhere(ready: Ready) -> str:
     """The command that shows the run in another terminal, as it was called itself."""
+    import shlex  # noqa: PLC0415
+
     program = sys.argv[0] if Path(sys.argv[0]).name == "pneud" else "pneud"
     if (found := shutil.which("pneud")) and Path(program).exists() and Path(found).samefile(program):
         program = "pneud"
