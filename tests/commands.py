@@ -11,9 +11,9 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 Figures = Callable[[str], None]  # takes a line that is printed when all tests are over
 PNEUD = [sys.executable, "-m", "pneud.cli"]
@@ -39,6 +39,37 @@ def pneud_here(*args: object) -> subprocess.CompletedProcess[str]:
     return subprocess.CompletedProcess(words, result.exit_code, result.stdout, result.stderr)
 
 
+def become(words: list[str], out: int, err: int, before: Callable[[], None] = lambda: None) -> NoReturn:
+    """Go on as the command, in a fork of a test's process.
+
+    Args:
+        words: of the command.
+        out: descriptor of its standard output.
+        err: descriptor of its standard error.
+        before: what to change first.
+    """
+    status: object = 70
+    try:
+        from pneud import cli  # noqa: PLC0415
+
+        os.dup2(out, 1)
+        os.dup2(err, 2)
+        sys.stdout, sys.stderr = (
+            open(number, "w", buffering, encoding="utf-8", closefd=False)  # noqa: SIM115
+            for number, buffering in ((1, -1), (2, 1))  # by blocks and by lines, as ever
+        )
+        before()
+        sys.argv = ["pneud", *words]
+        cli.main()
+    except SystemExit as e:
+        status = e.code or 0
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stderr.flush()
+        os._exit(status if isinstance(status, int) else 1)
+
+
 def pneud_forked(*args: object, out_to: str = "") -> subprocess.CompletedProcess[str]:
     """One command to its end in a fork of this process: with streams of its own, and nothing to load.
 
@@ -46,29 +77,15 @@ def pneud_forked(*args: object, out_to: str = "") -> subprocess.CompletedProcess
         args: its words.
         out_to: a device that takes its standard output.
     """
-    from pneud import cli  # noqa: PLC0415
-
     words = [str(arg) for arg in args]
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+    with (
+        tempfile.TemporaryFile() as out,
+        tempfile.TemporaryFile() as err,
+        Path(out_to).open("wb", 0) if out_to else nullcontext(out) as to,
+    ):
         child = os.fork()
         if not child:
-            status: object = 70
-            try:
-                os.dup2(os.open(out_to, os.O_WRONLY) if out_to else out.fileno(), 1)
-                os.dup2(err.fileno(), 2)
-                sys.stdout, sys.stderr = (
-                    open(number, "w", buffering, encoding="utf-8", closefd=False)  # noqa: SIM115
-                    for number, buffering in ((1, -1), (2, 1))  # by blocks and by lines, as ever
-                )
-                sys.argv = ["pneud", *words]
-                cli.main()
-            except SystemExit as e:
-                status = e.code or 0
-            except BaseException:
-                traceback.print_exc()
-            finally:
-                sys.stderr.flush()
-                os._exit(status if isinstance(status, int) else 1)
+            become(words, to.fileno(), err.fileno())
         status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         texts = []
         for file in (out, err):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -138,3 +139,22 @@ def bench(
             client.close()
         b.server.close()
         b.loop.close()
+
+
+@contextmanager
+def served(folder: Path, config: Path = CONFIG) -> Iterator[Bench]:
+    """A console that works in the background and whose loop takes everything."""
+    with bench(folder, config=config) as b:
+        over = threading.Event()
+
+        def work() -> None:
+            while not over.is_set():
+                b.turn(1, 0.001)
+
+        thread = threading.Thread(target=work)
+        thread.start()
+        try:
+            yield b
+        finally:
+            over.set()
+            thread.join()

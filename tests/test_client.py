@@ -6,8 +6,6 @@ import asyncio
 import threading
 import time
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,31 +13,12 @@ import pytest
 
 import pneud
 from commands import background, eventually
-from console_bench import Bench, bench
+from console_bench import Bench, served
 from log_samples import tick_at
 from pneud.notebook import client as module
 from pneud.signals import Answer, Record, Request, RequestKind, State, Timing
 from running import serves
 from test_notebook import examples, play
-
-
-@contextmanager
-def turning(folder: Path) -> Iterator[Bench]:
-    """A console whose loop takes requests as they come, in a thread."""
-    with bench(folder) as b:
-        over = threading.Event()
-
-        def turn() -> None:
-            while not over.is_set():
-                b.turn(1, 0.001)
-
-        thread = threading.Thread(target=turn)
-        thread.start()
-        try:
-            yield b
-        finally:
-            over.set()
-            thread.join()
 
 
 def kinds(b: Bench) -> list[RequestKind]:
@@ -61,7 +40,7 @@ def stands_at(b: Bench, position_m: float, state: State = State.HOLDING) -> None
 
 
 def test_it_stops_at_its_end_what_it_has_set_going(tmp_path: Path) -> None:
-    with turning(tmp_path) as b:
+    with served(tmp_path) as b:
         with pneud.Client(b.path) as axis:
             assert axis.status()["name"] == "virtual"
         assert kinds(b) == []
@@ -74,7 +53,7 @@ def test_it_stops_at_its_end_what_it_has_set_going(tmp_path: Path) -> None:
 
 
 def test_what_is_refused_comes_in_the_consoles_words(tmp_path: Path) -> None:
-    with turning(tmp_path) as b, pneud.Client(b.path) as axis:
+    with served(tmp_path) as b, pneud.Client(b.path) as axis:
         with pytest.raises(pneud.RefusedError, match="5000 mm lies outside the travel") as e:
             axis.goto(5000.0)
         assert e.value.kind == "out_of_travel"
@@ -91,7 +70,7 @@ def test_what_is_refused_comes_in_the_consoles_words(tmp_path: Path) -> None:
 
 
 def test_a_goto_waits_until_the_load_is_there_and_a_jog_renews_its_lease(tmp_path: Path) -> None:
-    with turning(tmp_path) as b, pneud.Client(b.path) as axis:
+    with served(tmp_path) as b, pneud.Client(b.path) as axis:
         stands_at(b, 0.3)
         threading.Timer(0.15, stands_at, (b, 0.1)).start()
         begun_s = time.monotonic()
@@ -105,7 +84,7 @@ def test_a_goto_waits_until_the_load_is_there_and_a_jog_renews_its_lease(tmp_pat
 
 
 def test_a_profile_is_uploaded_whole(tmp_path: Path) -> None:
-    with turning(tmp_path) as b, pneud.Client(b.path) as axis:
+    with served(tmp_path) as b, pneud.Client(b.path) as axis:
         axis.track(([0.1 * i for i in range(41)], [500.0] * 41))
         assert [k for k in kinds(b) if k != RequestKind.PIECE] == [RequestKind.TRACK]
         assert len(b.requests) == 1 + 40 + 1
@@ -115,7 +94,7 @@ def test_a_profile_is_uploaded_whole(tmp_path: Path) -> None:
 
 
 def test_gains_that_check_would_warn_of_are_a_warning(tmp_path: Path) -> None:
-    with turning(tmp_path) as b, pneud.Client(b.path) as axis:
+    with served(tmp_path) as b, pneud.Client(b.path) as axis:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             assert axis.tune({"control.k1": 90000.0})["k1"] == 90000.0
@@ -125,7 +104,7 @@ def test_gains_that_check_would_warn_of_are_a_warning(tmp_path: Path) -> None:
 
 
 def test_events_since_the_last_call(tmp_path: Path) -> None:
-    with turning(tmp_path) as b, pneud.Client(b.path) as axis:
+    with served(tmp_path) as b, pneud.Client(b.path) as axis:
         stands_at(b, 0.3, State.DISARMED)
         stands_at(b, 0.3)
         assert [e.message for e in axis.events() if e.name == "state"] == ["disarmed", "disarmed → holding"]
@@ -145,7 +124,7 @@ def test_to_await(tmp_path: Path) -> None:
                 await going
             return await axis.events()
 
-    with turning(tmp_path) as b:
+    with served(tmp_path) as b:
         assert asyncio.run(at_work(b))
         assert kinds(b) == [RequestKind.ARM, RequestKind.GOTO, RequestKind.STOP, RequestKind.STOP]
 

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 import tempfile
 import time
-import traceback
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
-from commands import eventually
-from pneud import cli
+from commands import become, eventually
 from pneud.axis.state import AxisParameters
 from pneud.config.proof import digest, keep, place
 from pneud.console.client import Client
@@ -73,21 +71,12 @@ class Commissioning:
             self.ended_by(signal.SIGKILL)
             raise AssertionError((self._run.status(), self.said())) from None
 
-    def _commission(self, name: str) -> None:
-        status: object = 70
-        try:
-            for stream in (1, 2):
-                os.dup2(self._said.fileno(), stream)
-            sys.stdout, sys.stderr = (open(n, "w", 1, closefd=False) for n in (1, 2))  # noqa: SIM115
+    def _commission(self, name: str) -> NoReturn:
+        def one_step() -> None:
             procedure._steps = lambda p, wishes: steps_of(p, name)
-            sys.argv = ["pneud", "commission", "--yes", "--json", "--socket", self._run.socket]
-            cli.main()
-        except SystemExit as e:
-            status = e.code or 0
-        except BaseException:
-            traceback.print_exc()
-        finally:
-            os._exit(status if isinstance(status, int) else 1)
+
+        words = ["commission", "--yes", "--json", "--socket", self._run.socket]
+        become(words, self._said.fileno(), self._said.fileno(), one_step)
 
     def _under_way(self) -> bool:
         if state(self._run) != self._state:

@@ -8,15 +8,12 @@ import stat
 import subprocess
 import sys
 import tempfile
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from commands import object_of, pneud_here
-from console_bench import Bench, bench
+from console_bench import served
 from pneud import resources
 from pneud.config.conversions import axis_of
 from pneud.config.reading import load_config
@@ -35,25 +32,6 @@ def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.delenv("PNEUD_SOCKET", raising=False)
     monkeypatch.setattr(endpoint, "SYSTEM_FOLDER", tmp_path / "none")
     return tmp_path
-
-
-@contextmanager
-def served(folder: Path, config: Path | None = None) -> Iterator[Bench]:
-    """A console that works in the background and whose loop takes everything."""
-    with bench(folder, config=config or resources.configs() / "virtual.toml") as b:
-        over = threading.Event()
-
-        def work() -> None:
-            while not over.is_set():
-                b.turn(1, 0.002)
-
-        thread = threading.Thread(target=work)
-        thread.start()
-        try:
-            yield b
-        finally:
-            over.set()
-            thread.join()
 
 
 @pytest.mark.parametrize(

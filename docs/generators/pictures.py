@@ -33,7 +33,7 @@ TERMINALS = {
     ],
 }
 # fonts that rich would have fetched from elsewhere
-_FORMAT = re.sub(r"\n *@font-face \{\{.*?\}\}", "", CONSOLE_SVG_FORMAT, flags=re.DOTALL)
+FORMAT = re.sub(r"\n *@font-face \{\{.*?\}\}", "", CONSOLE_SVG_FORMAT, flags=re.DOTALL)
 
 QUIET = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--hide-scrollbars"),
@@ -81,7 +81,7 @@ def terminal(name: str, folder: Path) -> str:
     for command in TERMINALS[name]:
         console.print(Text.assemble(("$ ", "green"), (command, "bold")))
         console.print(Text.from_ansi(run(command, folder).rstrip()))
-    return console.export_svg(title="", code_format=_FORMAT, unique_id=name)
+    return console.export_svg(title="", code_format=FORMAT, unique_id=name)
 
 
 def browser() -> str | None:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.terminal_theme import DEFAULT_TERMINAL_THEME, DIMMED_MONOKAI, TerminalTheme
 
-from generators.pictures import _FORMAT
+from generators.pictures import FORMAT
 from pneud.compiled.backend import backend
 from pneud.config import conversions
 from pneud.console.facts import RunFacts
@@ -121,7 +121,7 @@ def drawn(scene: Scene, title: str) -> str:
     console.print(Page(show.snapshot, show.history, scene.size, ascii_only=False), crop=False)
     theme: TerminalTheme = DEFAULT_TERMINAL_THEME if scene.light else DIMMED_MONOKAI
     unique_id = f"pneud-{title.replace(' ', '-')}"
-    return console.export_svg(title=title, theme=theme, unique_id=unique_id, code_format=_FORMAT)
+    return console.export_svg(title=title, theme=theme, unique_id=unique_id, code_format=FORMAT)
 
 
 def scenes() -> dict[str, Scene]:
