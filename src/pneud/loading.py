@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from pneud import resources
 from pneud.bus.codec import Codecs, DatabaseError, codecs_from, load_codecs
 from pneud.bus.load import overload
-from pneud.config.models import BusConfig, Config
+from pneud.config.models import BusConfig, Config, GasConfig
 from pneud.config.reading import explain, load_with_text, parse
 from pneud.config.sections import ConfigError, check_channel
 from pneud.config.toml import tables_of
@@ -63,20 +63,20 @@ def complete(config: Config, text: str, path: Path, rate_hz: float | None = None
         dbc = resources.find(config.bus.dbc, path.parent)
     except FileNotFoundError as e:
         raise ConfigError(f"{path}: bus.dbc: {e}") from None
-    codecs = load_codecs(config.bus, dbc, keep=True)
+    codecs = load_codecs(config.bus, dbc, config.gas, keep=True)
     _check_ranges(config, codecs, dbc)
     if why := overload(config, codecs):
         raise ConfigError(f"{path}: {why}")
     return Loaded(config, path, text, dbc, codecs)
 
 
-def codecs_of(bus: BusConfig, name: str, dbc: bytes) -> Codecs:
+def codecs_of(bus: BusConfig, name: str, dbc: bytes, gas: GasConfig | None = None) -> Codecs:
     """The codecs for a DBC that is not in a file of its own, such as a log's.
 
     Raises:
         DatabaseError: the DBC cannot be used.
     """
-    return codecs_from(bus, Path(name or "log.dbc"), dbc)
+    return codecs_from(bus, Path(name or "log.dbc"), dbc, gas)
 
 
 def changed_text(text: str, change: dict[str, Any]) -> str:
@@ -112,10 +112,15 @@ def _check_ranges(config: Config, codecs: Codecs, dbc: Path) -> None:
         codecs.sync.encode(counter=SYNC_COUNTERS)
         for voltage_v in (-u_max, u_max):
             codecs.valve_command.encode(voltage_v, 1, SYNC_COUNTERS, counter=0)
-            codecs.valve_status.encode(voltage_v, 4, counter=0)
-        for position_m in (limits.travel_min_m, limits.travel_max_m):
-            codecs.encoder.encode(position_m, 1, 0.0, counter=0)
-        codecs.pressure.encode(limits.chamber_max_pa, limits.chamber_max_pa, limits.supply_max_pa, counter=0)
+        swing_pa = limits.supply_max_pa - config.gas.atmosphere_pa
+        values = {
+            "status": 1, "age_s": 0.0, "state": 4,
+            "p1_pa": limits.chamber_max_pa, "p2_pa": limits.chamber_max_pa, "supply_pa": limits.supply_max_pa,
+        }  # fmt: skip
+        for end, position_m in ((-1.0, limits.travel_min_m), (1.0, limits.travel_max_m)):
+            values |= {"position_m": position_m, "applied_v": end * u_max, "difference_pa": end * swing_pa}
+            for answer in codecs.answers:
+                answer.codec.encode(*(values[key] for key in answer.keys), counter=0)
     except ValueError as e:
         raise DatabaseError(f"{dbc}: too narrow for this axis: {e}") from None
     finest = 0.01 * u_max
