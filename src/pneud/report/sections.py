@@ -451,7 +451,8 @@ def _identified(text: str) -> str:
     if not found:
         return ""
     rows = table(("", "value", "interval of 95 %, by which log, when"), found, words=3, label="identified")
-    return f"<details><summary>{len(found)} values identified from logs</summary>{rows}</details>"
+    what = "1 value" if len(found) == 1 else f"{len(found)} values"
+    return f"<details><summary>{what} identified from logs</summary>{rows}</details>"
 
 
 def events(run: LoggedRun) -> str:
