@@ -90,7 +90,7 @@ class Origin:
     """What is known of one source, or of a part of one."""
 
     __slots__ = (
-        *("bit", "codec", "corrupt", "counter", "defects", "doubted", "has_age", "lag", "lost", "mask"),
+        *("bit", "codec", "corrupt", "counter", "counts", "defects", "doubted", "has_age", "lag", "lost"),
         *("sample_ns", "surplus", "values"),
     )
 
@@ -107,9 +107,10 @@ class Origin:
         self.bit = bit
         self.codec = codec
         self.has_age = has_age
-        self.mask = codec.counter_mask if counted else 0
-        counts = bus.sync and self.mask
-        self.lag = Lag(counts, round(bus.sensor_timeout_ms * 1e6)) if counts else None
+        # how many values its counter has, if it counts
+        self.counts = codec.counter_values if counted and codec.counter_values > 1 else 0
+        lags = bus.sync and self.counts
+        self.lag = Lag(lags, round(bus.sensor_timeout_ms * 1e6)) if lags else None
         self.counter = -1  # the newest one seen
         self.corrupt = 0  # frames since then whose counter could not be believed
         self.defects = 0
@@ -128,7 +129,7 @@ class Origin:
     def miss(self, counter: int) -> None:
         """What is missing before a frame with this counter may be lost."""
         if self.counter >= 0:
-            missing = (counter - self.counter - 1) & self.mask
+            missing = (counter - self.counter - 1) % self.counts
             self.doubted += max(0, missing - self.corrupt)
 
     def found(self) -> None:
@@ -269,8 +270,8 @@ class Inbox:
             origin.corrupt += 1
             origin.defects |= CORRUPT
             return
-        mask = origin.mask
-        if mask and counter == origin.counter:
+        counts = origin.counts
+        if counts and counter == origin.counter:
             self._stale += 1
             origin.defects |= FROZEN
             return
@@ -283,18 +284,18 @@ class Inbox:
             else:
                 sample_ns -= round(age_s * 1e9)
         late = sample_ns < self._not_before_ns or sample_ns == -NEVER_NS
-        if mask:
+        if counts:
             lag, older = origin.lag, False
             if (
                 lag is not None
-                and (lag.open or counter != (lag.offset + self._syncs) & mask)
+                and (lag.open or counter != (lag.offset + self._syncs) % counts)
                 and self._lags(origin, lag, counter, values[0], late)
             ):
                 late, older = True, lag.older(counter, origin.counter)
             if older:
                 origin.found()
             else:
-                if counter != (origin.counter + 1) & mask:
+                if counter != (origin.counter + 1) % counts:
                     origin.miss(counter)
                 origin.counter = counter
                 origin.corrupt = 0

@@ -91,7 +91,7 @@ class MappedInbox(Inbox):
             self._rx += 1
             self._crc += 1
             self._spoil(gate, CORRUPT)
-        elif codec.counter_mask and counter == gate.counter:
+        elif codec.counter_values > 1 and counter == gate.counter:
             self._rx += 1
             self._stale += 1
             self._spoil(gate, FROZEN)

@@ -21,10 +21,11 @@ from pneud.bus.codec import (
     Loader,
     Row,
     assembled,
+    can_id_of,
     exact,
 )
 from pneud.bus.database import MessageSpec, Signal
-from pneud.bus.dbc_layout import Code, SignalField, bit_range, compile_functions, reader
+from pneud.bus.dbc_layout import Code, Guard, SignalField, bit_range, compile_functions, reader
 from pneud.bus.wire import CAN_EFF_FLAG
 from pneud.config.mapping import OWN, MessageConfig, SignalConfig, SignalsConfig
 from pneud.config.models import BusConfig, GasConfig
@@ -271,7 +272,7 @@ class _Mapper(Loader):
     def _sync(self) -> Answer:
         told = self._signals.sync
         if told is None or told.signal is None:
-            return Answer("SYNC", self._made(SYNC_ID, 0, [], [], None, None, False), (), ())
+            return Answer("SYNC", self._made(SYNC_ID, 0, [], [], None, None, Guard()), (), ())
         name, _, counter = told.signal.partition(".")
         message = self._named(name)
         given = self._bus.messages.get(name, _NONE)
@@ -299,11 +300,13 @@ class _Mapper(Loader):
                 raise self._error(message.name, signal.name, "a counter is an integer in every frame")
             self._take(message, signal, "the counter")
             counter = self._counter(message, given.counter)
-        if given.crc is not None:
-            self._take(message, self._signal(message, given.crc), "the checksum")
-            self._check_crc(message, given.crc)
-        can_id = message.can_id | (CAN_EFF_FLAG if message.extended else 0)
-        return self._made(can_id, message.length, fields, defaults, fixed, counter, given.crc is not None)
+        for name, job in ((given.crc, "the checksum"), (given.data_id_nibble, "data_id_nibble")):
+            if name is not None:
+                self._take(message, self._signal(message, name), job)
+        guard = self._guard(f"bus.messages.{message.name}", message, given, counter)
+        if counter is not None:
+            counter = counter._replace(high=min(counter.high, guard.counter_values - 1))
+        return self._made(can_id_of(message), message.length, fields, defaults, fixed, counter, guard)
 
     def _made(
         self,
@@ -313,12 +316,19 @@ class _Mapper(Loader):
         defaults: list[float | None],
         fixed: tuple[SignalField, int] | None,
         counter: SignalField | None,
-        crc: bool,
+        guard: Guard,
     ) -> Codec:
-        functions = compile_functions(can_id, length, fields, defaults, counter, crc, fixed)
-        mask = 0 if counter is None else (1 << counter.length) - 1
+        functions = compile_functions(can_id, length, fields, defaults, counter, guard, fixed)
         age = fields[ROW.index("age_s")] if len(fields) == len(ROW) else None
-        return Codec(can_id, length, mask, *functions, counter_field=counter, age_field=age, crc=crc)
+        return Codec(
+            can_id,
+            length,
+            guard.counter_values,
+            *functions,
+            counter_field=counter,
+            age_field=age,
+            guard=guard,
+        )
 
     def _row(self) -> tuple[float, ...]:
         """The values before anything is heard: constants, and what stands for what no device has."""

@@ -6,12 +6,13 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
+from pneud.config.protection import ProtectionConfig
 from pneud.config.sections import Section
 
 NONE = ("", "none", False)  # in place of a signal that the device does not have
 
 
-class MessageConfig(Section):
+class MessageConfig(ProtectionConfig):
     """What a message has besides its values.
 
     `node` is the CANopen identifier of the device that sends it: its EMCY stops the axis, and so does the

@@ -144,7 +144,7 @@ def replay(
         whole = whole and (not chosen.bus.sync if sync is None else codecs.sync.valid(sync))
         if whole:
             commands += 1
-            counted = sync if codecs.sync.counter_mask else None
+            counted = sync if codecs.sync.counter_values > 1 else None
             sequence = command.decode(data)[2] if counted is None else codecs.sync.counter(counted)
             again = turn.command(sequence, command.counter(data))
             if again != data:

@@ -93,7 +93,7 @@ class PlantNode:
         self._answer_ids = frozenset(answer.codec.can_id for answer in codecs.answers)
         self._shortest_ns = min(self._durations)
         self._counters = dict.fromkeys(self._answer_ids, 0)
-        self._masks = {answer.codec.can_id: answer.codec.counter_mask for answer in codecs.answers}
+        self._counts = {answer.codec.can_id: answer.codec.counter_values for answer in codecs.answers}
         self._free_ns = round(p.free_s * 1e9)
         self._next_ns = _NEVER_NS  # when the nodes sample by themselves
         self._wire = Wire()
@@ -162,7 +162,7 @@ class PlantNode:
     def take_back(self, node: int, can_id: int | None = None) -> None:
         """One of the nodes has not sent what the hook was given last, and has not counted it."""
         can_id = self._ids[node][0] if can_id is None else can_id
-        self._counters[can_id] = (self._counters[can_id] - 1) & self._masks[can_id]
+        self._counters[can_id] = (self._counters[can_id] - 1) % self._counts[can_id]
 
     def due(self) -> int | None:
         """Earliest time [ns] at which `poll` may have a frame; None as long as no frame comes in."""
@@ -298,7 +298,7 @@ class PlantNode:
         except ValueError:
             self.unsendable += 1
             return ()
-        self._counters[codec.can_id] = (counter + 1) & codec.counter_mask
+        self._counters[codec.can_id] = (counter + 1) % codec.counter_values
         frame = Frame(end_ns, codec.can_id, data)
         return (frame,) if self.hook is None else self.hook(frame, True)
 
