@@ -9,12 +9,14 @@ from typing import Any, NamedTuple
 from pydantic import ValidationError
 
 from pneud import resources
-from pneud.bus.codec import Codecs, DatabaseError, codecs_from, load_codecs
+from pneud.bus.codec import SOURCES, Codecs, DatabaseError, codecs_from, load_codecs
 from pneud.bus.load import overload
 from pneud.config.models import BusConfig, Config, GasConfig
 from pneud.config.reading import explain, load_with_text, parse
 from pneud.config.sections import ConfigError, check_channel
 from pneud.config.toml import tables_of
+from pneud.safety.unnoticed import Devices, Teller
+from pneud.signals import ValveState
 
 SYNC_COUNTERS = 240  # SYNC counts 1 … 240
 
@@ -128,6 +130,40 @@ def _check_ranges(config: Config, codecs: Codecs, dbc: Path) -> None:
         raise DatabaseError(
             f"{dbc}: the command's steps of {codecs.command_lsb_v:g} V are too coarse; needs {finest:g} V"
         )
+
+
+def devices_of(config: Config, codecs: Codecs) -> Devices:
+    """What the devices of an axis tell, for `safety.unnoticed`."""
+    told = {key for answer in codecs.answers for key in answer.filled}
+    bus = config.bus
+    states: frozenset[int] = frozenset(ValveState) if "state" in told else frozenset()
+    state = None if bus.signals is None else bus.signals.state
+    if state is not None and state.values:
+        states = frozenset((*state.values.values(), ValveState.FAULT))  # as which others are taken
+    encoder, pressure, valve = (_teller(codecs, keys) for keys in SOURCES.values())
+    return Devices(
+        sync=bus.sync,
+        encoder=encoder,
+        pressure=pressure,
+        valve=valve,
+        status="status" in told,
+        age="age_s" in told,
+        homed=config.encoder.kind == "incremental",
+        supply="supply_pa" in told,
+        applied="applied_v" in told,
+        states=states,
+        nodes=any(device.node is not None for device in bus.devices),
+        heartbeats=any(device.heartbeat_timeout_ms is not None for device in bus.devices),
+    )
+
+
+def _teller(codecs: Codecs, keys: tuple[str, ...]) -> Teller:
+    theirs = {answer.name: answer.codec for answer in codecs.telling(*keys)}
+    return Teller(
+        tuple(theirs),
+        tuple(name for name, codec in theirs.items() if codec.counter_field is None),
+        tuple(name for name, codec in theirs.items() if codec.guard.crc is None),
+    )
 
 
 def listening_s(config: Config) -> float:
