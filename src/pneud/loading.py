@@ -139,7 +139,7 @@ def devices_of(config: Config, codecs: Codecs) -> Devices:
     states: frozenset[int] = frozenset(ValveState) if "state" in told else frozenset()
     state = None if bus.signals is None else bus.signals.state
     if state is not None and state.values:
-        states = frozenset((*state.values.values(), ValveState.FAULT))  # as which others are taken
+        states = frozenset(state.values.values())
     encoder, pressure, valve = (_teller(codecs, keys) for keys in SOURCES.values())
     return Devices(
         sync=bus.sync,
