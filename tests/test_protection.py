@@ -40,7 +40,7 @@ def test_checksums_are_the_published_ones(data: str, j1850: int, h2f: int, ccitt
     assert (J1850(frame), H2F(frame), CCITT(frame)) == (j1850, h2f, ccitt)
 
 
-# AUTOSAR_PRS_E2EProtocol, examples of profiles 1, 2 and 5: eight bytes, all data 0
+# eight bytes, all data 0: AUTOSAR PRS_E2EProtocol R20-11, table 6.28, and the tests of PyPI's autosar-e2e
 FRAMES = [
     ("e2e-p01", "CC 00", {}),
     ("e2e-p01", "91 01", {}),
