@@ -33,7 +33,6 @@ from pneud.verbs.bench import Contestant, bench
 from pure2c import TranslationError
 from pure2c.to_c import Translator
 
-
 MACHINE = {"kernel": "Linux", "cpu_model": "A CPU", "cpus": [0, 1], "hypervisor": "", "load": 0.5}
 SETTING = {"rate_hz": 1000.0, "scheduling": "SCHED_FIFO 80", "bus": "unixcan", "pairs": 2, "turn_s": 1.0}
 

@@ -30,7 +30,6 @@ from pneud.log.format.schema import DERIVED, tick_fields, topics
 from pneud.resources import configs
 from pneud.view.viewers import Listener
 
-
 CLIENTS = Path(__file__).parent / "clients"
 VIEWERS = configs() / "viewers"
 
