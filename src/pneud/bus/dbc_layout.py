@@ -131,7 +131,7 @@ def compile_functions(
     byte = _counter_byte(counter)
     counted = f"b{byte}" if inline and byte is not None else "counter_of(data)"
     if guard.crc is not None and not inline:
-        scope["rest"], scope["put"] = _around(guard.crc, length)
+        scope["rest"], scope["put"] = around(guard.crc, length)
     source = "\n".join(
         (
             *_encode_source(fields, defaults, counter, aligned, placed, body, chain, guard, scope),
@@ -350,7 +350,7 @@ def _guard_tests(guard: Guard, counter: SignalField | None, length: int) -> list
     return tests
 
 
-def _around(f: SignalField, length: int) -> tuple[Callable[[bytes], bytes], Callable[[bytes, int], bytes]]:
+def around(f: SignalField, length: int) -> tuple[Callable[[bytes], bytes], Callable[[bytes, int], bytes]]:
     """What is left of a frame without a field, and how its value is put into a frame that has zeros there.
 
     Whole bytes are left out; a part of a byte counts as zeros.
