@@ -169,6 +169,7 @@ def _named(o: RunOptions) -> tuple[Scenario | None, Loaded, str]:
 def _join(channel: str, axis: Loaded, how: Backend, virtual: bool) -> Link:
     link = open_link(channel, virtual=virtual, by=how.carriage)
     if channel != "auto":
-        own = (axis.codecs.sync.can_id, axis.codecs.valve_command.can_id)
+        command, sync = axis.codecs.valve_command.can_id, axis.codecs.sync.can_id
+        own = (sync, command) if axis.config.bus.sync else (command,)  # without, it is anybody's
         refuse_if_driven(link, own, listening_s(axis.config))
     return link

@@ -122,6 +122,8 @@ def _of_valve(d: Devices) -> Iterator[Unnoticed]:
 def _of_bus(d: Devices) -> Iterator[Unnoticed]:
     """What else would be heard."""
     if not d.sync:
+        why = "bus.sync = false: whose SYNC it is tells nothing, only valve commands do"
+        yield Unnoticed(F.OTHER_CONTROLLER, why, wholly=False)
         yield Unnoticed(F.IDENTIFIER_CLASH, "bus.sync = false: nobody knows how many frames there should be")
     if not d.nodes:
         yield Unnoticed(F.EMERGENCY, "no message has a node, whose EMCY could be heard")
