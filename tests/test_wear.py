@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from commands import pneud_here
-from pneud.config.sections import ConfigError
 from pneud.config.reading import parse
+from pneud.config.sections import ConfigError
 from pneud.log.files.naming import LogError
 from pneud.log.files.reader import read_log
 from pneud.study.identification import courses, estimating, table, wear
