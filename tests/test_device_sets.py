@@ -131,7 +131,7 @@ def test_device_sets_in_real_time(name: str, tmp_path: Path, figures: Figures) -
     bus = f"unixcan:devices-{os.getpid()}-{secrets.token_hex(3)}"
     log = tmp_path / "run.mcap"
     done = pneud(
-        "--virtual", "--config", file, "--bus", bus, "--duration", 8, "--headless", "--json", "--log", log
+        "--virtual", "--config", file, "--bus", bus, "--duration", 10, "--headless", "--json", "--log", log
     )
     assert done.returncode == 0, done.stderr
     s = object_of(done)

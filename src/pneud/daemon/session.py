@@ -21,7 +21,7 @@ from pneud.console import handoff
 from pneud.console.facts import RunFacts
 from pneud.console.keeper import fork_console
 from pneud.daemon.preparation import Ready
-from pneud.loading import load
+from pneud.loading import devices_of, load
 from pneud.log.format.header import LogHeader, Rotation
 from pneud.log.live.recorder import start_recorder
 from pneud.log.live.ring import Ring
@@ -35,6 +35,7 @@ from pneud.rig.plant_process import Rig, fork_plant
 from pneud.rig.truth import TruthReader, truth_memory
 from pneud.rt import setup
 from pneud.safety.faults import FAULT_NAMES
+from pneud.safety.unnoticed import unnoticed
 from pneud.view.info import info_of
 from pneud.view.processes import fork_screen, fork_viewers
 
@@ -129,7 +130,8 @@ class Session:
         )
         turn = Turn(ready.axis, inbox_of(codecs, config.bus), codecs)
         watch = RecorderWatch(self.ring, recorder)
-        lane = Lane(turn, ready.link, watch, options, truth, requests)
+        known = truth if turn.inbox.sync else None  # which it is at SYNC
+        lane = Lane(turn, ready.link, watch, options, known, requests)
         return Loop([lane], codecs, ready.link, options)
 
     def _start_recorder(self, ends: ExitStack, heard: socket.socket) -> int:
@@ -255,6 +257,7 @@ def _header(ready: Ready) -> LogHeader:
         realtime_offset_ns=ready.link.realtime_offset_ns,
         extra={
             "law": ready.how.name,
+            "unnoticed": " ".join(one.name for one in unnoticed(devices_of(config, ready.loaded.codecs))),
             **({"seed": str(o.seed)} if o.virtual else {}),
             **({"scenario": ready.scenario.name} if ready.scenario is not None else {}),
             **({"movement_test": "not asked for: --unproven"} if o.unproven else {}),
