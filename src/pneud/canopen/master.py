@@ -199,10 +199,10 @@ class Master:
             self.answers[node] += 1
 
         from canopen.objectdictionary import ObjectDictionary  # noqa: PLC0415
-        from canopen.sdo import SdoClient  # noqa: PLC0415
+        from canopen.sdo.client import SdoClient  # noqa: PLC0415
 
         answers_at = objects.SDO_ANSWER_ID + node
-        client = SdoClient(objects.SDO_REQUEST_ID + node, answers_at, ObjectDictionary())
+        client: Any = SdoClient(objects.SDO_REQUEST_ID + node, answers_at, ObjectDictionary())  # type: ignore[no-untyped-call]
         client.network, client.RESPONSE_TIMEOUT = self._network, self._patience.answer_s
         self._clients[node] = client
         self._network.subscribe(answers_at, answered)

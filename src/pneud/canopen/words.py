@@ -36,7 +36,7 @@ class Status(IntEnum):
     FAULT_REACTION = ACTIVE_WORD
 
 
-_STATES = {
+_STATES: dict[int, ValveState] = {
     Status.NOT_READY: ValveState.BOOT,
     Status.INIT: ValveState.BOOT,
     Status.HOLD: ValveState.CENTRED,
@@ -44,9 +44,7 @@ _STATES = {
 }
 _FAULT = int(ValveState.FAULT)
 # by bits 0 … 4: a valve under local control obeys nobody here, as one in fault
-_BY_BITS = (
-    tuple(int(_STATES.get(bits, ValveState.FAULT)) for bits in range(LOCAL_BIT)) + (_FAULT,) * LOCAL_BIT
-)  # type: ignore[call-overload]
+_BY_BITS = (*(int(_STATES.get(bits, ValveState.FAULT)) for bits in range(LOCAL_BIT)), *(_FAULT,) * LOCAL_BIT)
 _STATUSES = {
     ValveState.BOOT: Status.INIT,
     ValveState.CENTRED: Status.HOLD,

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from pneud.config.sections import NonNegative, Positive, Resolution, Section
+from pneud.config.sections import Resolution, Section
 
 GENERATED = "nodes"  # as bus.dbc: made of the nodes
 Unsigned = Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]

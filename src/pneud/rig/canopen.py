@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+
 from pneud.canopen.objects import Nmt, mapping_word
 from pneud.canopen.plan import EVENT, SYNC, Plan
 from pneud.canopen.words import status_of
