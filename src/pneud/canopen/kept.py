@@ -1,4 +1,4 @@
-"""The DBC of nodes as a file, for all that reads one: the log, other tools, whoever watches whether it changes."""
+"""The DBC of nodes as a file, for all that reads one: the log, other tools, who watches for changes."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ class Patience(NamedTuple):
     """How long is waited, and how often something is tried."""
 
     answer_s: float = 0.3  # for the answer to a request
-    tries: int = 3
+    tries: int = 5
     boot_s: float = 10.0  # for a node to be there at all
     start_s: float = 3.0  # for a started node to say that it is
     rounds: int = 3  # that a node which reboots meanwhile is configured
@@ -82,8 +82,6 @@ def network_on(channel: str) -> Iterator[Any]:
         import canopen  # noqa: PLC0415
     except ImportError:
         raise MissingLibraryError(NEEDS_LIBRARY) from None
-    logging.getLogger("canopen").addHandler(logging.NullHandler())
-    logging.getLogger("canopen").propagate = False
     kind, _, name = channel.partition(":")
     network = canopen.Network()
     network.NOTIFIER_CYCLE = 0.1
@@ -124,6 +122,8 @@ class Master:
         self.answers: Counter[int] = Counter()
         self.states: dict[int, int] = {}
         self._asked: Counter[int] = Counter()
+        # what it warns of is tried again, or said by the error
+        logging.getLogger("canopen").setLevel(logging.CRITICAL)
         self._network = network
         self._patience = patience
         self._pause, self._clock = pause, clock
@@ -150,6 +150,9 @@ class Master:
         found = {}
         for plan in plans:
             found[plan.node.id] = self._one(plan, save=save)
+        for plan in plans:
+            if plan.node.profile == "valve408":
+                self._check_valve(plan)
         if start:
             self._start(plans, found)
         return [found[plan.node.id] for plan in plans]
@@ -333,19 +336,21 @@ class Master:
             client.RESPONSE_TIMEOUT = self._patience.answer_s
 
     def _start(self, plans: Sequence[Plan], found: dict[int, Configured]) -> None:
-        """Start all nodes in order; one that reboots meanwhile is configured again."""
-        for plan in plans:
-            for _ in range(self._patience.rounds):
-                boots = self.boots[plan.node.id]
-                self.command(plan.node.id, Command.START)
-                if self._is_started(plan, boots):
-                    break
-                found[plan.node.id] = self._one(plan, save=False)
-            else:
-                raise self._restless(plan)
-        for plan in plans:
-            if plan.node.profile == "valve408":
-                self._check_valve(plan)
+        """Start all nodes in order, or none; one that reboots meanwhile is configured again."""
+        try:
+            for plan in plans:
+                for _ in range(self._patience.rounds):
+                    boots = self.boots[plan.node.id]
+                    self.command(plan.node.id, Command.START)
+                    if self._is_started(plan, boots):
+                        break
+                    found[plan.node.id] = self._one(plan, save=False)
+                else:
+                    raise self._restless(plan)
+        except NodeError:
+            for plan in plans:
+                self.command(plan.node.id, Command.PRE_OPERATIONAL)
+            raise
 
     def _is_started(self, plan: Plan, boots: int) -> bool:
         """Wait until a started node says so; whether it has not begun anew instead."""

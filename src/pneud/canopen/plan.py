@@ -93,7 +93,7 @@ def plan_of(node: NodeConfig, config: Config, eds: Eds) -> Plan:
 
 def _device(node: NodeConfig) -> Iterator[Step]:
     number = _PROFILE[node.profile]
-    cure = f"it is no CiA {number} device, or in its bootloader: power-cycle it, load its firmware, or mend its id"
+    cure = f"no CiA {number} device, or in its bootloader: power-cycle it, load its firmware, or mend id"
     yield Step(objects.DEVICE_TYPE, number, write=False, mask=0xFFFF, cure=cure)
     for o in objects.IDENTITY:
         value = getattr(node.identity, o.what)
