@@ -47,9 +47,7 @@ def start(seed: int) -> tuple[str, tuple[Slave, ...], Wire]:
         try:
             master.configure(plans())
         except NodeError as e:
-            assert all(
-                slave.state != Nmt.OPERATIONAL for slave in slaves
-            )  # not half configured
+            assert all(slave.state != Nmt.OPERATIONAL for slave in slaves)  # not half configured
             return str(e), slaves, wire
     for plan in plans():
         slave = ready[plan.node.id]

@@ -157,6 +157,36 @@ class Master:
             self._start(plans, found)
         return [found[plan.node.id] for plan in plans]
 
+    def compare(self, plan: Plan) -> list[tuple[Step, int | None]]:
+        """What a node has otherwise: each value that it would be given, and what it has; writes nothing.
+
+        Raises:
+            NodeError: it does not answer.
+        """
+        self._watch(plan.node.id)
+        self._find(plan)
+        last = {step.object: step for step in plan.steps}  # some are written twice
+        found: list[tuple[Step, int | None]] = []
+        for step in last.values():
+            try:
+                value: int | None = self.read(plan.node.id, step.object)
+            except _sdo_error():
+                value = None
+            if value is None or (value ^ step.value) & step.mask:
+                found.append((step, value))
+        return found
+
+    def present(self, seconds: float = 0.5) -> list[int]:
+        """Identifiers of all nodes that answer."""
+        for node in range(1, 128):
+            self._watch(node)
+        ask = bytes((0x40, 0x00, 0x10, 0x00)) + bytes(4)
+        for node in range(1, 128):
+            self._network.send_message(objects.SDO_REQUEST_ID + node, ask)
+            self._pause(0.002)
+        self._pause(seconds)
+        return sorted(node for node in range(1, 128) if self.answers[node] or node in self.states)
+
     def command(self, node: int, command: Command) -> None:
         """Tell a node's state machine; 0 tells all."""
         self._network.send_message(objects.NMT_ID, bytes((command, node)))
