@@ -10,7 +10,7 @@ import mmap
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from importlib.util import find_spec
 
 from pneud import crew
@@ -94,6 +94,7 @@ class Keeper:
     ) -> None:
         self._channel = channel
         self._plans = {plan.node.id: plan for plan in plans}
+        self._to_do = set(self._plans)  # nodes that have to be configured
         self._readiness = readiness
         self._stop = stop
         self._say = say or _to_standard_error
@@ -105,12 +106,13 @@ class Keeper:
         """Until told to leave."""
         with open_link(self._channel) as link:
             while not self._stop():
-                self._readiness.ready = self._configured(link)
-                if self._readiness.ready:
-                    self._watch(link)
+                if self._to_do:
                     self._readiness.ready = False
+                    if not self._configured(link):
+                        self._sleep(_AGAIN_S)
                 else:
-                    self._sleep(_AGAIN_S)
+                    self._readiness.ready = True
+                    self._watch(link)
 
     def _configured(self, link: Link) -> bool:
         end = time.monotonic() + _QUIET_S
@@ -118,41 +120,54 @@ class Keeper:
             self._sleep(_LOOK_S)
         if not self._readiness.quiet:
             return False
+        plans = [plan for node, plan in self._plans.items() if node in self._to_do]
         try:
             with network_on(self._channel) as network:
-                found = Master(network).configure(tuple(self._plans.values()))
+                found = Master(network).configure(plans)
         except NodeError as e:
             self._tell(f"nodes: {e}")
             return False
         except OSError as e:
             self._tell(f"nodes: {self._channel}: {e.strerror or e}")
             return False
-        link.drain([])  # what they said meanwhile, boot-ups among it
-        self._emergencies.clear()
+        done, self._to_do = self._to_do, set()
+        self._hear(link, known=done)
         for note in (note for one in found for note in one.notes):
-            self._tell(f"nodes: {note}")
-        self._tell(f"nodes: {', '.join(str(one.node) for one in found)} configured and started")
+            self._say(f"nodes: {note}")
+        self._say(f"nodes: {', '.join(str(one.node) for one in found)} configured and started")
         self._said = ""
         return True
 
     def _watch(self, link: Link) -> None:
         """Look on until a node has to be configured anew."""
-        frames: list[Frame] = []
-        while not self._stop():
+        while not self._stop() and not self._to_do:
             time.sleep(_LOOK_S)
-            link.watch_clock()
-            frames.clear()
-            link.drain(frames)
-            for _, can_id, data in frames:
-                if can_id - objects.HEARTBEAT_ID in self._plans and data:
-                    state, plan = data[0] & 0x7F, self._plans[can_id - objects.HEARTBEAT_ID]
-                    if state != Nmt.OPERATIONAL:
-                        word = "has rebooted" if state == Nmt.BOOT else "is no longer operational"
-                        self._tell(f"nodes: {plan.name} {word}; it is configured anew before anything arms")
-                        return
-                elif can_id - objects.EMCY_ID in self._plans and len(data) >= 2:
-                    self._emergency(can_id - objects.EMCY_ID, int.from_bytes(data[:2], "little"))
+            self._hear(link)
             self._end_faults(link)
+
+    def _hear(self, link: Link, known: Set[int] = frozenset()) -> None:
+        """Take what has come.
+
+        Args:
+            link: to the bus.
+            known: nodes that have just been configured, however often they have booted meanwhile.
+        """
+        frames: list[Frame] = []
+        link.watch_clock()
+        link.drain(frames)
+        for _, can_id, data in frames:
+            node = can_id & 0x7F
+            if node not in self._plans or not data:
+                continue
+            if can_id == objects.HEARTBEAT_ID + node and node not in known and node not in self._to_do:
+                state = data[0] & 0x7F
+                if state != Nmt.OPERATIONAL:
+                    word = "has rebooted" if state == Nmt.BOOT else "is no longer operational"
+                    name = self._plans[node].name
+                    self._say(f"nodes: {name} {word}; it is configured anew before anything arms")
+                    self._to_do.add(node)
+            elif can_id == objects.EMCY_ID + node and len(data) >= 2:
+                self._emergency(node, int.from_bytes(data[:2], "little"))
 
     def _emergency(self, node: int, code: int) -> None:
         if code != self._emergencies.get(node, 0):

@@ -11,12 +11,13 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from operator import methodcaller
 from typing import Any, NamedTuple
 
 from pneud.canopen import objects
 from pneud.canopen.objects import Command, Nmt, Object
 from pneud.canopen.plan import Plan, Step
-from pneud.canopen.words import LOCAL_BIT, Status
+from pneud.canopen.words import HOLD_WORD, LOCAL_BIT, RESET_WORD, Status
 
 NEEDS_LIBRARY = "[[bus.nodes]] needs the canopen library: pip install 'pneud[canopen]'"
 _SAVE_S = 2.0  # that it may take a device to store its parameters
@@ -197,13 +198,13 @@ class Master:
         Raises:
             canopen.SdoError: it does not answer, or refuses.
         """
-        data = self._transfer(node, lambda sdo: sdo.upload(o.index, o.sub))
+        data = self._transfer(node, methodcaller("upload", o.index, o.sub))
         return o.type.decode(data[: o.type.size])
 
     def text(self, node: int, index: int) -> str:
         """A text of a node; empty where it has none."""
         try:
-            data: bytes = self._transfer(node, lambda sdo: sdo.upload(index, 0))
+            data: bytes = self._transfer(node, methodcaller("upload", index, 0))
         except _sdo_error():
             return ""
         return data.decode("latin-1").rstrip("\0 ")
@@ -324,7 +325,7 @@ class Master:
         try:
             if step.write:
                 data = o.type.encode(step.value)
-                self._transfer(node, lambda sdo: sdo.download(o.index, o.sub, data))
+                self._transfer(node, methodcaller("download", o.index, o.sub, data))
             found = self.read(node, o)
         except _sdo_error() as e:
             if self.boots[node] != boots:
@@ -405,6 +406,9 @@ class Master:
         while True:
             try:
                 status = self.read(plan.node.id, o)
+                if not status & (Status.INIT | LOCAL_BIT):
+                    self._end_fault(plan.node.id)
+                    status = self.read(plan.node.id, o)
             except _sdo_error() as e:
                 raise self._refused(plan, o, e) from None
             if status & LOCAL_BIT:
@@ -415,6 +419,13 @@ class Master:
                 problem = f"is 0x{status:04X}: the valve does not get ready"
                 raise NodeError(plan, o, problem, "check its enable pin and its supply; look for its EMCY")
             self._pause(0.05)
+
+    def _end_fault(self, node: int) -> None:
+        """Ask a valve for the end of a fault, such as one for want of commands: by a rising edge."""
+        o = objects.CONTROL_WORD
+        for word in (HOLD_WORD, RESET_WORD, HOLD_WORD):
+            data = o.type.encode(word)
+            self._transfer(node, methodcaller("download", o.index, o.sub, data))
 
 
 def _sdo_error() -> type[Exception]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from pneud.canopen.objects import Nmt, mapping_word
 from pneud.canopen.plan import EVENT, SYNC, Plan
-from pneud.canopen.words import status_of
+from pneud.canopen.words import RESET_BIT, status_of
 from pneud.rig.node import ENCODER_NODE, PRESSURE_NODE, VALVE_NODE, PlantNode, Truth
 from pneud.rig.slave import HEALTHY, Oddity, Slave, drawn
 from pneud.rig.valvenode import ValveNode
@@ -68,6 +68,7 @@ class CanopenRig:
         of = {"position": ENCODER_NODE, "valve": VALVE_NODE}
         self._places = [of.get(plan.node.filled[0], PRESSURE_NODE) for plan in plans]
         self._valve = slaves[self._places.index(VALVE_NODE)]
+        self._valve.written = self._written
         self._states = [slave.state for slave in slaves]
         self._shown = ValveState.BOOT
 
@@ -138,6 +139,11 @@ class CanopenRig:
             if not slave.uses(pdo, frame.can_id) or not fits:
                 return ()
         return (frame,) if self._hook is None else self._hook(frame, outgoing)
+
+    def _written(self, index: int, sub: int) -> None:
+        """A value of the valve's node has been written."""
+        if (index, sub) == (0x6040, 0) and self._valve.get(index, sub) & RESET_BIT:
+            self._inner.valve.reset()
 
     def _show(self, t_ns: int) -> None:
         """Let the valve's node say what state the valve is in."""

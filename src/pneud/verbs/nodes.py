@@ -198,7 +198,7 @@ def _about(master: Master, node: int) -> dict[str, Any]:
     profile = kind & 0xFFFF
     return {
         "id": node,
-        "name": master.text(node, objects.DEVICE_NAME),
+        "name": master.text(node, objects.DEVICE_NAME) or "no name",
         "device": f"CiA {profile}" if profile else "no profile",
         "identity": _named_parts(master.identity(node)),
     }
