@@ -13,6 +13,7 @@ Unsigned = Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]
 Index = Annotated[int, Field(ge=0x1000, le=0xFFFF)]
 Byte = Annotated[int, Field(ge=0, le=255)]
 NodeId = Annotated[int, Field(ge=1, le=127)]
+Number = Literal["bool", "i8", "i16", "i32", "u8", "u16", "u32", "i64", "u64"]
 Profile = Literal["encoder406", "analog404", "analog401", "valve408"]
 Role = Literal["position", "p1", "p2", "supply", "valve", "none"]
 Unit = Literal["Pa", "hPa", "kPa", "mbar", "bar"]
@@ -39,34 +40,32 @@ class IdentityConfig(Section):
 class WriteConfig(Section):
     """One more value to be written before the node is started, and read back."""
 
-    index: Index
-    sub: Byte = 0
-    value: int
-    type: Literal["bool", "i8", "i16", "i32", "u8", "u16", "u32", "i64", "u64"] | None = (
-        None  # none: by the EDS
-    )
+    index: Index  # of the object
+    sub: Byte = 0  # its sub-index
+    value: int  # what it is to be
+    type: Number | None = None  # none: as the EDS has it
 
 
 class WatchConfig(Section):
     """Another node whose heartbeat this one watches."""
 
-    node: NodeId
-    timeout_ms: Annotated[int, Field(ge=1, le=0xFFFF)]
+    node: NodeId  # whose
+    timeout_ms: Annotated[int, Field(ge=1, le=0xFFFF)]  # after which it is lost
 
 
 class NodeConfig(Section):
     """One CANopen node of the axis; what it is configured to before anything is armed."""
 
-    id: NodeId
-    profile: Profile
+    id: NodeId  # its CANopen identifier
+    profile: Profile  # what it is, by CiA's device profiles
     eds: str = ""  # beside this file, or one of pneud's; "": the profile's
-    roles: tuple[Role, ...] = ()  # of its channels, in order; none: as the profile has them
+    roles: tuple[Role, ...] = ()  # of its channels, in order; []: position; p1, p2, supply; valve
     pdo: Annotated[int, Field(ge=1, le=4)] | None = None  # that carries them; none: as the profile has it
     heartbeat_ms: Annotated[int, Field(ge=1, le=20_000)] = 100  # that it sends
     heartbeat_timeout_ms: Annotated[float, Field(ge=1, le=60_000)] | None = None  # none: three of them
-    watches: tuple[WatchConfig, ...] = ()
+    watches: tuple[WatchConfig, ...] = ()  # other nodes whose heartbeat it watches
     identity: IdentityConfig = IdentityConfig()
-    write: tuple[WriteConfig, ...] = ()
+    write: tuple[WriteConfig, ...] = ()  # more that it is to have
     step_m: Annotated[Resolution, Field(gt=0)] = 1e-6  # of an encoder
     unit: Unit = "mbar"  # of analog404
     digits: Annotated[int, Field(ge=0, le=6)] = 0  # of analog404, behind the unit's point

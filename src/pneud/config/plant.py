@@ -209,9 +209,7 @@ class PlantConfig(Section):
     disturbance: Literal["none", "case1", "case2"] = "none"  # force of the paper's cases
     bitrate_bit_s: MaybeInfinite = 1.0e6  # of the wire that the frames keep busy
     node_delay_us: Annotated[float, Field(ge=0, le=500)] = 20.0  # from SYNC to an answer
-    devices: Literal["frames", "canopen"] | None = (
-        None  # whether they have to be configured; none: as bus.nodes
-    )
+    devices: Literal["frames", "canopen"] | None = None  # what its nodes are; none: as bus.nodes
     odd_nodes: Annotated[int, Field(ge=0)] | None = None  # seed of one that misbehaves while it is configured
     cylinder: PlantCylinderConfig = PlantCylinderConfig()
     gas: PlantGasConfig = PlantGasConfig()
