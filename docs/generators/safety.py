@@ -84,7 +84,7 @@ _VALVES = {
     Status.HOLD: "the spool is held on the hold setpoint, to which pneud gives 0: the chambers are shut",
     Status.ACTIVE: "the spool follows the setpoint",
     Status.FAULT_DISABLED: "as in NOT_READY, until the fault is reset",
-    Status.FAULT_HOLD: "as in HOLD, until the fault is reset; here a valve goes for want of commands",
+    Status.FAULT_HOLD: "as in HOLD, until the fault is reset; a valve goes here for want of commands",
     Status.FAULT_REACTION: "on its way into one of the two above, as the valve is set up",
 }
 

@@ -9,12 +9,11 @@ from typing import NamedTuple
 from pneud.canopen import objects
 from pneud.canopen.objects import Object, Pdo
 from pneud.config.models import Config
-from pneud.config.nodes import NodeConfig, Role
+from pneud.config.nodes import SIGNALS, NodeConfig, Role
 
 UNITS = {"Pa": 0x00220000, "hPa": 0x02220000, "kPa": 0x03220000, "mbar": 0xFD4E0000, "bar": 0x004E0000}
 """Of CiA 303-2: prefix, numerator."""
 _PA = {"Pa": 1, "hPa": 100, "kPa": 1000, "mbar": 100, "bar": 100_000}
-_VALUES = {"position": "Position", "p1": "P1", "p2": "P2", "supply": "Supply"}
 _MOST_RAW = 32767
 _STATE_BITS, _ENABLE_BITS = 5, 4  # of status and control word, as far as they are used
 
@@ -57,37 +56,38 @@ def messages_of(node: NodeConfig, u_max_v: float) -> tuple[Message, ...]:
         node: its configuration.
         u_max_v: the valve's full command [V].
     """
-    sent = Pdo(node.carrier, True)
-    if node.profile != "valve408":
-        carried = tuple(_channel(node, n, role) for n, role in enumerate(node.filled, 1))
-        return (Message(node.id, sent, node.message, carried),)
+    if node.profile == "valve408":
+        return _of_valve(node, u_max_v)
+    found, channel = [], 0
+    for number, (name, roles) in enumerate(node.sent().items(), node.carrier):
+        carried = tuple(_channel(node, channel + n, role) for n, role in enumerate(roles, 1))
+        found.append(Message(node.id, Pdo(number, True), name, carried))
+        channel += len(roles)
+    return tuple(found)
+
+
+def _of_valve(node: NodeConfig, u_max_v: float) -> tuple[Message, ...]:
     volt = _exact(u_max_v) / node.full_scale
+    # half a step more, which a rounded factor may take away
     most_v = float(volt * (node.full_scale + Fraction(1, 2)))
     status = Carried(objects.STATUS_WORD, "State", _STATE_BITS)
+    actual = Carried(objects.ACTUAL_VALUE, "Applied", 0, volt, unit="V", most_v=most_v)
     control = Carried(objects.CONTROL_WORD, "Enable", _ENABLE_BITS)
+    setpoint = Carried(objects.SETPOINT, "Voltage", 0, volt, unit="V", most_v=most_v)
+    (sent,) = node.sent()
     return (
-        Message(
-            node.id,
-            sent,
-            node.message,
-            (status, Carried(objects.ACTUAL_VALUE, "Applied", 0, volt, unit="V", most_v=most_v)),
-        ),
-        Message(
-            node.id,
-            Pdo(1, False),
-            node.command,
-            (control, Carried(objects.SETPOINT, "Voltage", 0, volt, unit="V", most_v=most_v)),
-        ),
+        Message(node.id, Pdo(node.carrier, True), sent, (status, actual)),
+        Message(node.id, Pdo(1, False), node.command, (control, setpoint)),
     )
 
 
 def _channel(node: NodeConfig, number: int, role: Role) -> Carried:
-    signal = _VALUES.get(role, "")
+    signal = SIGNALS.get(role, "")
     if node.profile == "encoder406":
         return Carried(objects.POSITION, signal, 0, _exact(node.step_m), unit="m")
     if node.profile == "analog404":
         factor = Fraction(_PA[node.unit], 10**node.digits)
-        return Carried(objects.field_value(number, wide=False), signal, 0, factor, unit="Pa")
+        return Carried(objects.field_value(number, wide=node.wide), signal, 0, factor, unit="Pa")
     low, high = map(_exact, node.range_pa)
     return Carried(objects.analog_input(number), signal, 0, (high - low) / _MOST_RAW, low, "Pa")
 
@@ -123,7 +123,6 @@ def _lines(message: Message) -> Iterator[str]:
             bits = c.bits or 8 * kind.size
             sign = "-" if kind.signed else "+"
             scaling = f"({float(c.factor)!r},{float(c.offset)!r})" if c.unit else "(1,0)"
-            # half a step more, which a rounded factor may take away; [0|0] is no bound
             bound = f"[{-c.most_v!r}|{c.most_v!r}]" if c.most_v else "[0|0]"
             yield f' SG_ {c.signal} : {start}|{bits}@1{sign} {scaling} {bound} "{c.unit}" {hearer}'
         start += 8 * kind.size

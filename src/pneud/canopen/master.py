@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 from pneud.canopen import objects
 from pneud.canopen.objects import Command, Nmt, Object
 from pneud.canopen.plan import Plan, Step
-from pneud.canopen.words import HOLD_WORD, LOCAL_BIT, RESET_WORD, Status
+from pneud.canopen.words import LOCAL_BIT, READY_BIT, RESET_WORD
+from pneud.config.nodes import HOLD_WORD
 
 NEEDS_LIBRARY = "[[bus.nodes]] needs the canopen library: pip install 'pneud[canopen]'"
 _SAVE_S = 2.0  # that it may take a device to store its parameters
@@ -406,14 +407,14 @@ class Master:
         while True:
             try:
                 status = self.read(plan.node.id, o)
-                if not status & (Status.INIT | LOCAL_BIT):
+                if not status & (READY_BIT | LOCAL_BIT):
                     self._end_fault(plan.node.id)
                     status = self.read(plan.node.id, o)
             except _sdo_error() as e:
                 raise self._refused(plan, o, e) from None
             if status & LOCAL_BIT:
                 raise NodeError(plan, o, "the valve is under local control", "end local control at the valve")
-            if status & Status.INIT:
+            if status & READY_BIT:
                 return
             if self._clock() >= end:
                 problem = f"is 0x{status:04X}: the valve does not get ready"

@@ -67,6 +67,7 @@ class NodeConfig(Section):
     identity: IdentityConfig = IdentityConfig()
     write: tuple[WriteConfig, ...] = ()  # more that it is to have
     step_m: Annotated[Resolution, Field(gt=0)] = 1e-6  # of an encoder
+    bits: Literal[16, 32] = 16  # of each input of analog404: 0x7130 or 0x9130
     unit: Unit = "mbar"  # of analog404
     digits: Annotated[int, Field(ge=0, le=6)] = 0  # of analog404, behind the unit's point
     range_pa: tuple[float, float] = (0.0, 1.0e6)  # of analog401: pressures at 0 and 32767
@@ -104,9 +105,15 @@ class NodeConfig(Section):
         return self.heartbeat_timeout_ms or 3.0 * self.heartbeat_ms
 
     @property
-    def message(self) -> str:
-        """The name of what it sends in every tick."""
-        return f"NODE{self.id}_TPDO{self.carrier}"
+    def wide(self) -> bool:
+        """Its channels have 32 bits each."""
+        return self.profile == "encoder406" or (self.profile == "analog404" and self.bits == 32)
+
+    def sent(self) -> dict[str, tuple[Role, ...]]:
+        """What it sends in every tick: messages by their names, with the roles of the channels in each."""
+        most = 2 if self.wide else 4
+        parts = (self.filled[at : at + most] for at in range(0, len(self.filled), most))
+        return {f"NODE{self.id}_TPDO{number}": part for number, part in enumerate(parts, self.carrier)}
 
     @property
     def command(self) -> str:
@@ -114,12 +121,14 @@ class NodeConfig(Section):
         return f"NODE{self.id}_RPDO1"
 
 
-SIGNALS: dict[str, dict[str, str]] = {
-    "encoder": {"position_m": "Position"},
-    "pressure": {"p1_pa": "P1", "p2_pa": "P2", "supply_pa": "Supply"},
-    "valve_status": {"applied_v": "Applied", "state": "State"},
-    "valve_command": {"voltage_v": "Voltage", "enable": "Enable"},
-}
+# status word of a CiA 408 valve, bits 0 … 4, as the axis has its state; what does not stand here is a fault:
+# DISABLED, which is no centre, and local control
+STATES = {8: 0, 0: 0, 11: 1, 15: 2, 3: 3, 1: 4}
+HOLD_WORD, ACTIVE_WORD = 3, 7  # control words
+ENABLES = {HOLD_WORD: 0, ACTIVE_WORD: 1}
+SIGNALS = {"position": "Position", "p1": "P1", "p2": "P2", "supply": "Supply"}
+_KEYS = {"position": "position_m", "p1": "p1_pa", "p2": "p2_pa", "supply": "supply_pa"}
+_OPTIONAL = ("supply",)
 
 
 def check_nodes(nodes: tuple[NodeConfig, ...]) -> None:
@@ -133,35 +142,31 @@ def check_nodes(nodes: tuple[NodeConfig, ...]) -> None:
         raise ValueError(f"node {twice[0]} is there twice; give one another id: pneud nodes set-id")
     for role in ("position", "p1", "p2", "supply", "valve"):
         found = [node.id for node in nodes for r in node.filled if r == role]
-        if len(found) != 1:
+        if len(found) > 1 or (not found and role not in _OPTIONAL):
             how = f"{len(found)} times, by nodes {', '.join(map(str, found))}" if found else "by no node"
             raise ValueError(f"the role {role} is filled {how}; look at roles")
-    if len({node.id for node in nodes for r in node.filled if r in ("p1", "p2", "supply")}) > 1:
-        raise ValueError("p1, p2 and supply have to come from one node")
 
 
-def frames_of(nodes: tuple[NodeConfig, ...]) -> dict[str, Any]:
-    """`[bus.frames]` as it follows from the nodes; to be checked by `check_nodes` first."""
+def signals_of(nodes: tuple[NodeConfig, ...]) -> dict[str, Any]:
+    """`[bus.signals]` as it follows from the nodes; to be checked by `check_nodes` first."""
+    found: dict[str, Any] = {}
+    for node in nodes:
+        for message, roles in node.sent().items():
+            if node.profile == "valve408":
+                found["applied_v"] = f"{message}.Applied"
+                found["state"] = {"signal": f"{message}.State", "values": STATES}
+                found["voltage_v"] = f"{node.command}.Voltage"
+                found["enable"] = {"signal": f"{node.command}.Enable", "values": ENABLES}
+            else:
+                found |= {_KEYS[role]: f"{message}.{SIGNALS[role]}" for role in roles if role != "none"}
+    return found
 
-    def by(role: Role) -> NodeConfig:
-        return next(node for node in nodes if role in node.filled)
 
-    def frame(node: NodeConfig, signals: str, message: str, *, heard: bool = True) -> dict[str, Any]:
-        found: dict[str, Any] = {
-            "message": message,
-            "signals": SIGNALS[signals],
-            "counter": None,
-            "crc": None,
-        }
-        if heard:
-            found |= {"node": node.id, "heartbeat_timeout_ms": node.patience_ms}
-        return found
-
-    encoder, pressure, valve = by("position"), by("p1"), by("valve")
+def messages_of(nodes: tuple[NodeConfig, ...]) -> dict[str, Any]:
+    """`[bus.messages]` as it follows from the nodes: whose heartbeat is awaited."""
     return {
-        "sync": {"message": "SYNC", "counter": None, "crc": None},
-        "encoder": frame(encoder, "encoder", encoder.message),
-        "pressure": frame(pressure, "pressure", pressure.message),
-        "valve_status": frame(valve, "valve_status", valve.message),
-        "valve_command": frame(valve, "valve_command", valve.command, heard=False),
+        message: {"node": node.id, "heartbeat_timeout_ms": node.patience_ms}
+        for node in nodes
+        for message, roles in node.sent().items()
+        if any(role != "none" for role in roles)
     }

@@ -107,7 +107,11 @@ class Loop:
         t_ns = clock()
         for turn in turns:
             turn.begin(t_ns)
-        sync_ns = -1 if self._hushed else link.send(self._sync_id, sync_data)
+        sync_ns = t_ns
+        if self._hushed:
+            sync_ns = -1
+        elif self._answered:
+            sync_ns = link.send(self._sync_id, sync_data)
         sync = Frame(sync_ns, self._sync_id, sync_data)
         set_ns = self._wait(t_ns, sync.stamp_ns)
         # decide and send

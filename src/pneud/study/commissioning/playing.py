@@ -11,6 +11,7 @@ from pneud.signals import Answer, Record, Request, RequestKind, State, Tick
 from pneud.study.commissioning.steps import Act, Step
 
 QUIET_S, PATIENCE_S = 0.2, 5.0  # without anything that keeps an axis from it; for what does
+DRIFT_M, DRIFT_S = 1e-4, 20.0  # a load that moves further meanwhile drifts; it is waited for so long at most
 FROM_REST = (RequestKind.ARM, RequestKind.PROBE)
 NEVER_OURS = (RequestKind.STOP, RequestKind.SHUTDOWN, RequestKind.HOLD, RequestKind.JOG, RequestKind.HOME)
 
@@ -52,6 +53,8 @@ class Player:
         self._asked = 0  # kind of the last request
         self.taken = False
         self._waited = self._quiet = self._stood = self._age = 0
+        self._from_m = 0.0  # where the load was when it began to be quiet
+        self._drifted = 0  # ticks that it was waited for
         self.verdict: Played | None = None
 
     def ask(self, state: int, present: int) -> Request | None:
@@ -85,7 +88,7 @@ class Player:
                 break
         self._act, self._queue = act, list(act.requests)
         self.taken = False
-        self._waited = self._quiet = self._stood = self._age = 0
+        self._waited = self._quiet = self._stood = self._age = self._drifted = 0
         return act
 
     def _request(self, state: int, present: int) -> Request | None:
@@ -112,6 +115,7 @@ class Player:
         if self.verdict is not None or act is None:
             return
         kind = tick.request.kind if tick.request is not None else 0
+        self._let_drift(tick.measurement.position_m)
         if tick.latched:
             self.verdict = Played("a fault", tuple(names(tick.latched)))
         elif kind in NEVER_OURS or (kind == RequestKind.DISARM and kind != self._asked):
@@ -120,6 +124,13 @@ class Player:
             self._answered(act, kind, tick)
         elif self.taken:
             self._stood = self._stood + 1 if tick.state == act.until else 0
+
+    def _let_drift(self, position_m: float) -> None:
+        """Let a load that moves by itself go where it will: a probe would be over before it tells."""
+        if abs(position_m - self._from_m) > DRIFT_M and self._drifted * self._h < DRIFT_S:
+            self._from_m = position_m
+            self._drifted += self._quiet
+            self._quiet = 0
 
     def _answered(self, act: Act, kind: int, tick: Tick) -> None:
         if tick.answer == Answer.TAKEN:

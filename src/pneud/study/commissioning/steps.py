@@ -68,6 +68,12 @@ def ground_of(p: AxisParameters) -> Ground:
     return Ground(low_m, high_m, p.motion, approach, p.output.u_max_v, loosening(p, lease)[0])
 
 
+def first(p: AxisParameters) -> list[Step]:
+    """The valve opened slowly both ways where the load is: its edges, before a loop is closed with them."""
+    g = ground_of(p)
+    return [_here(m, g) for m in MOTIONS if m.kind == "ramp"]
+
+
 def static(p: AxisParameters) -> list[Step]:
     """Slow ways, and at each place the valve opened slowly both ways while the axis is disarmed."""
     g = ground_of(p)
@@ -140,25 +146,38 @@ def _still(m: Motion, g: Ground, from_m: float) -> tuple[Step, float]:
     return Step("rest", words, seconds, acts), to_m
 
 
+def _here(m: Motion, g: Ground) -> Step:
+    acts, seconds = _both_ways(m, g)
+    words = (
+        "where the load is, disarmed, the valve opens slowly both ways, for at most"
+        f" {_mm(RAMP_M)} mm at {_mm(RAMP_M_S)} mm/s"
+    )
+    return Step("edges", words, seconds, tuple(acts))
+
+
 def _ramps(m: Motion, g: Ground, from_m: float) -> tuple[Step, float]:
-    goal_v = min(WIDEST * g.u_max_v + m.opening_v, g.u_max_v)
-    bounds = g.probe._replace(rate_v_s=m.rate_v_s, travel_m=RAMP_M, speed_m_s=RAMP_M_S)
     acts: list[Act] = []
     seconds = 0.0
+    openings, opening_s = _both_ways(m, g)
     for place in m.places:
         to_m = g.at(place)
-        seconds += _way_s(from_m, to_m, g.approach_m_s, g)
-        acts += [arm(), _goto(to_m, g.approach_m_s), _disarm(AIRLESS_S)]
-        for way in (1.0, -1.0):
-            acts.append(_opening(bounds._replace(goal_v=way * goal_v)))
+        acts += [arm(), _goto(to_m, g.approach_m_s), _disarm(AIRLESS_S), *openings]
+        seconds += _way_s(from_m, to_m, g.approach_m_s, g) + opening_s + SETTLED_S + DWELL_S + AIRLESS_S
         from_m = to_m
-        seconds += 2.0 * (goal_v / m.rate_v_s + AIRLESS_S) + SETTLED_S + DWELL_S + AIRLESS_S
     places = ", ".join(f"{100.0 * place:g}" for place in m.places)
     words = (
         f"slowly to {places} % of the travel at {_mm(g.approach_m_s)} mm/s; there, disarmed, the valve opens"
         f" slowly both ways, for at most {_mm(RAMP_M)} mm at {_mm(RAMP_M_S)} mm/s"
     )
     return Step("edges", words, seconds, tuple(acts)), from_m
+
+
+def _both_ways(m: Motion, g: Ground) -> tuple[list[Act], float]:
+    """A ramp each way, and how long they take at most [s]."""
+    goal_v = min(WIDEST * g.u_max_v + m.opening_v, g.u_max_v)
+    bounds = g.probe._replace(rate_v_s=m.rate_v_s, travel_m=RAMP_M, speed_m_s=RAMP_M_S)
+    acts = [_opening(bounds._replace(goal_v=way * goal_v)) for way in (1.0, -1.0)]
+    return acts, 2.0 * (goal_v / m.rate_v_s + AIRLESS_S)
 
 
 def _opening(p: Probe) -> Act:

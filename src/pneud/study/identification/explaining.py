@@ -145,7 +145,9 @@ def flow_map(valved: Valved, c: Config, spans: Sequence[tuple[float, float]] = (
     y = chambers.spool(w, g, rig)
     still = _moved(y, max(width, round(STEADY_S / rig.h)))[:, inner] < STEADY * np.abs(y[:, inner])
     y, x = y[:, inner], w.x_m[:, w.warm + 1 :]
-    share = chambers.iso6358(g.critical) if valved.structure.iso else chambers.orifice(gas)
+    iso, orifice = valved.structure.iso, chambers.orifice(gas)
+    inwards = chambers.iso6358(g.critical) if iso else orifice
+    outwards = chambers.iso6358(g.critical_out) if iso else orifice
     supply = w.supply_pa[:, w.warm + 1 :][:, inner]
     warmth = heat.at(w.warmth, np.array([g.wall_1_s]))[0][:, :, inner]
     sums, weights = np.zeros_like(y), np.zeros_like(y)
@@ -159,8 +161,8 @@ def flow_map(valved: Valved, c: Config, spans: Sequence[tuple[float, float]] = (
             (_rate(p, width, rig.h) + cooled) * length[:, inner] / g.exponent
             + here * _rate(length, width, rig.h)
         )
-        came = g.flow * _through(here, supply, share)
-        left = g.flow * g.exhaust * _through(here, np.asarray(gas.atmosphere_pa), share)
+        came = g.flow * _through(here, supply, inwards)
+        left = g.flow * g.exhaust * _through(here, np.asarray(gas.atmosphere_pa), outwards)
         most = np.where(sign * y > 0.0, came, left)
         flows = flows - g.seep * came - g.seep_out * left
         sums += flows * most  # the opening by least squares over both chambers
