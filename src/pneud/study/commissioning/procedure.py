@@ -9,6 +9,7 @@ from pneud.axis.state import AxisParameters
 from pneud.config import conversions
 from pneud.config.models import Config
 from pneud.loading import Loaded
+from pneud.log.files.naming import LogError
 from pneud.loop.summary import finite
 from pneud.signals import Record, Request
 from pneud.study.commissioning.bench import Bench
@@ -242,12 +243,14 @@ def _found(bench: Bench, wishes: Wishes) -> Found:
 def _learnt_edges(bench: Bench, wishes: Wishes, talk: Talk) -> bool:
     """Put the valve's edges to use, where they lie elsewhere than configured; whether that was done."""
     from pneud.study.commissioning import written  # noqa: PLC0415
-    from pneud.study.identification import comparing, estimating, table  # noqa: PLC0415
+    from pneud.study.identification import comparing, ramps, table  # noqa: PLC0415
     from pneud.study.identification import parameters as key  # noqa: PLC0415
 
     loaded, c = bench.loaded, bench.loaded.config
-    told = estimating.identify(table.read(bench.logs())[0], c).parameters
-    edges = {name: e for name, e in told.items() if name in (key.HALF, key.CENTRE) and e.told}
+    try:
+        edges = ramps.edges(table.read(bench.logs())[0], c)
+    except LogError:  # too little in them
+        return False
     off = any(row.verdict == comparing.OFF for row in comparing.rows(edges, {}))
     if c.valve.map or len(edges) < 2 or not off:
         return False
