@@ -136,7 +136,9 @@ def planned(loaded: Loaded, wishes: Wishes) -> list[str]:
         words = "the load is pushed both ways, and moves some"
         lines.append(f"movement test: {words} {1e3 * MOVE_M:g} mm at {1e3 * SPEED_M_S:g} mm/s at most")
     if wishes.steps:
-        lines += map(_announced, _steps(p, wishes))
+        from pneud.study.commissioning.steps import first  # noqa: PLC0415
+
+        lines += map(_announced, [*first(p), *_steps(p, wishes)])
         lines += [] if wishes.dynamic else [f"warning: {SLOW_ONLY}"]
         lines.append("verification: a sine, rest and steps about the middle of the travel")
     return lines
