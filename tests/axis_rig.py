@@ -11,11 +11,10 @@ import pytest
 
 from pneud.axis.cycle import Axis
 from pneud.bus.inbox import Inbox
-from pneud.compiled.backend import INTERPRETED, compiled
+from pneud.compiled.backend import INTERPRETED, Backend, compiled
 from pneud.config import conversions
 from pneud.control.reference import Bounds
 from pneud.loading import Loaded, load
-from pneud.rig.dynamics import PlantState
 from pneud.rig.node import PlantNode
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Frame, Measurement, Request, RequestKind, State, Tick
@@ -38,12 +37,12 @@ def loaded() -> Loaded:
 
 
 @cache
-def quick_plant() -> Callable[..., PlantState]:
-    """The plant compiled, which is the same to the last bit, where that can be had."""
+def quick() -> Backend:
+    """Axis and plant compiled, which are the same to the last bit, where that can be had."""
     try:
-        return compiled().advance
+        return compiled()
     except BuildError:
-        return INTERPRETED.advance
+        return INTERPRETED
 
 
 def same(frame: Frame) -> Frame | None:
@@ -58,7 +57,7 @@ class Rig:
         self.axis = Axis(conversions.axis_of(config, codecs.command_lsb_v))
         self.inbox = Inbox(codecs, config.bus)
         p = conversions.plant_of(config)._replace(pressure_noise_pa=0.0)
-        self.node = PlantNode(p, codecs, 0, advance=quick_plant())
+        self.node = PlantNode(p, codecs, 0, advance=quick().advance)
         self.frame: Callable[[Frame], Frame | None] = same
         self.measurement: Callable[[Measurement], Measurement] = lambda m: m
         self.host = 0

@@ -22,7 +22,7 @@ from pneud.study.commissioning import procedure, steps
 from pneud.study.commissioning.steps import Step, dynamic, static
 from running import Running, running
 
-pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+pytestmark = pytest.mark.slow
 STEPS = {
     "movement test": State.PROBING,
     "edges": State.PROBING,

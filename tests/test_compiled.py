@@ -253,6 +253,12 @@ def test_off_is_python() -> None:
 
 
 @pytest.fixture
+def made() -> Backend:
+    """From the usual cache; ask for it before `elsewhere`."""
+    return compiled()
+
+
+@pytest.fixture
 def elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     monkeypatch.delenv("CACHE_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -317,9 +323,9 @@ def test_a_law_that_computes_something_else_is_not_used(monkeypatch: pytest.Monk
 
 
 def test_what_has_been_compared_is_compared_again_only_where_something_differs(
-    monkeypatch: pytest.MonkeyPatch, elsewhere: Path
+    made: Backend, elsewhere: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made, compared = compiled(), []
+    compared = list[str]()
     monkeypatch.setattr(backend_module, "compiled", lambda: made)
     monkeypatch.setattr(backend_module, "sample", lambda one, _: compared.append(one.name))
     for _ in range(2):
@@ -336,9 +342,10 @@ def test_what_has_been_compared_is_compared_again_only_where_something_differs(
     assert len(compared) == 8, "a note that is not as it was written is none"
 
 
-def test_a_law_that_differs_is_not_noted(monkeypatch: pytest.MonkeyPatch, elsewhere: Path) -> None:
-    made = compiled()._replace(identity=b"another")
-    monkeypatch.setattr(backend_module, "compiled", lambda: made)
+def test_a_law_that_differs_is_not_noted(
+    made: Backend, elsewhere: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(backend_module, "compiled", lambda: made._replace(identity=b"another"))
     monkeypatch.setattr(backend_module, "sample", lambda one, _: one.name)
     for _ in range(2):
         assert backend("auto", PARAMETERS).reason == "the compiled law does not compute what Python does"

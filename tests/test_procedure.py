@@ -329,7 +329,6 @@ def live(folder: Path) -> Iterator[tuple[Live, Path]]:
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 def test_the_same_steps_on_a_daemon_which_begins_anew(tmp_path: Path) -> None:
     with live(tmp_path) as (rig, file):
         announced: list[str] = []
@@ -352,7 +351,6 @@ def test_the_same_steps_on_a_daemon_which_begins_anew(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 def test_somebody_elses_stop_ends_them_on_a_daemon(tmp_path: Path) -> None:
     with running(tmp_path) as run:
         rig = Live(lambda: Client(run.socket), load(tmp_path / "patient.toml"))

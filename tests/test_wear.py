@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from commands import pneud_here
+from pneud.config.reading import parse
 from pneud.config.sections import ConfigError
 from pneud.log.files.naming import LogError
 from pneud.log.files.reader import read_log
@@ -100,7 +101,7 @@ def test_wear_is_drawn_once_there_are_two_dates() -> None:
 def found(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Estimate]]:
     """What is found in any log, to be changed by a test."""
     parameters = {key.COULOMB: told(40.0)}
-    measured = (table.Table(1e-3, 0.0, ()), table.parse(read_log(GOLDEN / "composite.mcap").config_text, "x"))
+    measured = (table.Table(1e-3, 0.0, ()), parse(read_log(GOLDEN / "composite.mcap").config_text, "x"))
     monkeypatch.setattr(table, "read", lambda _: measured)
     monkeypatch.setattr(
         estimating, "identify", lambda *_: Identified(dict(parameters), [], [], 100.0, None, None)

@@ -8,10 +8,11 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from pneud.config.flow import RATINGS, given
 from pneud.config.learnt import start_of
+from pneud.config.mapping import MessageConfig, SignalsConfig
 from pneud.config.measured import Places, check_map, edges_of
 from pneud.config.plant import FrictionConfig, PlantConfig
 from pneud.config.sections import (
@@ -150,7 +151,7 @@ class RealtimeConfig(Section):
     required: bool = False  # refuse to arm without real-time scheduling
 
 
-class FrameConfig(Section):
+class FrameConfig(MessageConfig):
     """One message of the DBC and its signals, by role.
 
     `node` is the CANopen identifier of the device that sends it: its EMCY stops the axis, and so does the
@@ -159,21 +160,8 @@ class FrameConfig(Section):
 
     message: str  # name in the DBC
     signals: dict[str, str] = Field(default_factory=dict)  # role = "name in the DBC"
-    counter: str | None = "Counter"  # signal that counts the frames; "": the device has none
-    crc: str | None = "Crc"  # signal with the checksum; "": the device has none
-    node: Annotated[int, Field(ge=1, le=127)] | None = None
-    heartbeat_timeout_ms: Annotated[float, Field(ge=1, le=60_000)] | None = None
-
-    @field_validator("counter", "crc")
-    @classmethod
-    def _none(cls, name: str | None) -> str | None:
-        return name or None
-
-    @model_validator(mode="after")
-    def _heartbeat_of_a_node(self) -> FrameConfig:
-        if self.heartbeat_timeout_ms is not None and self.node is None:
-            raise ValueError("heartbeat_timeout_ms needs node, the device's CANopen identifier")
-        return self
+    counter: str | None = "Counter"  # signal that counts the frames; "none": the device has none
+    crc: str | None = "Crc"  # signal with the checksum; "none": the device has none
 
 
 class FramesConfig(Section):
@@ -207,11 +195,29 @@ class BusConfig(Section):
     overload_timeout_ms: Annotated[float, Field(ge=1, le=10_000)] = 1000.0  # every tick after skipped ones
     command_delay_us: Annotated[float, Field(ge=0, le=10_000)] | None = None  # sampling → command acts
     frames: FramesConfig = FramesConfig()
+    signals: SignalsConfig | None = None
+    messages: dict[str, MessageConfig] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _channel_form(self) -> BusConfig:
         check_channel(self.channel)
         return self
+
+    @model_validator(mode="after")
+    def _one_mapping(self) -> BusConfig:
+        if self.signals is not None and self.frames != FramesConfig():
+            raise ValueError("give either frames or signals")
+        if self.signals is None and self.messages:
+            raise ValueError("messages goes with signals; with frames, these keys stand in each frame")
+        return self
+
+    @property
+    def devices(self) -> tuple[MessageConfig, ...]:
+        """What is said of the messages that the nodes send."""
+        frames = self.frames
+        if self.signals is None:
+            return (frames.encoder, frames.pressure, frames.valve_status)
+        return tuple(self.messages.values())
 
 
 class ObserverConfig(Section):

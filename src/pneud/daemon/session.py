@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from pneud import crew
 from pneud.bus.codec import DatabaseError
-from pneud.bus.inbox import Inbox
+from pneud.bus.mapped_inbox import inbox_of
 from pneud.config import conversions
 from pneud.config.sections import ConfigError
 from pneud.config.toml import flat
@@ -127,7 +127,7 @@ class Session:
             no_realtime=config.realtime.required and not fifo.ok,
             unproven=ready.unproven,
         )
-        turn = Turn(ready.axis, Inbox(codecs, config.bus), codecs)
+        turn = Turn(ready.axis, inbox_of(codecs, config.bus), codecs)
         watch = RecorderWatch(self.ring, recorder)
         lane = Lane(turn, ready.link, watch, options, truth, requests)
         return Loop([lane], codecs, ready.link, options)

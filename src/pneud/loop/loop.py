@@ -91,7 +91,8 @@ class Loop:
         t_ns = clock()
         for turn in turns:
             turn.begin(t_ns)
-        sync = Frame(link.send(self._sync_id, sync_data), self._sync_id, sync_data)
+        sync_ns = link.send(self._sync_id, sync_data) if self._answered else t_ns
+        sync = Frame(sync_ns, self._sync_id, sync_data)
         set_ns = self._wait(t_ns, sync.stamp_ns)
         # decide and send
         if link.down and count % self._check_ticks == 0:

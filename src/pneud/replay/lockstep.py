@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from pneud.bus.inbox import Inbox
+from pneud.bus.mapped_inbox import inbox_of
 from pneud.compiled.backend import INTERPRETED, Backend, backend
 from pneud.config import conversions
 from pneud.loading import SYNC_COUNTERS, Loaded, load
@@ -58,7 +58,7 @@ class Simulation:
         """
         self._requests = requests
         self.axis = how.axis(conversions.axis_of(loaded.config, loaded.codecs.command_lsb_v))
-        self.inbox = Inbox(loaded.codecs, loaded.config.bus)
+        self.inbox = inbox_of(loaded.codecs, loaded.config.bus)
         rig, rate_hz = conversions.plant_of(loaded.config), loaded.config.loop.rate_hz
         self._machine = SimulatedMachine(scenario, round(1e9 / rate_hz))
         if scenario is None:
@@ -95,7 +95,9 @@ class Simulation:
             turn.open([] if link == DOWN or machine.plant_stands(t_ns) else left_over)
             sequence = count % SYNC_COUNTERS + 1
             sync = Frame(t_ns, self._sync.can_id, self._sync.encode(counter=sequence))
-            if link == HEALTHY:
+            if not self.inbox.sync:
+                node.look(t_ns)
+            elif link == HEALTHY:
                 node.on_frame(sync)
             turn.begin(t_ns)
             answers = node.poll(t_ns + self._wait_ns)
@@ -112,7 +114,7 @@ class Simulation:
             turn.sent(sent_ns if link == HEALTHY else -1)
             if link == HEALTHY:
                 node.on_frame(Frame(sent_ns, turn.command_id, data))
-                self.tx += 2
+                self.tx += 1 + self.inbox.sync
             yield turn.record(
                 Timing(0, done_ns - t_ns, 0, COMPUTING_NS, COMPUTING_NS, -1),
                 sync if link == HEALTHY else sync._replace(stamp_ns=-1),

@@ -45,7 +45,7 @@ def plant(
         print(f"valve node: {state.name.lower()}", file=sys.stderr, flush=True)
 
     codecs = axis.codecs
-    answers = (codecs.encoder.can_id, codecs.pressure.can_id, codecs.valve_status.can_id)
+    answers = tuple(answer.codec.can_id for answer in codecs.answers)
     how = backend(config.loop.compiled, conversions.axis_of(config, codecs.command_lsb_v))
     priority = conversions.plant_priority(config.realtime)
     rig = Rig(conversions.plant_of(config), codecs, seed, priority, how.advance, how.carriage)
