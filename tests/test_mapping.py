@@ -13,10 +13,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pneud import resources
 from pneud.bus.codec import ROW, Answer, Codecs, DatabaseError, codecs_from
 from pneud.bus.mapped_inbox import MappedInbox, inbox_of
 from pneud.bus.wire import CAN_EFF_FLAG, wire_time_ns
 from pneud.config.models import BusConfig, GasConfig
+from pneud.config.toml import tables_of
+from pneud.loading import changed_text, devices_of, load
+from pneud.replay.lockstep import Simulation, backend_of
+from pneud.safety.unnoticed import unnoticed
 from pneud.signals import Defect, Frame, Source, ValveState
 
 GAS = GasConfig(supply_pa=600_000.0)
@@ -323,6 +328,26 @@ def test_free_sensors_need_no_sync() -> None:
     m = talk.inbox.measurement(0, 0)
     assert m.fresh == Source.ENCODER | Source.VALVE
     assert m.encoder_offset_ns == 1 - MS - wire_time_ns(8, 1e6)
+
+
+# --- the page ---
+
+
+def test_the_example_of_the_documentation_is_a_rig(tmp_path: Path) -> None:
+    page = (Path(__file__).parent.parent / "docs" / "mapping.md").read_text(encoding="utf-8")
+    dbc, toml = (
+        page.partition(f"```{kind}")[2].partition("\n")[2].partition("```")[0] for kind in ("text", "toml")
+    )
+    (tmp_path / "four.dbc").write_text(dbc)
+    text = changed_text((resources.configs() / "virtual.toml").read_text(), tables_of(toml))
+    (tmp_path / "four.toml").write_text(text)
+    loaded = load(tmp_path / "four.toml")
+    run = Simulation(loaded, 0.5, how=backend_of(loaded))
+    assert {record.tick.latched for record in run.records()} == {0}
+    assert run.inbox.counts().rx > 3 * 500
+    blind = {one.name for one in unnoticed(devices_of(loaded.config, loaded.codecs)) if one.wholly}
+    assert {"valve_missing", "supply_pressure", "encoder_frozen"} <= blind
+    assert "encoder_error" not in blind
 
 
 # --- what is wrong ---

@@ -112,7 +112,9 @@ def _of_valve(d: Devices) -> Iterator[Unnoticed]:
         (F.VALVE_REBOOTED, (ValveState.BOOT, ValveState.CENTRED), "that it is not enabled"),
     ):
         if d.states.isdisjoint(states):
-            yield Unnoticed(fault, f"the valve does not tell {what}")
+            # a number that the table of its states does not have is taken for a fault
+            wholly = fault != F.VALVE_FAULT or not d.states
+            yield Unnoticed(fault, f"the valve does not tell {what}", wholly)
     if ValveState.ENABLED not in d.states:
         yield Unnoticed(F.VALVE_ACTIVE, "the valve does not tell that it is enabled", wholly=not d.applied)
 
@@ -120,6 +122,8 @@ def _of_valve(d: Devices) -> Iterator[Unnoticed]:
 def _of_bus(d: Devices) -> Iterator[Unnoticed]:
     """What else would be heard."""
     if not d.sync:
+        why = "bus.sync = false: whose SYNC it is tells nothing, only valve commands do"
+        yield Unnoticed(F.OTHER_CONTROLLER, why, wholly=False)
         yield Unnoticed(F.IDENTIFIER_CLASH, "bus.sync = false: nobody knows how many frames there should be")
     if not d.nodes:
         yield Unnoticed(F.EMERGENCY, "no message has a node, whose EMCY could be heard")
