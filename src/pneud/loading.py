@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import ValidationError
 
@@ -12,11 +12,15 @@ from pneud import resources
 from pneud.bus.codec import SOURCES, Codecs, DatabaseError, codecs_from, load_codecs
 from pneud.bus.load import overload
 from pneud.config.models import BusConfig, Config, GasConfig
+from pneud.config.nodes import GENERATED
 from pneud.config.reading import explain, load_with_text, parse
 from pneud.config.sections import ConfigError, check_channel
 from pneud.config.toml import tables_of
 from pneud.safety.unnoticed import Devices, Teller
 from pneud.signals import ValveState
+
+if TYPE_CHECKING:
+    from pneud.canopen.plan import Plan
 
 SYNC_COUNTERS = 240  # SYNC counts 1 … 240
 
@@ -61,15 +65,42 @@ def complete(config: Config, text: str, path: Path, rate_hz: float | None = None
     """
     if rate_hz is not None:
         config = at_rate(config, rate_hz)
-    try:
-        dbc = resources.find(config.bus.dbc, path.parent)
-    except FileNotFoundError as e:
-        raise ConfigError(f"{path}: bus.dbc: {e}") from None
+    dbc = _dbc_of(config, path)
     codecs = load_codecs(config.bus, dbc, config.gas, keep=True)
     _check_ranges(config, codecs, dbc)
     if why := overload(config, codecs):
         raise ConfigError(f"{path}: {why}")
     return Loaded(config, path, text, dbc, codecs)
+
+
+def _dbc_of(config: Config, path: Path) -> Path:
+    """The DBC that a configuration names, or that follows from its nodes."""
+    if config.bus.dbc == GENERATED:
+        from pneud.canopen.kept import kept_dbc  # noqa: PLC0415 - for rigs with nodes only
+
+        return kept_dbc(config)
+    try:
+        return resources.find(config.bus.dbc, path.parent)
+    except FileNotFoundError as e:
+        raise ConfigError(f"{path}: bus.dbc: {e}") from None
+
+
+def plans_of_nodes(loaded: Loaded) -> tuple[Plan, ...]:
+    """What the nodes of an axis are configured to; nothing where it has none.
+
+    Raises:
+        EdsError: an EDS cannot be used.
+    """
+    if not loaded.config.bus.nodes:
+        return ()
+    from pneud.canopen.plan import plans_of  # noqa: PLC0415 - for rigs with nodes only
+
+    return plans_of(loaded.config, loaded.path.parent)
+
+
+def plans_of_plant(loaded: Loaded) -> tuple[Plan, ...]:
+    """What has to be done to the nodes of its software rig before they answer; nothing where they just do."""
+    return () if loaded.config.plant.devices == "frames" else plans_of_nodes(loaded)
 
 
 def codecs_of(bus: BusConfig, name: str, dbc: bytes, gas: GasConfig | None = None) -> Codecs:

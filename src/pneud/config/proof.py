@@ -19,7 +19,7 @@ from pneud.rt.outputs import replacing
 
 _VALVE = {*RATINGS, "u_max_v"}  # the rest is tuned
 _BUS = {"channel", "dbc", "frames"}
-_MAPPED = {"signals", "messages"}
+_FURTHER = ("signals", "messages", "nodes")  # where they are given
 _OWN = ("schema", "digest")
 
 
@@ -56,7 +56,7 @@ def digest(c: Config, dbc: bytes) -> str:
 
 def _connected(bus: BusConfig) -> dict[str, Any]:
     """How the devices are connected; what is left out is not in it, so that a proof outlives another key."""
-    found = bus.model_dump(mode="json", include=_BUS | (_MAPPED if bus.signals is not None else set()))
+    found = bus.model_dump(mode="json", include=_BUS | {key for key in _FURTHER if getattr(bus, key)})
     for frame in found["frames"].values():
         for key, field in ProtectionConfig.model_fields.items():
             if frame[key] == field.default:

@@ -9,6 +9,7 @@ from pneud.axis.state import AxisParameters
 from pneud.config import conversions
 from pneud.config.models import Config
 from pneud.loading import Loaded
+from pneud.log.files.naming import LogError
 from pneud.loop.summary import finite
 from pneud.signals import Record, Request
 from pneud.study.commissioning.bench import Bench
@@ -135,7 +136,9 @@ def planned(loaded: Loaded, wishes: Wishes) -> list[str]:
         words = "the load is pushed both ways, and moves some"
         lines.append(f"movement test: {words} {1e3 * MOVE_M:g} mm at {1e3 * SPEED_M_S:g} mm/s at most")
     if wishes.steps:
-        lines += map(_announced, _steps(p, wishes))
+        from pneud.study.commissioning.steps import first  # noqa: PLC0415
+
+        lines += map(_announced, [*first(p), *_steps(p, wishes)])
         lines += [] if wishes.dynamic else [f"warning: {SLOW_ONLY}"]
         lines.append("verification: a sine, rest and steps about the middle of the travel")
     return lines
@@ -242,12 +245,14 @@ def _found(bench: Bench, wishes: Wishes) -> Found:
 def _learnt_edges(bench: Bench, wishes: Wishes, talk: Talk) -> bool:
     """Put the valve's edges to use, where they lie elsewhere than configured; whether that was done."""
     from pneud.study.commissioning import written  # noqa: PLC0415
-    from pneud.study.identification import comparing, estimating, table  # noqa: PLC0415
+    from pneud.study.identification import comparing, ramps, table  # noqa: PLC0415
     from pneud.study.identification import parameters as key  # noqa: PLC0415
 
     loaded, c = bench.loaded, bench.loaded.config
-    told = estimating.identify(table.read(bench.logs())[0], c).parameters
-    edges = {name: e for name, e in told.items() if name in (key.HALF, key.CENTRE) and e.told}
+    try:
+        edges = ramps.edges(table.read(bench.logs())[0], c)
+    except LogError:  # too little in them
+        return False
     off = any(row.verdict == comparing.OFF for row in comparing.rows(edges, {}))
     if c.valve.map or len(edges) < 2 or not off:
         return False

@@ -116,13 +116,7 @@ def of_valve(t: Table, c: Config, noise_pa: float) -> Valved | None:
     w = chamber_windows(t, c, (k.dead_length_1_m, k.dead_length_2_m))
     if len(w.x_m) < LEAST_WINDOWS:
         return None
-    few = chambers.some(w, FEW)
-    plain = key.Structure(c.valve.flow == "iso6358", False)
-    found = _fit_valve(few, t, c, noise_pa, plain, {}, False)
-    for structure in (plain._replace(heat=True), plain._replace(iso=True), key.Structure(True, True)):
-        if found.misfit_pa > EXPLAINED * noise_pa and structure not in (plain, found.structure):
-            other = _fit_valve(few, t, c, noise_pa, structure, _values(found), False)
-            found = other if other.misfit_pa < BETTER * found.misfit_pa else found
+    found = _first_fit(w, t, c, noise_pa)
     known = _values(found)
     if found.structure.heat:
         w = chamber_windows(t, c, (known["dead1_m"], known["dead2_m"]))
@@ -131,6 +125,18 @@ def of_valve(t: Table, c: Config, noise_pa: float) -> Valved | None:
         apart = found.structure._replace(apart=True)
         other = _fit_valve(w, t, c, noise_pa, apart, _values(found), True)
         found = other if other.misfit_pa < BETTER * found.misfit_pa else found
+    return found
+
+
+def _first_fit(w: chambers.Windows, t: Table, c: Config, noise_pa: float) -> Valved:
+    """Of a few windows, with the structure that explains them."""
+    few = chambers.some(w, FEW)
+    plain = key.Structure(c.valve.flow == "iso6358", False)
+    found = _fit_valve(few, t, c, noise_pa, plain, {}, False)
+    for structure in (plain._replace(heat=True), plain._replace(iso=True), key.Structure(True, True)):
+        if found.misfit_pa > EXPLAINED * noise_pa and structure not in (plain, found.structure):
+            other = _fit_valve(few, t, c, noise_pa, structure, _values(found), False)
+            found = other if other.misfit_pa < BETTER * found.misfit_pa else found
     return found
 
 
