@@ -282,6 +282,15 @@ def test_one_pressure_by_the_difference(lacking: str) -> None:
     assert (m.p1_pa, m.p2_pa) == (pytest.approx(3e5), pytest.approx(2e5))
 
 
+def test_an_age_may_be_a_constant() -> None:
+    talk = Talk(PLAIN, ROLES | {"age_s": 0.0003}, sync=False)
+    talk.tick(0, 1, 2)
+    m = talk.tick(1, 2)
+    assert m.encoder_age_ns == MS - 200_000 + 300_000
+    answering = Talk(PLAIN, ROLES | {"age_s": 0.0003})  # what was sampled before SYNC does not answer it
+    assert answering.tick(0, 1, 2).encoder_defects == Defect.LATE
+
+
 def test_two_encoders_have_to_agree() -> None:
     text = PLAIN + 'BO_ 304 ENC2: 4 A\n SG_ Pos : 0|32@1- (1,0) [0|0] "um" A\n'
     talk = Talk(text, ROLES | {"second_position_m": "ENC2.Pos"}, encoders_apart_m=2e-3)

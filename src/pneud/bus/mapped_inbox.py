@@ -67,14 +67,11 @@ class MappedInbox(Inbox):
         for i, answer in enumerate(self._answers):
             codec = answer.codec
             # a message's kinds have one counter, which the gate looks at
-            origin = Origin(
-                1 << i,
-                codec,
-                self._constants,
-                bus,
-                has_age="age_s" in answer.filled,
-                counted=answer.kind is None,
-            )
+            tells_age = "age_s" in answer.filled or self._constants[_AGE] > 0.0
+            aged = "position_m" in answer.filled and tells_age
+            # a message's kinds have one counter, which the gate looks at
+            counted = answer.kind is None
+            origin = Origin(1 << i, codec, self._constants, bus, has_age=aged, counted=counted)
             if answer.kind is not None:
                 gate = self._gates.setdefault(codec.can_id, _Gate(codecs, codec.can_id))
                 gate.parts[answer.kind] = origin
