@@ -165,7 +165,7 @@ def test_a_recording_becomes_a_table(tmp_path: Path, decoder: Decoder) -> None:
     log = candump(tmp_path / "bus.log")
     done = pneud("map", log, "--dbc", decoder.path, "-o", tmp_path / "map.toml", "--p2", "PT_B.Value")
     assert done.returncode == 0, done.stderr
-    assert "answers SYNC after" in done.stdout and "18FF1225" in done.stdout
+    assert "SYNC + 4" in done.stdout and "18FF1225" in done.stdout
     again = pneud("map", log, "--dbc", decoder.path, "-o", tmp_path / "map.toml", "--yes")
     assert again.returncode == 0, again.stderr
     bus = tomllib.loads((tmp_path / "map.toml").read_text())["bus"]
@@ -189,7 +189,7 @@ def test_a_log_of_pneud_is_a_recording() -> None:
     done = pneud("map", GOLDEN / "composite.mcap", "--dbc", DBC)
     assert done.returncode == 0, done.stderr
     assert 'position_m = "ENCODER.Position"' in done.stdout
-    assert done.stdout.count("byte 7, pneud") == 4 and done.stdout.count("byte 6, 0 … 255") == 4
+    assert done.stdout.count("byte 7: pneud") == 4 and done.stdout.count("byte 6: 0…255") == 4
 
 
 def test_a_configuration_gets_the_table_and_runs(tmp_path: Path) -> None:
