@@ -18,7 +18,7 @@ from pneud.log.files.reader import LogReader
 from pneud.safety.faults import F, names
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Record, RequestKind, State, Tick
-from pneud.study.commissioning import procedure, testing
+from pneud.study.commissioning import procedure, steps, testing
 from pneud.study.commissioning.bench import Operator
 from pneud.study.commissioning.movement import Finding, Verdict
 from pneud.study.commissioning.steps import Step, dynamic, static
@@ -58,6 +58,7 @@ class Amid(NamedTuple):
 
 MOVEMENT = Amid("movement test", True, State.PROBING, after=1300)  # the valve's edge is passed
 BRAKING = Amid("braking", True, State.PROBING, after=3, braking=True)
+FIRST = Amid("first", False, State.PROBING, after=200)
 EDGES = Amid("edges", False, State.PROBING, after=1300)
 REST = Amid("rest", False, State.MOVING)
 MOVES = Amid("moves", False, State.MOVING)
@@ -71,7 +72,7 @@ FEW = (
     F.CONSOLE_LOST,
 )  # of the table, or all of it
 BRAKED = 4  # ticks, for which it lasts
-ALL = (MOVEMENT, BRAKING, EDGES, REST, MOVES, SINE, VERIFICATION)
+ALL = (MOVEMENT, BRAKING, FIRST, EDGES, REST, MOVES, SINE, VERIFICATION)
 
 
 CASES = [
@@ -158,6 +159,8 @@ def begun(loaded: Loaded, monkeypatch: pytest.MonkeyPatch) -> Callable[[Amid], B
     def bench(amid: Amid) -> Bench:
         monkeypatch.setattr(procedure, "_steps", lambda p, wishes: amid.steps(loaded))
         monkeypatch.setattr(procedure, "_learnt_edges", lambda *_: False)
+        if amid != FIRST:
+            monkeypatch.setattr(steps, "first", lambda p: [])
         if amid.braking:
             monkeypatch.setattr(testing, "touches", lambda *_: [])
         return Bench(amid, loaded, ready())

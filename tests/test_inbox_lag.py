@@ -41,14 +41,20 @@ def narrowed(codec: Codec, bits: int) -> Codec:
         counter = codec.check(data)
         return counter if counter < 0 else counter & mask
 
-    return replace(codec, counter_mask=mask, check=check)
+    return replace(codec, counter_values=mask + 1, check=check)
+
+
+def exchanged(codecs: Codecs, **roles: Codec) -> Codecs:
+    """Codecs with others for some of the answers."""
+    answers = (a._replace(codec=roles.get(a.name, a.codec)) for a in codecs.answers)
+    return replace(codecs, answers=tuple(answers))
 
 
 class Talk:
     """A bus in which the nodes do as they are told; positions tell the SYNC that they were read at."""
 
     def __init__(self, bits: int = 8, step_m: float = 0.0, bus: BusConfig = BUS, codecs: Codecs = CODECS):
-        self.codecs = replace(
+        self.codecs = exchanged(
             codecs,
             encoder=narrowed(codecs.encoder, bits),
             pressure=narrowed(codecs.pressure, bits),
@@ -68,7 +74,7 @@ class Talk:
         self.counter += 1
         c = self.codecs.encoder
         return Frame(
-            0, c.can_id, c.encode(self.position_m(sync), 1, 2e-5, counter=self.counter & c.counter_mask)
+            0, c.can_id, c.encode(self.position_m(sync), 1, 2e-5, counter=self.counter % c.counter_values)
         )
 
     def tick(self, *fates: tuple[str, int]) -> Measurement:
@@ -309,10 +315,10 @@ def test_without_sync_counters_tell_nothing() -> None:
 
 def test_without_a_counter_the_stamp_tells() -> None:
     def uncounted(codec: Codec) -> Codec:
-        return replace(codec, counter_mask=0)
+        return replace(codec, counter_values=1)
 
     talk = Talk()
-    talk.inbox = Inbox(replace(CODECS, encoder=uncounted(CODECS.encoder)), BUS)
+    talk.inbox = Inbox(exchanged(CODECS, encoder=uncounted(CODECS.encoder)), BUS)
     talk.ticks(20)
     talk.tick(("before", 1))
     assert talk.tick(("lost", 0)).fresh

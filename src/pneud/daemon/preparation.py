@@ -18,7 +18,7 @@ from pneud.config.models import Config
 from pneud.config.proof import Proof, digest, proven
 from pneud.config.sections import ConfigError
 from pneud.console import endpoint
-from pneud.loading import Loaded, bus_name, listening_s
+from pneud.loading import Loaded, bus_name, listening_s, plans_of_nodes
 from pneud.log.files.naming import open_log
 from pneud.scenario import verdict
 from pneud.scenario.files import load_axis, load_scenario
@@ -79,6 +79,8 @@ def prepared(o: RunOptions) -> Iterator[Ready]:
         DatabaseError: the DBC cannot be used.
         LinkError: the bus cannot be used.
         LogError: the log cannot be written.
+        EdsError: the EDS of a node cannot be used.
+        MissingLibraryError: there are nodes, and nothing installed that configures them.
         BuildError: the compiled law is required and cannot be had.
         PlaceError: the console's socket cannot be made.
     """
@@ -103,6 +105,11 @@ def _prepared(o: RunOptions, viewers: ViewersPlace | None) -> Iterator[Ready]:
     how = backend(config.loop.compiled, p)
     if how.reason:
         print(f"pneud: the law runs in Python: {how.reason}", file=sys.stderr)
+    if config.bus.nodes:
+        from pneud.canopen.keeper import check_library  # noqa: PLC0415 - for rigs with nodes only
+
+        check_library()
+        plans_of_nodes(loaded)
     lacks = lacks_proof(o, loaded, channel)
     log_file, descriptor = open_log(o.log, config.name)
     try:
@@ -169,6 +176,7 @@ def _named(o: RunOptions) -> tuple[Scenario | None, Loaded, str]:
 def _join(channel: str, axis: Loaded, how: Backend, virtual: bool) -> Link:
     link = open_link(channel, virtual=virtual, by=how.carriage)
     if channel != "auto":
-        own = (axis.codecs.sync.can_id, axis.codecs.valve_command.can_id)
+        command, sync = axis.codecs.valve_command.can_id, axis.codecs.sync.can_id
+        own = (sync, command) if axis.config.bus.sync else (command,)  # without, it is anybody's
         refuse_if_driven(link, own, listening_s(axis.config))
     return link

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from pneud import crew
 from pneud.bus.codec import DatabaseError
-from pneud.bus.inbox import Inbox
+from pneud.bus.mapped_inbox import inbox_of
 from pneud.config import conversions
 from pneud.config.sections import ConfigError
 from pneud.config.toml import flat
@@ -21,12 +21,12 @@ from pneud.console import handoff
 from pneud.console.facts import RunFacts
 from pneud.console.keeper import fork_console
 from pneud.daemon.preparation import Ready
-from pneud.loading import load
+from pneud.loading import devices_of, load, plans_of_nodes, plans_of_plant
 from pneud.log.format.header import LogHeader, Rotation
 from pneud.log.live.recorder import start_recorder
 from pneud.log.live.ring import Ring
 from pneud.loop.lane import Lane
-from pneud.loop.loop import Loop
+from pneud.loop.loop import Loop, Nodes
 from pneud.loop.options import Options
 from pneud.loop.recorder_watch import RecorderWatch
 from pneud.loop.stopping import stop_on_signals
@@ -35,6 +35,7 @@ from pneud.rig.plant_process import Rig, fork_plant
 from pneud.rig.truth import TruthReader, truth_memory
 from pneud.rt import setup
 from pneud.safety.faults import FAULT_NAMES
+from pneud.safety.unnoticed import unnoticed
 from pneud.view.info import info_of
 from pneud.view.processes import fork_screen, fork_viewers
 
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
 RECORDER_PATIENCE_S = 15.0
 CONSOLE_PATIENCE_S = 1.0
 PLANT_PATIENCE_S = VIEWERS_PATIENCE_S = 2.0
+KEEPER_PATIENCE_S = 1.0
 SCENARIO_PATIENCE_S = 20.0  # with processes that have a scenario to end
 
 
@@ -92,6 +94,7 @@ class Session:
         console = self._start_console(ends, asking, words)
         stage = self._stage()
         plant, truth = self._start_plant(ends, stage) if o.virtual else (0, None)
+        nodes = self._start_keeper(ends) if ready.config.bus.nodes else None
         if ready.viewers is not None:
             self._start_viewers(ends, ready.viewers)
         if stage is not None and stage.scenario.orders:
@@ -102,7 +105,7 @@ class Session:
         self.ring.set_notes(setup.as_text(self.reports))
         requests = handoff.LoopEnd(taking)
         ends.callback(requests.close)  # by which the console sees at once that the run is over
-        loop = self._loop(recorder, truth, requests)
+        loop = self._loop(recorder, truth, requests, nodes)
         stop_on_signals(loop.stop, console)
         return loop
 
@@ -112,7 +115,9 @@ class Session:
         o = self.ready.options
         return not o.headless and not o.json and sys.stdout.isatty()
 
-    def _loop(self, recorder: int, truth: TruthReader | None, requests: handoff.LoopEnd) -> Loop:
+    def _loop(
+        self, recorder: int, truth: TruthReader | None, requests: handoff.LoopEnd, nodes: Nodes | None
+    ) -> Loop:
         ready, config, o = self.ready, self.ready.config, self.ready.options
         codecs = ready.loaded.codecs
         fifo = next(r for r in self.reports if r.name == "fifo")
@@ -127,10 +132,11 @@ class Session:
             no_realtime=config.realtime.required and not fifo.ok,
             unproven=ready.unproven,
         )
-        turn = Turn(ready.axis, Inbox(codecs, config.bus), codecs)
+        turn = Turn(ready.axis, inbox_of(codecs, config.bus), codecs)
         watch = RecorderWatch(self.ring, recorder)
-        lane = Lane(turn, ready.link, watch, options, truth, requests)
-        return Loop([lane], codecs, ready.link, options)
+        known = truth if turn.inbox.sync else None  # which it is at SYNC
+        lane = Lane(turn, ready.link, watch, options, known, requests)
+        return Loop([lane], codecs, ready.link, options, nodes)
 
     def _start_recorder(self, ends: ExitStack, heard: socket.socket) -> int:
         ready = self.ready
@@ -185,7 +191,8 @@ class Session:
     def _start_plant(self, ends: ExitStack, stage: Stage | None) -> tuple[int, TruthReader]:
         config, how, codecs = self.ready.config, self.ready.how, self.ready.loaded.codecs
         seed, priority = self.ready.options.seed, conversions.plant_priority(config.realtime)
-        rig = Rig(conversions.plant_of(config), codecs, seed, priority, how.advance, how.carriage)
+        plans, odd = plans_of_plant(self.ready.loaded), config.plant.odd_nodes
+        rig = Rig(conversions.plant_of(config), codecs, seed, priority, how.advance, how.carriage, plans, odd)
         memory = truth_memory()
         plant = fork_plant(self.ready.link.name, rig, memory, stage)
 
@@ -196,6 +203,15 @@ class Session:
 
         ends.callback(end)
         return plant, TruthReader(memory)
+
+    def _start_keeper(self, ends: ExitStack) -> Nodes:
+        """Have the nodes configured; the loop runs meanwhile, and nothing is armed."""
+        from pneud.canopen.keeper import Readiness, fork_keeper  # noqa: PLC0415 - for rigs with nodes only
+
+        readiness = Readiness()
+        keeper = fork_keeper(self.ready.link.name, plans_of_nodes(self.ready.loaded), readiness)
+        ends.callback(crew.end, keeper, KEEPER_PATIENCE_S)
+        return readiness
 
     def _start_viewers(self, ends: ExitStack, at: ViewersPlace) -> None:
         parameters = flat(self.ready.config.model_dump(mode="json", by_alias=True))
@@ -255,6 +271,7 @@ def _header(ready: Ready) -> LogHeader:
         realtime_offset_ns=ready.link.realtime_offset_ns,
         extra={
             "law": ready.how.name,
+            "unnoticed": " ".join(one.name for one in unnoticed(devices_of(config, ready.loaded.codecs))),
             **({"seed": str(o.seed)} if o.virtual else {}),
             **({"scenario": ready.scenario.name} if ready.scenario is not None else {}),
             **({"movement_test": "not asked for: --unproven"} if o.unproven else {}),

@@ -36,7 +36,7 @@ class ValveNode:
         codec = self._codec
         if not codec.valid(data):
             return
-        if codec.counter_mask:
+        if codec.counter_values > 1:
             counter = codec.counter(data)
             if counter == self._last_counter:
                 return
@@ -60,6 +60,11 @@ class ValveNode:
         self.output_v = 0.0
         if self.state != ValveState.FAULT:
             self.state = ValveState.TIMED_OUT
+
+    def reset(self) -> None:
+        """Be told that the end of commands is over; what else is wrong stays."""
+        if self.state == ValveState.TIMED_OUT:
+            self.state = ValveState.CENTRED
 
     def reboot(self) -> None:
         """Start anew, as after a loss of supply: centred, and without a command."""

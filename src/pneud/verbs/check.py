@@ -12,8 +12,9 @@ from pneud.config.models import Config
 from pneud.config.places import line_of
 from pneud.config.sections import ConfigError
 from pneud.control.tunables import in_slot
-from pneud.loading import Loaded, load
+from pneud.loading import Loaded, devices_of, load
 from pneud.physics import ratings
+from pneud.safety.unnoticed import Unnoticed, unnoticed
 from pneud.scenario import verdict
 from pneud.scenario.files import is_scenario, load_axis, load_scenario
 from pneud.study import gains, linear
@@ -43,9 +44,11 @@ def check(
     if wrong := [_placed(loaded, finding) for finding in found if finding.is_error]:
         raise ConfigError(f"{loaded.path}: {'; '.join(wrong)}")
     doubts = [_placed(loaded, finding) for finding in found] + linear.doubts_of(c)
+    blind = unnoticed(devices_of(c, codecs))
     believed, true = _flowing(c), _flowing(conversions.truth_of(c))
     if json:
         found_so = {"schema": 1, "ok": True, "name": c.name, "file": str(loaded.path), "warnings": doubts}
+        found_so["unnoticed"] = [{"fault": one.name, "why": one.why, "wholly": one.wholly} for one in blind]
         print(json_.dumps(found_so | {"valve": believed}))
         return 0
     print(f"{loaded.path}: {'fine' if not doubts else f'usable, {len(doubts)} to look at'}")
@@ -58,9 +61,18 @@ def check(
     print(f"law {c.control.law}, {form}on {c.bus.channel} with {loaded.dbc.name}")
     if c.control.adaptation.start.log:
         print(f"adaptation starts from {c.control.adaptation.start.log}")
+    for why, names in _by_reason(blind).items():
+        print(f"not noticed here: {', '.join(names)} ({why})")
     for doubt in doubts:
         print(f"warning: {doubt}")
     return 0
+
+
+def _by_reason(blind: list[Unnoticed]) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {}
+    for one in blind:
+        found.setdefault(one.why, []).append(one.name)
+    return found
 
 
 def _flowing(c: Config) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from pneud.compiled.backend import backend
 from pneud.config import conversions
 from pneud.config.sections import ConfigError
 from pneud.crew import asked_to_leave
-from pneud.loading import bus_name, listening_s
+from pneud.loading import bus_name, listening_s, plans_of_plant
 from pneud.rig.plant_process import Rig, answer
 from pneud.scenario.files import load_axis, load_scenario
 from pneud.scenario.stage import Stage
@@ -45,10 +45,11 @@ def plant(
         print(f"valve node: {state.name.lower()}", file=sys.stderr, flush=True)
 
     codecs = axis.codecs
-    answers = (codecs.encoder.can_id, codecs.pressure.can_id, codecs.valve_status.can_id)
+    answers = tuple(answer.codec.can_id for answer in codecs.answers)
     how = backend(config.loop.compiled, conversions.axis_of(config, codecs.command_lsb_v))
     priority = conversions.plant_priority(config.realtime)
-    rig = Rig(conversions.plant_of(config), codecs, seed, priority, how.advance, how.carriage)
+    plans, odd = plans_of_plant(axis), config.plant.odd_nodes
+    rig = Rig(conversions.plant_of(config), codecs, seed, priority, how.advance, how.carriage, plans, odd)
     stage = Stage(scenario, config.loop.rate_hz) if scenario is not None else None
     with open_link(channel, virtual=True, by=how.carriage) as link:
         refuse_if_driven(link, answers, listening_s(config), "other nodes answer there")
