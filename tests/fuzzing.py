@@ -125,7 +125,7 @@ def _encoded(rng: random.Random, codec: Codec) -> bytes | None:
         value * rng.choice((0.0, 1e-3, 1.0, 1.0)) if isinstance(value, float) else value for value in decoded
     ]
     try:
-        return codec.encode(*near, counter=rng.getrandbits(8) & codec.counter_mask)
+        return codec.encode(*near, counter=rng.getrandbits(8) % codec.counter_values)
     except ValueError:
         return None
 

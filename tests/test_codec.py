@@ -270,7 +270,7 @@ def test_a_signal_may_fill_the_whole_frame(tmp_path: Path, big: bool, signed: bo
         value = int.from_bytes(data, "big" if big else "little", signed=signed)
         assert codec.decode(data) == (value * 1e-6, 1, 0.0), "what a device does not tell has its default"
         assert codec.counter(data) == 0
-    assert codec.counter_mask == 0
+    assert codec.counter_values == 1
 
 
 def test_pressures_and_volts_may_come_in_other_units(tmp_path: Path) -> None:
@@ -331,10 +331,10 @@ BROKEN: dict[str, tuple[str, BusConfig, str]] = {
         BusConfig(),
         "message VALVE_STATUS: is multiplexed",
     ),
-    "checksum elsewhere": (
-        changed("", ""),
-        encoder_bus(signals={"position_m": "Position"}, crc="Status"),
-        "message ENCODER, signal Status: the checksum must be the whole last byte (byte 7), unsigned",
+    "checksum too narrow": (
+        changed("Crc : 56|8", "Crc : 56|4"),
+        BusConfig(),
+        "message ENCODER, signal Crc: the checksum of pneud is unsigned, with 8 bits, factor 1",
     ),
     "signed counter": (
         changed("Counter : 0|8@1+ (1,0) [1|240]", "Counter : 0|8@1- (1,0) [1|240]"),
@@ -524,5 +524,5 @@ def test_a_device_may_have_neither_counter_nor_checksum() -> None:
         }
     )
     codec = load_codecs(bus, DBC).encoder
-    assert (codec.counter_mask, codec.crc) == (0, False)
+    assert (codec.counter_values, codec.guard.crc) == (1, None)
     assert codec.check(bytes(8)) == 0

@@ -41,7 +41,7 @@ def narrowed(codec: Codec, bits: int) -> Codec:
         counter = codec.check(data)
         return counter if counter < 0 else counter & mask
 
-    return replace(codec, counter_mask=mask, check=check)
+    return replace(codec, counter_values=mask + 1, check=check)
 
 
 class Talk:
@@ -68,7 +68,7 @@ class Talk:
         self.counter += 1
         c = self.codecs.encoder
         return Frame(
-            0, c.can_id, c.encode(self.position_m(sync), 1, 2e-5, counter=self.counter & c.counter_mask)
+            0, c.can_id, c.encode(self.position_m(sync), 1, 2e-5, counter=self.counter % c.counter_values)
         )
 
     def tick(self, *fates: tuple[str, int]) -> Measurement:
@@ -309,7 +309,7 @@ def test_without_sync_counters_tell_nothing() -> None:
 
 def test_without_a_counter_the_stamp_tells() -> None:
     def uncounted(codec: Codec) -> Codec:
-        return replace(codec, counter_mask=0)
+        return replace(codec, counter_values=1)
 
     talk = Talk()
     talk.inbox = Inbox(replace(CODECS, encoder=uncounted(CODECS.encoder)), BUS)

@@ -14,22 +14,26 @@ import pytest
 from commands import pneud_here
 from mangled import simulated
 from pneud.config.conversions import reference_of
-from pneud.config.reading import load_config
+from pneud.config.reading import load_config, parse
+from pneud.config.writing import noted
 from pneud.log.files.columns import Block
 from pneud.log.files.reader import read_log
 from pneud.report.bins import Bins, Spectrum, fine_about_zero
 from pneud.report.closeup import NONE, Closeup, decoded, encoded
 from pneud.report.colours import colours_of
 from pneud.report.differences import differences
+from pneud.report.figures import TIMED, line
 from pneud.report.frame import BAD, GOOD, LOOK, Section, Verdict, document
 from pneud.report.gather import LoggedRun, gather
 from pneud.report.page import page
 from pneud.report.planes import _Period, sample
-from pneud.report.sections import injections
+from pneud.report.sections import injections, learnt
 from pneud.report.spans import Span
 from pneud.report.stops import Stops, seen
 from pneud.report.verdict import judge
 from pneud.signals import State
+from pneud.study.commissioning.written import changes, text_with
+from pneud.study.identification.parameters import Estimate
 
 GOLDEN = Path(__file__).parent / "golden"
 
@@ -247,6 +251,36 @@ def test_a_page_keeps_every_tick_where_the_overview_does_not(tmp_path: Path) -> 
     assert stretch.ticks == run.ticks > len(run.series.t_s)
     few: Any = gather(read_log(tmp_path / "run.mcap"), buckets=64)
     assert not few.closeup.stretches
+
+
+def test_no_time_is_drawn_that_nobody_has_measured(tmp_path: Path, lost: LoggedRun) -> None:
+    simulated(tmp_path / "run.mcap", 0.1)
+    run = gather(read_log(tmp_path / "run.mcap"))
+    assert run.simulated
+    assert [line(run, column) for column in TIMED] == [None] * 3
+    assert line(run, "position_mm") is not None
+
+
+def test_values_that_were_identified_say_by_what(asked: LoggedRun) -> None:
+    assert "identified" not in learnt(asked)
+    text = asked.log.config_text
+    found = {"control.friction.coulomb_n": Estimate(35.2, 34.1, 36.4, 36.0, told=True)}
+    c = parse(text, "virtual.toml")
+    what = changes(c, text, {"control.friction.coulomb_n": 35.2, "name": "other"}, found)
+    with_them = text_with(text, "virtual.toml", what, "moves.mcap, 2026-05-01")
+    rows = [
+        ("name", '"other"', "by moves.mcap, 2026-05-01"),
+        ("control.friction.coulomb_n", "35.2", "34.1 … 36.4 by moves.mcap, 2026-05-01"),
+    ]
+    assert noted(with_them) == rows
+    shown = learnt(
+        cast(
+            Any,
+            SimpleNamespace(config=c, learning=asked.learning, log=SimpleNamespace(config_text=with_them)),
+        )
+    )
+    assert "2 values identified from logs" in shown
+    assert "34.1 … 36.4 by moves.mcap" in shown
 
 
 def test_a_simulated_log_tells_when_its_scenario_began(tmp_path: Path) -> None:

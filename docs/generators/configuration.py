@@ -19,6 +19,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from pneud.config.models import Config, FrameConfig, FramesConfig
+from pneud.config.sections import Section
 
 HEAD = """\
 # Keys of a configuration
@@ -56,6 +57,8 @@ def meanings(model: type[BaseModel]) -> dict[str, str]:
     """The comment behind each key in the source of its table, or on the line that ends it."""
     found: dict[str, str] = {}
     key = ""
+    if (base := model.__base__) is not None and issubclass(base, Section):
+        found = meanings(base)
     for line in inspect.getsource(model).splitlines():
         if match := KEY.match(line):
             key = match.group(1)

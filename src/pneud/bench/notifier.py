@@ -108,7 +108,7 @@ def run(
             else:
                 incomplete += 1
             volts, enable = (law.command_v, 1) if law is not None else (0.0, 0)
-            data = c.valve_command.encode(volts, enable, index, counter=n & c.valve_command.counter_mask)
+            data = c.valve_command.encode(volts, enable, index, counter=n % c.valve_command.counter_values)
             _send(link, c.valve_command, data)
             sent_ns = clock()
             if complete:

@@ -14,7 +14,8 @@ from typing import Any
 
 from pneud.bus import database
 from pneud.bus.database import MessageSpec, Signal
-from pneud.bus.dbc_layout import SignalField, bit_range, compile_functions
+from pneud.bus.dbc_layout import Guard, SignalField, bit_range, compile_functions
+from pneud.bus.protection import RULES, checksum
 from pneud.config.models import BusConfig, FrameConfig
 from pneud.rt.inputs import read_whole
 
@@ -68,13 +69,13 @@ class Codec:
     units, and ints for numbers without a dimension. `encode` takes the values in the order of the role, those
     with a default need not be given, and `counter` by its name; it rounds half to even, leaves reserved bits
     zero and raises ValueError for what the signal cannot carry. `check` yields the counter of what is valid,
-    and −1 of what is not. `counter_mask` is 0 without a counter. The rest is for those who judge many frames
-    at once: where counter and age lie, and whether the last byte is a checksum.
+    and −1 of what is not. `counter_values` is how many values the counter has, 1 without one. The rest is
+    for those who judge many frames at once: where counter and age lie, and how the frame is protected.
     """
 
     can_id: int
     length: int
-    counter_mask: int
+    counter_values: int
     encode: Callable[..., bytes]
     decode: Callable[[bytes], tuple[Any, ...]]
     counter: Callable[[bytes], int]
@@ -82,7 +83,7 @@ class Codec:
     check: Callable[[bytes], int]
     counter_field: SignalField | None
     age_field: SignalField | None
-    crc: bool
+    guard: Guard
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +176,8 @@ class _Loader:
             if default is _REQUIRED and key not in frame.signals:
                 cure = f'add signals.{key} = "NAME" under [bus.frames.{role}]'
                 raise self._error(message.name, None, f"no signal is named for {key}; {cure}")
-        named = [*frame.signals.values(), *(name for name in (frame.counter, frame.crc) if name is not None)]
+        others = (frame.counter, frame.crc, frame.data_id_nibble)
+        named = [*frame.signals.values(), *(name for name in others if name is not None)]
         for name in named:
             if named.count(name) > 1:
                 raise self._error(message.name, name, f"has two jobs; look at [bus.frames.{role}]")
@@ -184,25 +186,25 @@ class _Loader:
         }
         self.fields[role] = fields
         counter = None if frame.counter is None else self._counter(message, frame.counter)
-        if frame.crc is not None:
-            self._check_crc(message, frame.crc)
+        guard = self._guard(f"bus.frames.{role}", message, frame, counter)
+        if counter is not None:
+            counter = counter._replace(high=min(counter.high, guard.counter_values - 1))
         functions = compile_functions(
             message.can_id,
             message.length,
             [fields.get(key) for key in values],
             list(values.values()),
             counter,
-            frame.crc is not None,
+            guard,
         )
-        mask = 0 if counter is None else (1 << counter.length) - 1
         return Codec(
             message.can_id,
             message.length,
-            mask,
+            guard.counter_values,
             *functions,
             counter_field=counter,
             age_field=fields.get("age_s"),
-            crc=frame.crc is not None,
+            guard=guard,
         )
 
     def _message(self, role: str, frame: FrameConfig) -> MessageSpec:
@@ -292,14 +294,45 @@ class _Loader:
             )
         return self._placed(message, signal, Fraction(1), integer=True)
 
-    def _check_crc(self, message: MessageSpec, name: str) -> None:
+    def _guard(
+        self, table: str, message: MessageSpec, frame: FrameConfig, counter: SignalField | None
+    ) -> Guard:
+        """How the frames of a message are protected."""
+        name, rule = frame.protection, RULES[frame.protection]
+        if rule.counter is not None and (counter is None or counter.length != rule.counter.bits):
+            cure = f"needs a counter of {rule.counter.bits} bits; look at {table}.counter"
+            raise self._error(message.name, frame.counter, f"{name} {cure}")
+        all_set = 0 if counter is None else (1 << counter.length) - 1
+        last = all_set if rule.counter is None else rule.counter.last
+        if frame.counter_max is not None:
+            if frame.counter_max > last:
+                raise self._error(
+                    message.name, frame.counter, f"counter_max is beyond its last value, {last}"
+                )
+            last = frame.counter_max
+        if frame.crc is None:
+            if name != "pneud":
+                raise self._error(message.name, None, f"{name} needs a checksum; look at {table}.crc")
+            return Guard(counter_values=last + 1, judged="length" if last == all_set else "call")
+        crc = self._plain(message, frame.crc, rule.bits, f"the checksum of {name}")
+        nibble = frame.data_id_nibble and self._plain(message, frame.data_id_nibble, 4, "data_id_nibble")
+        trailing = crc.start == 8 * message.length - (1 if crc.big_endian else 8)
+        return Guard(
+            crc,
+            checksum(name, message.can_id, frame.data_ids, frame.data_id_mode),
+            last + 1,
+            nibble or None,
+            frame.data_ids[0] >> 8 if nibble else 0,
+            "inline" if name == "pneud" and trailing and last == all_set else "call",
+        )
+
+    def _plain(self, message: MessageSpec, name: str, bits: int, what: str) -> SignalField:
         signal = self._signal(message, name)
-        last = message.length - 1
-        start = 8 * last + (7 if signal.big_endian else 0)
-        if signal.length != 8 or signal.start != start or signal.signed:
+        if signal.length != bits or signal.signed or signal.scale != 1 or signal.offset != 0:
             raise self._error(
-                message.name, name, f"the checksum must be the whole last byte (byte {last}), unsigned"
+                message.name, name, f"{what} is unsigned, with {bits} bits, factor 1 and offset 0"
             )
+        return self._placed(message, signal, Fraction(1), integer=True)
 
     def _error(self, message: str, signal: str | None, problem: str) -> DatabaseError:
         where = f"message {message}" if signal is None else f"message {message}, signal {signal}"

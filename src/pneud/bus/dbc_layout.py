@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, Literal, NamedTuple, NoReturn
 
 from pneud.bus import crc8
+from pneud.bus.protection import Checksum
 
 _CODES = {8: "b", 16: "h", 32: "i", 64: "q"}
 _CRC_BYTES = tuple(bytes((state ^ crc8.FINAL_XOR,)) for state in range(256))
@@ -41,6 +42,21 @@ class SignalField(NamedTuple):
         return raw * self.scale + self.offset
 
 
+class Guard(NamedTuple):
+    """How a message is protected: what its frames have to hold besides values.
+
+    `judged` by their length alone; by pneud's own checksum in the last byte, which is compiled to one
+    expression; or by a call.
+    """
+
+    crc: SignalField | None = None
+    checksum: Checksum | None = None
+    counter_values: int = 1  # how many the counter has; 1 where there is none
+    nibble: SignalField | None = None  # that always holds `nibble_value`
+    nibble_value: int = 0
+    judged: Literal["length", "inline", "call"] = "length"
+
+
 class Functions(NamedTuple):
     """What is compiled for one message."""
 
@@ -57,44 +73,50 @@ def compile_functions(
     fields: Sequence[SignalField | None],
     defaults: Sequence[float | None],
     counter: SignalField | None,
-    crc: bool,
+    guard: Guard,
 ) -> Functions:
     """The functions of one message.
 
     Args:
-        can_id: 11-bit identifier; the checksum covers it.
+        can_id: identifier; pneud's checksum covers it.
         length: bytes in the frame, 0 … 8.
         fields: in the order of the values; None where there is no such signal: encoding ignores the value.
         defaults: what decoding yields where there is no such signal, and encoding takes where no value is
             given; None for a value that has to be there.
         counter: the running counter, if there is one.
-        crc: whether the last byte is the checksum.
+        guard: how it is protected.
     """
-    body = length - 1 if crc else length
+    inline = guard.judged == "inline"
+    body = length - 1 if inline else length
     present = [(f"v{i}", f) for i, f in enumerate(fields) if f is not None]
     placed = present + ([("counter", counter)] if counter is not None else [])
+    placed += [("NIBBLE", guard.nibble)] if guard.nibble is not None else []
     aligned = _struct(placed, body)
     scope: dict[str, Any] = {
         "T": crc8.TABLE,
         "CRC": _CRC_BYTES,
         "refuse": _refusal(fields, counter),
         "from_bytes": int.from_bytes,
+        "NIBBLE": guard.nibble_value,
+        "checksum": guard.checksum,
     }
     for i, default in enumerate(defaults):
         scope[f"D{i}"] = default
     if aligned is not None:
         scope["pack"] = aligned[0].pack
-        scope["unpack"] = struct.Struct(aligned[0].format + ("x" if crc else "")).unpack
-    chain = _crc_chain(can_id, body)
+        scope["unpack"] = struct.Struct(aligned[0].format + ("x" if inline else "")).unpack
+    chain = _crc_chain(can_id, body) if inline else None
     byte = _counter_byte(counter)
-    counted = f"b{byte}" if crc and byte is not None else "counter_of(data)"
+    counted = f"b{byte}" if inline and byte is not None else "counter_of(data)"
+    if guard.crc is not None and not inline:
+        scope["rest"], scope["put"] = _around(guard.crc, length)
     source = "\n".join(
         (
-            *_encode_source(fields, defaults, counter, aligned, placed, body, chain if crc else None, scope),
+            *_encode_source(fields, defaults, counter, aligned, placed, body, chain, guard, scope),
             *_decode_source(fields, aligned, present, length),
             *_counter_source(counter, length),
-            *_judging_source("valid", length, chain if crc else None, "True", "False"),
-            *_judging_source("check", length, chain if crc else None, counted, "-1"),
+            *_judging_source("valid", length, chain, guard, counter, "True", "False"),
+            *_judging_source("check", length, chain, guard, counter, counted, "-1"),
         )
     )
     exec(compile(source, f"<codec of 0x{can_id:03X}>", "exec"), scope)
@@ -196,6 +218,7 @@ def _encode_source(
     placed: list[tuple[str, SignalField]],
     body: int,
     chain: str | None,
+    guard: Guard,
     scope: dict[str, Any],
 ) -> list[str]:
     names = [f"v{i}" for i in range(len(fields))]
@@ -230,7 +253,8 @@ def _encode_source(
             f"    data = (n | from_bytes(m.to_bytes({body}, 'big'), 'little')).to_bytes({body}, 'little')"
         )
     if chain is None:
-        return [*lines, "    return data"]
+        guarded = "put(data, checksum(rest(data), counter))" if guard.crc is not None else "data"
+        return [*lines, f"    return {guarded}"]
     if body:
         lines.append(f"    {''.join(f'b{i}, ' for i in range(body))} = data")
     return [*lines, f"    return data + CRC[{chain}]"]
@@ -245,16 +269,59 @@ def _counter_source(counter: SignalField | None, length: int) -> list[str]:
     return ["def counter_of(data):", *_words([counter]), f"    return {_extract(counter, length)}"]
 
 
-def _judging_source(name: str, length: int, chain: str | None, good: str, bad: str) -> list[str]:
-    """A function that yields one expression for a frame with the right length and checksum, else another."""
+def _judging_source(
+    name: str,
+    length: int,
+    chain: str | None,
+    guard: Guard,
+    counter: SignalField | None,
+    good: str,
+    bad: str,
+) -> list[str]:
+    """A function that yields one expression for a frame as it has to be, else another."""
     lines = [f"def {name}(data):", f"    if len(data) != {length}:", f"        return {bad}"]
     if chain is None:
+        if tests := _guard_tests(guard, counter, length):
+            good = f"{good} if {' and '.join(tests)} else {bad}"
+            lines += _words([f for f in (guard.crc, guard.nibble) if f is not None])
         return [*lines, f"    return {good}"]
     return [
         *lines,
         f"    {''.join(f'b{i}, ' for i in range(length))} = data",
         f"    return {good} if {chain} == b{length - 1} ^ {crc8.FINAL_XOR} else {bad}",
     ]
+
+
+def _guard_tests(guard: Guard, counter: SignalField | None, length: int) -> list[str]:
+    tests = []
+    if counter is not None and guard.counter_values < 1 << counter.length:
+        tests.append(f"counter_of(data) < {guard.counter_values}")
+    if guard.nibble is not None:
+        tests.append(f"{_extract(guard.nibble, length)} == NIBBLE")
+    if guard.crc is not None:
+        tests.append(f"{_extract(guard.crc, length)} == checksum(rest(data), counter_of(data))")
+    return tests
+
+
+def _around(f: SignalField, length: int) -> tuple[Callable[[bytes], bytes], Callable[[bytes, int], bytes]]:
+    """What is left of a frame without a field, and how its value is put into a frame that has zeros there.
+
+    Whole bytes are left out; a part of a byte counts as zeros.
+    """
+    order: Literal["big", "little"] = "big" if f.big_endian else "little"
+    above, ones = shift(f, length), (1 << f.length) - 1
+    span = _byte_span(f)
+
+    def put(data: bytes, value: int) -> bytes:
+        return (int.from_bytes(data, order) | value << above).to_bytes(length, order)
+
+    def without(data: bytes) -> bytes:
+        return (int.from_bytes(data, order) & ~(ones << above)).to_bytes(length, order)
+
+    if span is None:
+        return without, put
+    first, last = span[0], sum(span)
+    return lambda data: data[:first] + data[last:], put
 
 
 def _crc_chain(can_id: int, body: int) -> str:

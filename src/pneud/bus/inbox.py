@@ -85,7 +85,7 @@ class _Origin:
     """What is known of one source."""
 
     __slots__ = (
-        *("bit", "codec", "corrupt", "counter", "defects", "doubted", "has_age", "lag", "lost"),
+        *("bit", "codec", "corrupt", "counter", "counts", "defects", "doubted", "has_age", "lag", "lost"),
         *("sample_ns", "surplus", "values"),
     )
 
@@ -95,8 +95,9 @@ class _Origin:
         self.bit = bit
         self.codec = codec
         self.has_age = has_age
-        counts = bus.sync and codec.counter_mask
-        self.lag = Lag(counts, round(bus.sensor_timeout_ms * 1e6)) if counts else None
+        self.counts = codec.counter_values if codec.counter_values > 1 else 0  # how many values, if it counts
+        lags = bus.sync and self.counts
+        self.lag = Lag(lags, round(bus.sensor_timeout_ms * 1e6)) if lags else None
         self.counter = -1  # the newest one seen
         self.corrupt = 0  # frames since then whose counter could not be believed
         self.defects = 0
@@ -115,7 +116,7 @@ class _Origin:
     def miss(self, counter: int) -> None:
         """What is missing before a frame with this counter may be lost."""
         if self.counter >= 0:
-            missing = (counter - self.counter - 1) & self.codec.counter_mask
+            missing = (counter - self.counter - 1) % self.counts
             self.doubted += max(0, missing - self.corrupt)
 
     def found(self) -> None:
@@ -244,8 +245,8 @@ class Inbox:
             origin.corrupt += 1
             origin.defects |= _CORRUPT
             return
-        mask = codec.counter_mask
-        if mask and counter == origin.counter:
+        counts = origin.counts
+        if counts and counter == origin.counter:
             self._stale += 1
             origin.defects |= _FROZEN
             return
@@ -258,18 +259,18 @@ class Inbox:
             else:
                 sample_ns -= round(age_s * 1e9)
         late = sample_ns < self._not_before_ns or sample_ns == -NEVER_NS
-        if mask:
+        if counts:
             lag, older = origin.lag, False
             if (
                 lag is not None
-                and (lag.open or counter != (lag.offset + self._syncs) & mask)
+                and (lag.open or counter != (lag.offset + self._syncs) % counts)
                 and self._lags(origin, lag, counter, values[0], late)
             ):
                 late, older = True, lag.older(counter, origin.counter)
             if older:
                 origin.found()
             else:
-                if counter != (origin.counter + 1) & mask:
+                if counter != (origin.counter + 1) % counts:
                     origin.miss(counter)
                 origin.counter = counter
                 origin.corrupt = 0

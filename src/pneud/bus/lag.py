@@ -61,19 +61,19 @@ class Lag:
     """
 
     __slots__ = (
-        *("_mask", "_most", "_named_ns", "_patience_ns", "_run", "_shift", "_votes"),
+        *("_most", "_named_ns", "_patience_ns", "_run", "_shift", "_values", "_votes"),
         *("agreed", "offset", "open"),
     )
 
-    def __init__(self, mask: int, timeout_ns: int) -> None:
+    def __init__(self, values: int, timeout_ns: int) -> None:
         """Nothing is known.
 
         Args:
-            mask: of the counter.
+            values: how many the counter has.
             timeout_ns: after which a source is a fault that has not been fresh.
         """
-        self._mask = mask
-        self._most = min(MOST, mask >> 1)
+        self._values = values
+        self._most = min(MOST, (values - 1) >> 1)
         self._patience_ns, self._named_ns = round(PATIENCE * timeout_ns), round(NAMED * timeout_ns)
         self.thaw(LagState())
 
@@ -88,11 +88,11 @@ class Lag:
 
     def behind(self, counter: int, syncs: int) -> int:
         """By how many SYNCs a frame lags; 0 where it does not, or where that is not known."""
-        lag = (self.offset + syncs - counter) & self._mask
+        lag = (self.offset + syncs - counter) % self._values
         if self.agreed >= AGREE and 0 < lag <= self._most:
             return lag
         if lag:
-            self.offset = (counter - syncs) & self._mask
+            self.offset = (counter - syncs) % self._values
             self.agreed = 0
         self.agreed = min(AGREE, self.agreed + 1)
         self._shift = 0
@@ -101,7 +101,7 @@ class Lag:
 
     def older(self, counter: int, newest: int) -> bool:
         """Whether a frame that lags was sent before one that has come."""
-        return 0 < (newest - counter) & self._mask <= self._most
+        return 0 < (newest - counter) % self._values <= self._most
 
     def late(self, lag: int, says: int, waited_ns: int) -> bool:
         """Whether a frame that lags is late, as far as is known by now.
@@ -124,7 +124,7 @@ class Lag:
             enough = FEW if waited_ns > self._patience_ns else AGREE
             over = self._votes >= VERDICT or self._run >= enough
         if over:
-            self.offset = (self.offset - lag) & self._mask
+            self.offset = (self.offset - lag) % self._values
             self._shift = 0
             self.open = False
         return not over

@@ -14,6 +14,7 @@ from pneud.config.flow import RATINGS, given
 from pneud.config.learnt import start_of
 from pneud.config.measured import Places, check_map, edges_of
 from pneud.config.plant import FrictionConfig, PlantConfig
+from pneud.config.protection import ProtectionConfig
 from pneud.config.sections import (
     GRAVITY_M_S2,
     STOP_M,
@@ -150,7 +151,7 @@ class RealtimeConfig(Section):
     required: bool = False  # refuse to arm without real-time scheduling
 
 
-class FrameConfig(Section):
+class FrameConfig(ProtectionConfig):
     """One message of the DBC and its signals, by role.
 
     `node` is the CANopen identifier of the device that sends it: its EMCY stops the axis, and so does the

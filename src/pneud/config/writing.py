@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
-from tomlkit.items import InlineTable, Table
+from tomlkit.items import InlineTable, Item, Table
 
 from pneud.config.reading import parse
 from pneud.config.sections import ConfigError
 from pneud.rt.outputs import replacing
+
+NOTE = re.compile(r"(^|; )[^;]*\bby \S+, \d{4}-\d\d-\d\d$")
+"""What stands behind a value that was identified: its interval, if there is one, log and date."""
 
 
 class InlineError(ValueError):
@@ -95,3 +99,23 @@ def _within(table: Any, key: tuple[str, ...]) -> Any:
         above = ".".join(key[:-1])
         raise InlineError(f"{above} is written in one line, which cannot hold {key[-1]}: write [{above}]")
     return table
+
+
+def noted(text: str) -> list[tuple[str, str, str]]:
+    """The values of a configuration that say by what they were identified.
+
+    Args:
+        text: of its file, which can be read.
+
+    Returns:
+        Of each: dotted key, value, and what stands behind it.
+    """
+    return list(_noted(tomlkit.parse(text), ()))
+
+
+def _noted(table: Any, above: tuple[str, ...]) -> Iterator[tuple[str, str, str]]:
+    for key, item in table.items():
+        if isinstance(item, Table):
+            yield from _noted(item, (*above, key))
+        elif isinstance(item, Item) and (found := NOTE.search(item.trivia.comment.lstrip("# "))):
+            yield ".".join((*above, key)), item.as_string().strip(), found[0].removeprefix("; ")

@@ -34,7 +34,7 @@ class Turn:
     """
 
     __slots__ = (
-        *("_cycle", "_encode", "_mask", "_take", "axis", "before", "command_id", "data", "frames", "inbox"),
+        *("_counts", "_cycle", "_encode", "_take", "axis", "before", "command_id", "data", "frames", "inbox"),
         *("sent_ns", "t_ns", "tick"),
     )
     tick: Tick
@@ -48,7 +48,7 @@ class Turn:
         self.data = b""
         self.sent_ns = -1
         self.command_id = codecs.valve_command.can_id
-        self._mask = codecs.valve_command.counter_mask
+        self._counts = codecs.valve_command.counter_values
         self._encode = codecs.valve_command.encode
         self._take = inbox.feed
         self._cycle = axis.cycle
@@ -90,12 +90,12 @@ class Turn:
     def command(self, sequence: int, counter: int) -> bytes:
         """What to send to the valve, by the counters of SYNC and, as far as it fits, of the command."""
         c = self.tick.command
-        self.data = data = self._encode(c.voltage_v, c.enable, sequence, counter=counter & self._mask)
+        self.data = data = self._encode(c.voltage_v, c.enable, sequence, counter=counter % self._counts)
         return data
 
     def centre(self, counter: int) -> bytes:
         """The command for a valve whose axis decides nothing any more."""
-        return self._encode(0.0, 0, 1, counter=counter & self._mask)
+        return self._encode(0.0, 0, 1, counter=counter % self._counts)
 
     def sent(self, stamp_ns: int) -> None:
         """The command was sent at `stamp_ns`; −1 where it could not be."""

@@ -73,7 +73,13 @@ def offsets_s(runs: Sequence[LoggedRun]) -> list[float]:
     return [run.first_engaged_s for run in runs]
 
 
+TIMED = frozenset({"lateness_us", "latency_us", "sync_jitter_us"})
+"""Columns that nobody has measured where time is simulated."""
+
+
 def line(run: LoggedRun, column: str) -> NDArray[np.float64] | None:
-    """Values of a line at `run.series.t_s`; None where there is nothing to draw."""
+    """Values of a line at `run.series.t_s`; None where there is nothing to draw or nothing was measured."""
+    if run.simulated and column in TIMED:
+        return None
     values = run.series.values[:, run.columns[column]]
     return values if np.isfinite(values).any() else None

@@ -42,7 +42,11 @@ def raw(field: SignalField, data: Words, length: int) -> Ints:
 def valid(codec: Codec, length: Ints, data: Words) -> NDArray[np.bool_]:
     """Which frames have the right length and, where there is one, checksum."""
     good: NDArray[np.bool_] = length == codec.length
-    if codec.crc:
+    if codec.guard.judged == "call":
+        frames = zip(data.tolist(), length.tolist(), strict=True)
+        found = (codec.valid(word.to_bytes(8, "little")[:n]) for word, n in frames)
+        return np.fromiter(found, dtype=np.bool_, count=len(data))
+    if codec.guard.judged == "inline":
         state = np.full(len(data), crc8.identifier_state(codec.can_id), dtype=np.uint8)
         for i in range(codec.length):
             byte = (data >> np.uint64(8 * i) & np.uint64(0xFF)).astype(np.uint8)
@@ -111,7 +115,9 @@ class SourceHealth:
         """Those whose counter went on; counts the others, and what is missing between them."""
         counter = raw(field, frames.data[kept], self.codec.length)
         known = self._counter >= 0
-        step = np.diff(counter, prepend=self._counter if known else counter[0] - 1) & self.codec.counter_mask
+        step = (
+            np.diff(counter, prepend=self._counter if known else counter[0] - 1) % self.codec.counter_values
+        )
         fresh = step != 0
         self.frozen += int((~fresh).sum())
         kept, corrupt_before, step = kept[fresh], corrupt_before[fresh], step[fresh]

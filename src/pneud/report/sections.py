@@ -10,6 +10,7 @@ from typing import Any
 
 from pneud.bench.chart import svg
 from pneud.config.conversions import controller_of
+from pneud.config.writing import noted
 from pneud.control.tunables import LAWS, names_of, tunables
 from pneud.log.format.schema import Level
 from pneud.loop.tracking import over_in_words
@@ -432,15 +433,26 @@ def _readings(run: LoggedRun) -> str:
 
 
 def learnt(run: LoggedRun) -> str:
-    """What adaptation has learnt, if any was on."""
+    """What adaptation has learnt, if any was on, behind what had been identified before."""
     start = run.config.control.adaptation.start.log
-    begun = f"<p>Begun with what was learnt in {html.escape(start)}.</p>" if start else ""
+    begun = _identified(run.log.config_text)
+    begun += f"<p>Begun with what was learnt in {html.escape(start)}.</p>" if start else ""
     if not run.learning.last:
         return f"{begun}<p>Nothing: adaptation was off, or no snapshot of the axis tells.</p>"
     t_s = run.learning.t_s
     head = ("", "configured", "learnt", "meanwhile", "check", f"{t_s[0]:.0f} … {t_s[-1]:.0f} s")
     rows = ((*words, Drawn(picture)) for *words, picture in run.learning.rows())
     return f"{begun}{table(head, rows, last=2, label='learnt')}"
+
+
+def _identified(text: str) -> str:
+    """The values that the configuration has from logs."""
+    found = noted(text)
+    if not found:
+        return ""
+    rows = table(("", "value", "interval of 95 %, by which log, when"), found, words=3, label="identified")
+    what = "1 value" if len(found) == 1 else f"{len(found)} values"
+    return f"<details><summary>{what} identified from logs</summary>{rows}</details>"
 
 
 def events(run: LoggedRun) -> str:

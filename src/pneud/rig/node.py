@@ -94,7 +94,7 @@ class PlantNode:
         self._answer_ids = frozenset(codec.can_id for codec in answers)
         self._shortest_ns = min(self._durations)
         self._counters = [0, 0, 0]
-        self._masks = tuple(codec.counter_mask for codec in answers)
+        self._counts = tuple(codec.counter_values for codec in answers)
         self._wire = Wire()
         self._ended: list[tuple[int, _Answer]] = []  # transmitted, not yet polled
         self._held: list[Frame] = []  # delayed by the hook
@@ -160,7 +160,7 @@ class PlantNode:
 
     def take_back(self, node: int) -> None:
         """One of the nodes has not sent what the hook was given last, and has not counted it."""
-        self._counters[node] = (self._counters[node] - 1) & self._masks[node]
+        self._counters[node] = (self._counters[node] - 1) % self._counts[node]
 
     def due(self) -> int | None:
         """Earliest time [ns] at which `poll` may have a frame; None as long as no frame comes in."""
@@ -267,7 +267,7 @@ class PlantNode:
         except ValueError:
             self.unsendable += 1
             return ()
-        self._counters[answer.node] = (self._counters[answer.node] + 1) & codec.counter_mask
+        self._counters[answer.node] = (self._counters[answer.node] + 1) % codec.counter_values
         frame = Frame(end_ns, codec.can_id, data)
         return (frame,) if self.hook is None else self.hook(frame, True)
 

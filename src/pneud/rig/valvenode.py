@@ -36,7 +36,7 @@ class ValveNode:
         codec = self._codec
         if not codec.valid(data):
             return
-        if codec.counter_mask:
+        if codec.counter_values > 1:
             counter = codec.counter(data)
             if counter == self._last_counter:
                 return

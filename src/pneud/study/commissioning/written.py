@@ -14,11 +14,10 @@ import tomlkit
 
 from pneud.config.models import Config
 from pneud.config.toml import flat, tables_of
-from pneud.config.writing import put, rewritten
+from pneud.config.writing import NOTE, put, rewritten
 from pneud.study.commissioning.estimated import Values
 from pneud.study.identification.parameters import Estimate
 
-NOTE = re.compile(r"(^|; )[^;]*\bby \S+, \d{4}-\d\d-\d\d$")
 GUESS = re.compile(r"(typical|likewise)\b.*|.*\bof (its|your) sheet$|.*\bANR\b.*")  # where a value was from
 DIGITS = 7
 
