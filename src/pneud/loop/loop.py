@@ -14,9 +14,11 @@ from pneud.bus.link import Link
 from pneud.loading import SYNC_COUNTERS
 from pneud.log.format.header import SNAPSHOT_S
 from pneud.loop.answers import Answers
+from pneud.loop.company import Company
 from pneud.loop.lane import Lane
 from pneud.loop.options import Options
 from pneud.loop.pacer import Pacer
+from pneud.loop.routes import Routes
 from pneud.loop.turn import END_TICKS
 from pneud.rt.notify import Service
 from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES, LOG_LOST, NO_SENSORS
@@ -32,9 +34,27 @@ class Loop:
     In every tick: wake, drain what is left, SYNC, wait for all answers, decide and send, record, account.
     """
 
-    def __init__(self, lanes: Sequence[Lane], codecs: Codecs, link: Link, options: Options) -> None:
+    def __init__(
+        self,
+        lanes: Sequence[Lane],
+        codecs: Codecs,
+        link: Link,
+        options: Options,
+        company: Company | None = None,
+    ) -> None:
+        """A loop that has not begun.
+
+        Args:
+            lanes: one for each axis.
+            codecs: of any of them; all have the same SYNC.
+            link: to the bus.
+            options: of the run.
+            company: what several axes are to each other; None for one alone.
+        """
         self.lanes = lanes
+        self._company = company
         self._turns = [lane.turn for lane in lanes]
+        self._routes = Routes(lanes)
         self._link = link
         self._period_ns = round(1e9 / options.rate_hz)
         self._pacer = Pacer(self._period_ns, round(options.spin_us * 1e3))
@@ -82,9 +102,7 @@ class Loop:
         host = self._host if link.watch_clock() == 0 else self._host | CLOCK_STEP
         # drain
         link.drain(self._came)
-        for turn in turns:
-            turn.open(self._came)
-        self._came.clear()
+        self._routes.open(self._came)
         # SYNC, and wait
         index = count % SYNC_COUNTERS
         sync_data = self._syncs[index]
@@ -134,9 +152,7 @@ class Loop:
             looks = now_ns < look_until_ns
             if link.drain(came, 0 if looks else limit_ns - now_ns):
                 newest_ns = came[-1].stamp_ns
-                for turn in self._turns:
-                    turn.feed(came)
-                came.clear()
+                self._routes.feed(came)
                 complete = self._complete()
             elif link.down and not looks:
                 # a dead interface is always readable: sleep, or this would spin at high priority
@@ -154,8 +170,10 @@ class Loop:
         if not self._ending and (self._stop or (self._total is not None and self._passed >= self._total)):
             self._ending = True
             self._service.stopping()
+        company = self._company
+        may_arm = company is None or company.look()
         for lane in self.lanes:
-            lane.ask(self._ending)
+            lane.ask(self._ending, may_arm)
 
     def _complete(self) -> bool:
         for turn in self._turns:  # noqa: SIM110 - a generator would take longer than all of it
@@ -180,6 +198,8 @@ class Loop:
             faults = (tick.latched or present) | tick.present & LOG_LOST
             service.report(t_ns, self._behind, tick.state, faults)
             self._behind = 0
+        if self._company is not None:
+            self._company.after()
         over = True
         for lane in self.lanes:
             over = lane.over() and over

@@ -13,8 +13,9 @@ from pneud.bus.wire import CAN_ERR_FLAG, wire_time_ns
 from pneud.physics.plant import PlantParameters
 from pneud.rig import dynamics
 from pneud.rig.dynamics import PlantState, initial_state, stroke_position
+from pneud.rig.segment import Segment
 from pneud.rig.sensors import Noise, PressureSensor, quantised, sensed
-from pneud.rig.transmission import Item, Wire
+from pneud.rig.transmission import Item
 from pneud.rig.valvenode import ValveNode
 from pneud.signals import EncoderStatus, Frame
 
@@ -50,6 +51,7 @@ class _Answer(NamedTuple):
 
 class _Foreign(NamedTuple):
     frame: Frame  # neither the controller's nor a node's own; all of them hear it
+    sender: PlantNode  # through which it was put
 
 
 class PlantNode:
@@ -64,6 +66,7 @@ class PlantNode:
         seed: of the sensors' noise.
         hook: fault injection on frames.
         advance: `dynamics.advance` or its compiled version.
+        segment: the bus that it shares with other rigs; one of its own without.
     """
 
     def __init__(
@@ -74,6 +77,7 @@ class PlantNode:
         *,
         hook: Hook | None = None,
         advance: Advance = dynamics.advance,
+        segment: Segment | None = None,
     ) -> None:
         self.p = p
         self.force_ext_n = 0.0
@@ -95,7 +99,9 @@ class PlantNode:
         self._shortest_ns = min(self._durations)
         self._counters = [0, 0, 0]
         self._counts = tuple(codec.counter_values for codec in answers)
-        self._wire = Wire()
+        self._segment = segment if segment is not None else Segment()
+        self._segment.nodes.append(self)
+        self._wire = self._segment.wire
         self._ended: list[tuple[int, _Answer]] = []  # transmitted, not yet polled
         self._held: list[Frame] = []  # delayed by the hook
         self._now_ns = _START_NS
@@ -123,8 +129,13 @@ class PlantNode:
         """The rig at the send stamp of the last SYNC."""
         return self._truth
 
-    def on_frame(self, frame: Frame) -> None:
-        """A frame was sent at its stamp; frames come in order of stamps, foreign ones are ignored."""
+    def on_frame(self, frame: Frame, *, carried: bool = True) -> None:
+        """A frame was sent at its stamp; frames come in order of stamps, foreign ones are ignored.
+
+        Args:
+            frame: as it was sent.
+            carried: the bus has yet to carry it; of several rigs on a segment, this is said to one.
+        """
         sync = frame.can_id == self._sync_id
         if not sync and frame.can_id != self._command_id:
             return
@@ -135,10 +146,16 @@ class PlantNode:
         if sync:
             self._integrate(sent_ns)
             self._truth = Truth(frame.stamp_ns, stroke_position(self._state, self.p), self._state)
+        if not carried:
+            return
         for passed in (frame,) if self.hook is None else self.hook(frame, False):
             if passed.can_id in (self._sync_id, self._command_id) and len(self._wire.waiting) < MAX_WAITING:
                 duration = wire_time_ns(len(passed.data), self.p.bitrate_bit_s)
                 self._wire.add(Item(max(passed.stamp_ns, sent_ns), passed.can_id, duration, passed))
+
+    def takes(self, can_id: int) -> bool:
+        """Whether a frame with this identifier is for this rig."""
+        return can_id in (self._sync_id, self._command_id)
 
     def put(self, frame: Frame) -> None:
         """A frame of somebody else waits for the wire from its stamp on, no earlier than now.
@@ -150,7 +167,7 @@ class PlantNode:
         else:
             duration = wire_time_ns(len(frame.data), self.p.bitrate_bit_s)
             ready_ns = max(frame.stamp_ns, self._now_ns)
-            self._wire.add(Item(ready_ns, frame.can_id, duration, _Foreign(frame)))
+            self._wire.add(Item(ready_ns, frame.can_id, duration, _Foreign(frame, self)))
 
     def reboot(self, node: int) -> None:
         """One of the nodes starts anew: its counter from 0, the valve node's output centred."""
@@ -207,25 +224,26 @@ class PlantNode:
         self._integrate(t_ns)
 
     def _run(self, t_ns: int) -> None:
-        wire, valve = self._wire, self.valve
-        while True:
-            upcoming = wire.upcoming
-            if upcoming is not None and upcoming[0] <= t_ns and upcoming[0] <= valve.deadline_ns:
-                self._end_of(*wire.take())
-            elif valve.deadline_ns <= t_ns:
-                self._integrate(valve.deadline_ns)
-                valve.expire()
-            else:
-                break
+        self._segment.run(t_ns)
         self._now_ns = max(self._now_ns, t_ns)
 
-    def _end_of(self, end_ns: int, item: Item) -> None:
+    def expire(self) -> None:
+        """The valve node has waited for a command for too long."""
+        self._integrate(self.valve.deadline_ns)
+        self.valve.expire()
+
+    def hear(self, end_ns: int, item: Item) -> None:
+        """The transmission of a frame of anybody has ended."""
         load = item.load
         if isinstance(load, _Answer):
-            self._ended.append((end_ns, load))
+            if item.can_id in self._answer_ids:
+                self._ended.append((end_ns, load))
             return
         if isinstance(load, _Foreign):
-            self._held.append(load.frame._replace(stamp_ns=end_ns))
+            if load.sender is self:
+                self._held.append(load.frame._replace(stamp_ns=end_ns))
+        elif item.can_id not in (self._sync_id, self._command_id):
+            return  # another axis's command
         frame: Frame = load.frame if isinstance(load, _Foreign) else load
         self._integrate(end_ns)
         if item.can_id == self._command_id:

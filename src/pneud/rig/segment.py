@@ -1,0 +1,77 @@
+"""One bus with the nodes of one software rig or more on it: they share the wire, and so their time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from pneud.rig.transmission import Wire
+from pneud.signals import Frame
+
+if TYPE_CHECKING:
+    from pneud.rig.node import PlantNode
+
+
+class Segment:
+    """A wire and all who hear what it carries; `PlantNode` joins by itself."""
+
+    def __init__(self) -> None:
+        self.wire = Wire()
+        self.nodes: list[PlantNode] = []
+
+    def run(self, t_ns: int) -> None:
+        """Deal with all that happens until `t_ns`: ends of transmissions, and valve nodes that give up."""
+        wire, nodes = self.wire, self.nodes
+        while True:
+            first = nodes[0] if len(nodes) == 1 else min(nodes, key=_deadline)
+            upcoming, deadline_ns = wire.upcoming, first.valve.deadline_ns
+            if upcoming is not None and upcoming[0] <= t_ns and upcoming[0] <= deadline_ns:
+                end_ns, item = wire.take()
+                for node in nodes:
+                    node.hear(end_ns, item)
+            elif deadline_ns <= t_ns:
+                first.expire()
+            else:
+                break
+
+
+def _deadline(node: PlantNode) -> int:
+    return node.valve.deadline_ns
+
+
+class Rigs:
+    """Several rigs on one segment, as one to who serves them."""
+
+    def __init__(self, nodes: Sequence[PlantNode]) -> None:
+        """Rigs to which nothing has happened yet; all are on one segment."""
+        self.nodes = tuple(nodes)
+
+    @property
+    def started(self) -> bool:
+        """Whether time has begun to pass for any."""
+        return any(node.started for node in self.nodes)
+
+    def on_frame(self, frame: Frame) -> None:
+        """A frame was sent: the wire carries it once, whoever it is for."""
+        carrier = next((node for node in self.nodes if node.takes(frame.can_id)), None)
+        for node in self.nodes:
+            node.on_frame(frame, carried=node is carrier)
+
+    def due(self) -> int | None:
+        """Earliest time at which `poll` may have a frame; None as long as no frame comes in."""
+        times = [due_ns for node in self.nodes if (due_ns := node.due()) is not None]
+        return min(times) if times else None
+
+    def poll(self, t_ns: int, *, current_only: bool = False) -> list[Frame]:
+        """The frames of all that have ended by `t_ns`, in order of their stamps."""
+        frames = [frame for node in self.nodes for frame in node.poll(t_ns, current_only=current_only)]
+        return sorted(frames, key=_stamp)
+
+    def advance(self, t_ns: int) -> None:
+        """Deal with all events until `t_ns`, and integrate the plants to it."""
+        for node in self.nodes:
+            node.advance(t_ns)
+
+
+def _stamp(frame: Frame) -> int:
+    return frame.stamp_ns
