@@ -11,7 +11,7 @@ from pneud import resources
 from pneud.bus.codec import Codecs, DatabaseError, codecs_from, load_codecs
 from pneud.bus.load import overload
 from pneud.bus.shared import why_not_together
-from pneud.config.axes import Part, axes_of, one_of
+from pneud.config.axes import Part, axes_of, name_of, one_of
 from pneud.config.models import BusConfig, Config
 from pneud.config.reading import explain, parse
 from pneud.config.sections import ConfigError, check_channel
@@ -51,15 +51,27 @@ def load(
     return _loaded(one_of(axes_of(config_file), axis, str(config_file)), rate_hz, change)
 
 
+class Together(tuple[Loaded, ...]):
+    """Axes that share a bus, in order.
+
+    Attributes:
+        name: of all together; of the only one where there is but one.
+    """
+
+    name: str
+
+
 def load_axes(
     config_file: str | Path, rate_hz: float | None = None, change: dict[str, Any] | None = None
-) -> tuple[Loaded, ...]:
+) -> Together:
     """Load all axes of a file, or of a folder, which share one bus; as `load`.
 
     Raises:
         ConfigError: they cannot be on one bus, too.
     """
-    axes = tuple(_loaded(part, rate_hz, change) for part in axes_of(config_file))
+    parts = axes_of(config_file)
+    axes = Together(_loaded(part, rate_hz, change) for part in parts)
+    axes.name = name_of(config_file, parts)
     why = why_not_together([(axis.config, axis.codecs) for axis in axes]) if len(axes) > 1 else ""
     if why:
         raise ConfigError(f"{config_file}: {why}")

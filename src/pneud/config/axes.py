@@ -64,6 +64,15 @@ def one_of(parts: Sequence[Part], axis: str | None, name: str) -> Part:
     raise ConfigError(f"--axis {axis}: {name} has no such axis; it has {found}")
 
 
+def name_of(file: str | Path, parts: Sequence[Part]) -> str:
+    """What a daemon with these axes is called: as the only one, as the file says, or as the file itself."""
+    if len(parts) == 1:
+        return parts[0].config.name
+    if not Path(file).is_dir() and isinstance(name := tables_of(text_of(file)[0]).get("name"), str):
+        return name
+    return Path(file).resolve().stem
+
+
 def own_text(axis: str, number: int, axes: int, text: str) -> str:
     """What a file says of one of the axes of a run, as `Part.text`.
 

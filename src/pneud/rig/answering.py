@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from pneud.rig.node import PlantNode
+from pneud.rig.segment import Rigs
 from pneud.rig.truth import TruthWriter
 from pneud.signals import Frame, ValveState
 
@@ -33,7 +34,7 @@ class BusLink(Protocol):
 
 def serve(
     link: BusLink,
-    node: PlantNode,
+    node: PlantNode | Rigs,
     *,
     stop: Callable[[], bool],
     truth: TruthWriter | None = None,
@@ -43,14 +44,15 @@ def serve(
 
     Args:
         link: to the bus; its stamps are CLOCK_MONOTONIC.
-        node: the plant.
+        node: the plant, or several.
         stop: asked at least every 20 ms.
-        truth: where the true position at every SYNC is put.
-        on_valve_state: told whenever the valve node changes its state.
+        truth: where the true position at every SYNC is put; several have their own, each as `on_truth`.
+        on_valve_state: told whenever the valve node of the only one changes its state.
     """
     frames: list[Frame] = []
-    synced_ns = node.truth().t_ns
-    valve_state = node.valve.state
+    if isinstance(node, PlantNode):
+        node.on_truth = truth.put if truth is not None else node.on_truth
+    valve_state = _valve_state(node)
     while not stop():
         due_ns = node.due()
         timeout_s = IDLE_S if due_ns is None else min(IDLE_S, (due_ns - time.monotonic_ns()) * 1e-9)
@@ -66,11 +68,6 @@ def serve(
             heard = heard or bool(frames)
             for frame in frames:
                 node.on_frame(frame)
-                at = node.truth()
-                if at.t_ns != synced_ns:
-                    synced_ns = at.t_ns
-                    if truth is not None:
-                        truth.put(at.t_ns, at.position_m)
             if not frames or not link.wait(0.0):
                 break  # else a SYNC came while the plant integrated, and outdated answers must not leave
         # one frame at a time where they are late, so that a SYNC which came meanwhile makes the rest void
@@ -81,7 +78,12 @@ def serve(
             node.advance(
                 now_ns - LAG_NS
             )  # in small portions, or the next frame would find hours to integrate
-        if node.valve.state != valve_state:
-            valve_state = node.valve.state
-            if on_valve_state is not None:
-                on_valve_state(valve_state)
+        if (now := _valve_state(node)) != valve_state:
+            valve_state = now
+            if on_valve_state is not None and now is not None:
+                on_valve_state(now)
+
+
+def _valve_state(node: PlantNode | Rigs) -> ValveState | None:
+    """Of the only one."""
+    return node.valve.state if isinstance(node, PlantNode) else None

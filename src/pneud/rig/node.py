@@ -82,6 +82,7 @@ class PlantNode:
         self.p = p
         self.force_ext_n = 0.0
         self.hook = hook
+        self.on_truth: Callable[[int, float], None] | None = None  # told of every SYNC: its stamp, position
         self.valve = ValveNode(codecs.valve_command, p.valve_timeout_s, p.dac_bits, p.valve.u_max_v)
         self.unsendable = 0  # answers with a value that their frame cannot carry
         self._codecs = codecs
@@ -146,6 +147,8 @@ class PlantNode:
         if sync:
             self._integrate(sent_ns)
             self._truth = Truth(frame.stamp_ns, stroke_position(self._state, self.p), self._state)
+            if self.on_truth is not None:
+                self.on_truth(frame.stamp_ns, self._truth.position_m)
         if not carried:
             return
         for passed in (frame,) if self.hook is None else self.hook(frame, False):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ from pneud import resources
 from pneud.config.reading import explain
 from pneud.config.sections import ConfigError
 from pneud.config.toml import TomlError, tables_of
-from pneud.loading import Loaded, load
+from pneud.loading import Loaded, Together, load, load_axes
 
 if TYPE_CHECKING:
     from pneud.scenario.format import Scenario
@@ -27,6 +28,27 @@ def load_axis(config_file: str | None, rate_hz: float | None, scenario: Scenario
     if scenario is None:
         return load(config_file or "virtual.toml", rate_hz)
     return load(config_file or scenario.config, rate_hz, scenario.change)
+
+
+def load_all(config_file: str | None, rate_hz: float | None, scenario: Scenario | None) -> Together:
+    """As `load_axis`, all axes of it.
+
+    Raises:
+        ConfigError: a configuration cannot be used, or the scenario is for another one.
+        DatabaseError: a DBC cannot be used.
+    """
+    if scenario is None:
+        return load_axes(config_file or "virtual.toml", rate_hz)
+    axes = load_axes(config_file or scenario.config, rate_hz, scenario.change)
+    if scenario.axis is not None and scenario.axis not in [axis.config.name for axis in axes]:
+        raise ConfigError(f"scenario {scenario.name}: happens to axis {scenario.axis}, which is not there")
+    return axes
+
+
+def place_of(scenario: Scenario | None, axes: Sequence[Loaded]) -> int:
+    """The place of the axis that a scenario happens to."""
+    names = [axis.config.name for axis in axes]
+    return names.index(scenario.axis) if scenario is not None and scenario.axis is not None else 0
 
 
 def load_scenario(file: str | Path) -> Scenario:
