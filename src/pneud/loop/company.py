@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 from pneud.config.models import Config
 from pneud.console.handoff import SharedEnd
-from pneud.loop.lane import Lane
+from pneud.loop.turn import Turn
 from pneud.safety.faults import BLOCKS_ARM, CENTRES, F
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Answer, Request, RequestKind, State, Tick
@@ -17,10 +18,24 @@ _UNDO = {ARM: Request(RequestKind.CENTRE), GOTO: Request(RequestKind.HOLD)}
 """What is asked of those that have done what others have refused: all do it, or none."""
 
 
+class Companion(Protocol):
+    """An axis, as the others see it."""
+
+    touched: int
+
+    @property
+    def turn(self) -> Turn:
+        """The exchange."""
+
+    @property
+    def waits(self) -> bool:
+        """Whether the run itself is still to arm it, and cannot yet."""
+
+
 class Company:
     """In every tick `look` before the lanes ask, `after` when all have decided."""
 
-    def __init__(self, lanes: Sequence[Lane], configs: Sequence[Config], asking: Asking | None) -> None:
+    def __init__(self, lanes: Sequence[Companion], configs: Sequence[Config], asking: Asking | None) -> None:
         """Axes that have not begun.
 
         Args:
@@ -32,15 +47,17 @@ class Company:
         self._others = [config.faults.others for config in configs]
         self._latched = [0] * len(lanes)
         self._asking = asking
+        self._begun = False
 
     def look(self) -> bool:
         """Take what is asked of the axes; whether the run itself may arm them: they all do, or none."""
         if self._asking is not None:
-            self._asking.look([lane.turn.tick for lane in self._lanes] if self._lanes[0].tally.ticks else [])
+            self._asking.look([lane.turn.tick for lane in self._lanes] if self._begun else [])
         return not any(lane.waits for lane in self._lanes)
 
     def after(self) -> None:
         """See which axis a fault has taken in this tick, and have the others do what their tables say."""
+        self._begun = True
         for number, lane in enumerate(self._lanes):
             latched, before = lane.turn.tick.latched, self._latched[number]
             self._latched[number] = latched

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Sequence
+from typing import Protocol
 
 from pneud.loop.turn import Turn
 from pneud.signals import Frame
 
-if TYPE_CHECKING:
-    from pneud.loop.lane import Lane
+
+class Hearer(Protocol):
+    """An axis that hears frames."""
+
+    @property
+    def turn(self) -> Turn:
+        """The exchange."""
+
+    @property
+    def identifiers(self) -> Collection[int]:
+        """Of frames that are this axis's alone."""
 
 
 class Routes:
@@ -17,7 +26,7 @@ class Routes:
 
     __slots__ = ("_alone", "_known", "_turns")
 
-    def __init__(self, lanes: Sequence[Lane]) -> None:
+    def __init__(self, lanes: Sequence[Hearer]) -> None:
         self._turns = tuple(lane.turn for lane in lanes)
         self._alone = self._turns[0] if len(lanes) == 1 else None
         self._known: dict[int, tuple[Turn, ...]] = {}
