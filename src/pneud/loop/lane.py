@@ -45,7 +45,7 @@ class Lane:
         recorder: takes the records.
         tally: of the run.
         request: of this tick.
-        operated: an operator has asked something of the axis.
+        operated: an operator has asked something of the axis, or a fault of another has.
         again: an operator has asked the daemon to begin anew.
         identifiers: of frames that are this axis's alone; none where it shares the bus with no other.
         touched: a `RequestKind` that a fault of another axis makes of the next tick, 0 for none.
@@ -110,7 +110,7 @@ class Lane:
             self._shut = True
             return Request(RequestKind.SHUTDOWN)
         if self.touched:
-            kind, self.touched = self.touched, 0
+            kind, self.touched, self.operated = self.touched, 0, True
             return Request(kind)
         if self._armed or not may_arm or not self._can_arm():
             return None

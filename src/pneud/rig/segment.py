@@ -52,8 +52,9 @@ class Rigs:
         return any(node.started for node in self.nodes)
 
     def on_frame(self, frame: Frame) -> None:
-        """A frame was sent: the wire carries it once, whoever it is for."""
-        carrier = next((node for node in self.nodes if node.takes(frame.can_id)), None)
+        """A frame was sent: the wire carries it once, and what happens to one rig's frames happens to it."""
+        takers = [node for node in self.nodes if node.takes(frame.can_id)]
+        carrier = next((node for node in takers if node.hook is not None), takers[0] if takers else None)
         for node in self.nodes:
             node.on_frame(frame, carried=node is carrier)
 

@@ -18,16 +18,20 @@ if TYPE_CHECKING:
     from pneud.scenario.format import Scenario
 
 
-def load_axis(config_file: str | None, rate_hz: float | None, scenario: Scenario | None) -> Loaded:
+def load_axis(
+    config_file: str | None, rate_hz: float | None, scenario: Scenario | None, axis: str | None = None
+) -> Loaded:
     """The axis of a virtual run, as a scenario wants it: the one named, the scenario's, or virtual.toml.
+
+    Of a file with several it is the one of the name `axis`.
 
     Raises:
         ConfigError: the configuration cannot be used.
         DatabaseError: the DBC cannot be used.
     """
     if scenario is None:
-        return load(config_file or "virtual.toml", rate_hz)
-    return load(config_file or scenario.config, rate_hz, scenario.change)
+        return load(config_file or "virtual.toml", rate_hz, axis=axis)
+    return load(config_file or scenario.config, rate_hz, scenario.change, axis)
 
 
 def load_all(config_file: str | None, rate_hz: float | None, scenario: Scenario | None) -> Together:
