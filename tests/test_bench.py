@@ -33,8 +33,6 @@ from pneud.verbs.bench import Contestant, bench
 from pure2c import TranslationError
 from pure2c.to_c import Translator
 
-pytestmark = pytest.mark.realtime
-
 MACHINE = {"kernel": "Linux", "cpu_model": "A CPU", "cpus": [0, 1], "hypervisor": "", "load": 0.5}
 SETTING = {"rate_hz": 1000.0, "scheduling": "SCHED_FIFO 80", "bus": "unixcan", "pairs": 2, "turn_s": 1.0}
 
@@ -431,6 +429,7 @@ def test_another_database_is_not_for_the_c_program(track: TrackScript, tmp_path:
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 @pytest.mark.parametrize("name", ["empty", "notifier", "c_program", "pneud"])
 def test_every_contestant_yields_a_sample(name: str, track: TrackScript) -> None:
     found = getattr(contestants, name)(track, 200.0, 0.5)
@@ -538,6 +537,7 @@ def test_disturbances_are_compared_with_quiet_turns(
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 @pytest.mark.parametrize("name", DISTURBANCES)
 def test_the_loop_misses_no_command_however_it_is_disturbed(name: str, track: TrackScript) -> None:
     found = contestants.pneud(track, 200.0, 0.8, DISTURBANCES[name])
@@ -552,6 +552,7 @@ def test_a_usage_error_is_one_line() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 def test_bench_as_its_user_runs_it(tmp_path: Path) -> None:
     page = tmp_path / "bench.html"
     done = pneud("bench", "--pairs", 1, "--rate-seconds", 0, "--json", "-o", page)

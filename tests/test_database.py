@@ -48,9 +48,10 @@ def test_it_is_what_cantools_says() -> None:
             assert signal.name == same.name
             assert (signal.start, signal.length, signal.signed) == (same.start, same.length, same.is_signed)
             # text tells 1 from 1.0, and the codecs make exact fractions of it
-            assert [repr(x) for x in signal[6:]] == [
+            assert [repr(x) for x in signal[6:11]] == [
                 repr(x) for x in (same.scale, same.offset, same.minimum, same.maximum, same.unit)
             ]
+            assert signal[11:] == (same.is_multiplexer, same.multiplexer_signal, ())
 
 
 def test_what_is_kept_is_the_same_to_the_last_digit(cache: Path, parses: list[bytes]) -> None:

@@ -22,6 +22,7 @@ NOT_HERE = {
     r"make (information|strange)\b.*": "minutes; tests/test_hil_commands.py runs a part of each",
     r"python -m hil\.second_rig .*": "the rig of another program; tests/test_second_rig.py runs it",
     r"pneud --config axis\.toml --bus unixcan:demo": "the axis of that rig; likewise",
+    r"make -C hil/foreign|hil/foreign/node .*": "SocketCAN; tests/vm builds and runs it",
     r"apt install .*": "root and a network",
     r"(ip|sudo) .*": "root",
     r"systemctl .*|python3 -m venv /opt/pneud|/opt/pneud/.*": "root, systemd; tests/vm/test_service.py",

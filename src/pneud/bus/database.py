@@ -37,6 +37,9 @@ class Signal(NamedTuple):
     minimum: float | None
     maximum: float | None
     unit: str | None
+    selects: bool = False  # it is the multiplexer of others
+    selector: str | None = None  # the multiplexer that it depends on
+    selected_by: tuple[int, ...] = ()  # values of that with which it is there
 
 
 class MessageSpec(NamedTuple):
@@ -98,6 +101,9 @@ def _parsed(dbc: bytes) -> list[MessageSpec]:
                     s.minimum,
                     s.maximum,
                     s.unit,
+                    s.is_multiplexer,
+                    s.multiplexer_signal,
+                    tuple(s.multiplexer_ids or ()),
                 )
                 for s in m.signals
             ),
@@ -127,6 +133,6 @@ def _key(dbc: bytes) -> str:
 
 def _unpacked(packed: bytes) -> list[MessageSpec]:
     return [
-        MessageSpec._make((*fields, tuple(Signal._make(signal) for signal in signals)))
+        MessageSpec._make((*fields, tuple(Signal._make((*s, tuple(by))) for *s, by in signals)))
         for *fields, signals in json.loads(packed)
     ]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from pneud.bus.codec import Codecs
+from pneud.bus.codec import Codec, Codecs
+from pneud.bus.wire import CAN_EFF_FLAG, EXTENDED_BITS
 from pneud.config.conversions import COMPUTING_S
 from pneud.config.models import Config
 
@@ -21,9 +22,9 @@ class Load(NamedTuple):
     tick_s: float  # to the last bit of the command
 
 
-def longest_s(data_bytes: int, bitrate_bit_s: float) -> float:
-    """How long a standard frame is on the wire at worst: a stuffed bit after every four but the first [s]."""
-    stuffed = CONTROL_BITS + 8 * data_bytes
+def longest_s(data_bytes: int, bitrate_bit_s: float, can_id: int = 0) -> float:
+    """How long a frame is on the wire at worst: a stuffed bit after every four but the first [s]."""
+    stuffed = CONTROL_BITS + 8 * data_bytes + (EXTENDED_BITS if can_id & CAN_EFF_FLAG else 0)
     return (stuffed + (stuffed - 1) // 4 + FIXED_BITS) / bitrate_bit_s
 
 
@@ -35,12 +36,15 @@ def load_of(config: Config, *axes: Codecs) -> Load:
         axes: the frames of each; all answer one SYNC.
     """
     rate = config.bus.bitrate_bit_s
-    answers_s = longest_s(axes[0].sync.length, rate) + NODE_S if config.bus.sync else 0.0
+
+    def taken_s(codec: Codec) -> float:
+        return longest_s(codec.length, rate, codec.can_id)
+
+    answers_s = taken_s(axes[0].sync) + NODE_S if config.bus.sync else 0.0
     for codecs in axes:
-        answers = (codecs.encoder, codecs.pressure, codecs.valve_status)
-        answers_s += sum(longest_s(codec.length, rate) for codec in answers)
+        answers_s += sum(taken_s(answer.codec) for answer in codecs.answers)
     # the next axis computes while a command is on the wire
-    commands = [longest_s(codecs.valve_command.length, rate) for codecs in axes]
+    commands = [taken_s(codecs.valve_command) for codecs in axes]
     waits_s = sum(max(command_s, COMPUTING_S) for command_s in commands[:-1])
     return Load(answers_s, answers_s + COMPUTING_S + waits_s + commands[-1])
 

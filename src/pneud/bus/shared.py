@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import combinations
 
-from pneud.bus.codec import ROLES, Codecs
+from pneud.bus.codec import Codecs
 from pneud.bus.load import overload
 from pneud.config.models import Config
 
@@ -19,12 +19,10 @@ _ONE = (  # of which there is one for all
 
 def identifiers(config: Config, codecs: Codecs) -> dict[int, str]:
     """What each identifier that is an axis's alone is for."""
-    frames, found = config.bus.frames, {}
-    for role in ROLES:
-        if role == "sync":
-            continue
-        found[getattr(codecs, role).can_id] = role
-        if (node := getattr(frames, role).node) is not None:
+    found = {answer.codec.can_id: answer.name for answer in codecs.answers}
+    found[codecs.valve_command.can_id] = "the command"
+    for device in config.bus.devices:
+        if (node := device.node) is not None:
             found |= {_EMCY + node: f"EMCY of node {node}", _HEARTBEAT + node: f"heartbeat of node {node}"}
     return found
 
@@ -34,6 +32,8 @@ def why_not_together(axes: Axes) -> str:
 
     They need one rate, one SYNC, identifiers of their own, and a bus that carries the frames of all.
     """
+    if nodes := [config.name for config, _ in axes if config.bus.nodes]:
+        return f"axis {nodes[0]} has [[bus.nodes]]; pneud configures the nodes of one axis alone"
     for (a, a_codecs), (b, b_codecs) in combinations(axes, 2):
         for key in _ONE:
             if (one := _at(a, key)) != (other := _at(b, key)):

@@ -42,11 +42,12 @@ def digest(c: Config, dbc: bytes) -> str:
         c: the configuration.
         dbc: its DBC.
     """
+    told = {key for key in ("signals", "messages", "nodes") if getattr(c.bus, key)}
     tried = {
         "cylinder": c.cylinder.model_dump(mode="json"),
         "valve": c.valve.model_dump(mode="json", include=_VALVE),
         "encoder": c.encoder.kind,
-        "bus": c.bus.model_dump(mode="json", include=_BUS),
+        "bus": c.bus.model_dump(mode="json", include=_BUS | told),
         "dbc": hashlib.sha256(dbc).hexdigest(),
     }
     return hashlib.sha256(json.dumps(tried, sort_keys=True).encode()).hexdigest()

@@ -18,7 +18,7 @@ from pneud.config.models import Config
 from pneud.config.proof import Proof, digest, proven
 from pneud.config.sections import ConfigError
 from pneud.console import endpoint
-from pneud.loading import Loaded, Together, bus_name, listening_s
+from pneud.loading import Loaded, Together, bus_name, listening_s, plans_of_nodes
 from pneud.log.files.naming import LogError, open_log
 from pneud.scenario import verdict
 from pneud.scenario.files import load_all, load_scenario, place_of
@@ -88,6 +88,8 @@ def prepared(o: RunOptions) -> Iterator[Ready]:
         DatabaseError: the DBC cannot be used.
         LinkError: the bus cannot be used.
         LogError: the log cannot be written.
+        EdsError: the EDS of a node cannot be used.
+        MissingLibraryError: there are nodes, and nothing installed that configures them.
         BuildError: the compiled law is required and cannot be had.
         PlaceError: the console's socket cannot be made.
     """
@@ -147,6 +149,11 @@ def _axis(o: RunOptions, axis: Loaded, channel: str, whose: str) -> AxisReady:
     how = backend(config.loop.compiled, p)
     if how.reason:
         print(f"pneud: {whose}the law runs in Python: {how.reason}", file=sys.stderr)
+    if config.bus.nodes:
+        from pneud.canopen.keeper import check_library  # noqa: PLC0415 - for rigs with nodes only
+
+        check_library()
+        plans_of_nodes(axis)
     lacks = lacks_proof(o, axis, channel, whose)
     return AxisReady(axis, how, how.axis(p), *open_log(o.log, config.name), lacks)
 
@@ -189,6 +196,8 @@ def _named(o: RunOptions) -> tuple[Scenario | None, Together, str]:
 def _join(channel: str, axes: Sequence[Loaded], how: Backend, virtual: bool) -> Link:
     link = open_link(channel, virtual=virtual, by=how.carriage)
     if channel != "auto":
-        own = [axes[0].codecs.sync.can_id, *(axis.codecs.valve_command.can_id for axis in axes)]
-        refuse_if_driven(link, own, listening_s(axes[0].config))
+        first = axes[0]
+        sync = [first.codecs.sync.can_id] if first.config.bus.sync else []  # without, it is anybody's
+        own = [*sync, *(axis.codecs.valve_command.can_id for axis in axes)]
+        refuse_if_driven(link, own, listening_s(first.config))
     return link

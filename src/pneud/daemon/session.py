@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from pneud import crew
 from pneud.bus.codec import DatabaseError
-from pneud.bus.inbox import Inbox
+from pneud.bus.mapped_inbox import inbox_of
 from pneud.bus.shared import identifiers
 from pneud.config import conversions
 from pneud.config.axes import own_text
@@ -27,13 +27,13 @@ from pneud.console.facts import RunFacts
 from pneud.console.keeper import fork_shared
 from pneud.console.worker import Seat
 from pneud.daemon.preparation import AxisReady, Ready, RunOptions
-from pneud.loading import load_axes
+from pneud.loading import devices_of, load_axes, plans_of_nodes, plans_of_plant
 from pneud.log.format.header import LogHeader, Rotation
 from pneud.log.live.recorder import start_recorder
 from pneud.log.live.ring import Ring
 from pneud.loop.company import Asking, Company
 from pneud.loop.lane import Lane
-from pneud.loop.loop import Loop
+from pneud.loop.loop import Loop, Nodes
 from pneud.loop.options import Options
 from pneud.loop.recorder_watch import RecorderWatch
 from pneud.loop.stopping import stop_on_signals
@@ -42,6 +42,7 @@ from pneud.rig.plant_process import Rig, fork_plant
 from pneud.rig.truth import TruthReader, truth_memory
 from pneud.rt import setup
 from pneud.safety.faults import FAULT_NAMES
+from pneud.safety.unnoticed import unnoticed
 from pneud.view.info import info_of
 from pneud.view.processes import fork_screen, fork_viewers
 
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
 RECORDER_PATIENCE_S = 15.0
 CONSOLE_PATIENCE_S = 1.0
 PLANT_PATIENCE_S = VIEWERS_PATIENCE_S = 2.0
+KEEPER_PATIENCE_S = 1.0
 SCENARIO_PATIENCE_S = 20.0  # with processes that have a scenario to end
 
 
@@ -126,6 +128,7 @@ class Session:
         console = self._start_console(ends, asking, [said for said, _ in words])
         stage = self._stage()
         plant, truths = self._start_plant(ends, stage) if o.virtual else (0, [None] * len(self.axes))
+        nodes = self._start_keeper(ends) if ready.config.bus.nodes else None
         if ready.viewers is not None:
             self._start_viewers(ends, ready.viewers)
         if stage is not None and stage.scenario.orders:
@@ -135,7 +138,7 @@ class Session:
         self.reports += setup.apply(wanted.priority, cpu, wanted.lock_memory)
         for axis in self.axes:
             axis.ring.set_notes(setup.as_text(self.reports))
-        loop = self._loop(ends, truths, taking)
+        loop = self._loop(ends, truths, taking, nodes)
         stop_on_signals(loop.stop, console)
         return loop
 
@@ -145,7 +148,13 @@ class Session:
         o = self.ready.options
         return not o.headless and not o.json and sys.stdout.isatty()
 
-    def _loop(self, ends: ExitStack, truths: Sequence[TruthReader | None], taking: socket.socket) -> Loop:
+    def _loop(
+        self,
+        ends: ExitStack,
+        truths: Sequence[TruthReader | None],
+        taking: socket.socket,
+        nodes: Nodes | None,
+    ) -> Loop:
         ready, config, o = self.ready, self.ready.config, self.ready.options
         fifo = next(r for r in self.reports if r.name == "fifo")
         options = Options(
@@ -165,15 +174,16 @@ class Session:
         lanes = []
         for number, (axis, truth) in enumerate(zip(self.axes, truths, strict=True)):
             codecs = axis.ready.loaded.codecs
-            turn = Turn(axis.ready.axis, Inbox(codecs, axis.config.bus), codecs)
+            turn = Turn(axis.ready.axis, inbox_of(codecs, axis.config.bus), codecs)
             watch = RecorderWatch(axis.ring, axis.recorder)
+            known = truth if turn.inbox.sync else None  # which it is at SYNC
             if asking is None:
-                lanes.append(Lane(turn, ready.link, watch, options, truth, end))
+                lanes.append(Lane(turn, ready.link, watch, options, known, end))
                 continue
             own = identifiers(axis.config, codecs)
-            lanes.append(Lane(turn, ready.link, watch, options, truth, asking.ends[number], own))
+            lanes.append(Lane(turn, ready.link, watch, options, known, asking.ends[number], own))
         company = Company(lanes, [axis.config for axis in self.axes], asking) if asking is not None else None
-        return Loop(lanes, ready.axes[0].loaded.codecs, ready.link, options, company)
+        return Loop(lanes, ready.axes[0].loaded.codecs, ready.link, options, nodes, company)
 
     def _start_recorder(self, ends: ExitStack, axis: AxisRun, heard: socket.socket) -> None:
         loaded = axis.ready.loaded
@@ -239,6 +249,8 @@ class Session:
                 priority,
                 axis.ready.how.advance,
                 axis.ready.how.carriage,
+                plans_of_plant(axis.ready.loaded),
+                axis.config.plant.odd_nodes,
             )
             for number, axis in enumerate(self.axes)
         ]
@@ -252,6 +264,15 @@ class Session:
 
         ends.callback(end)
         return plant, [TruthReader(memory) for memory in memories]
+
+    def _start_keeper(self, ends: ExitStack) -> Nodes:
+        """Have the nodes configured; the loop runs meanwhile, and nothing is armed."""
+        from pneud.canopen.keeper import Readiness, fork_keeper  # noqa: PLC0415 - for rigs with nodes only
+
+        readiness = Readiness()
+        keeper = fork_keeper(self.ready.link.name, plans_of_nodes(self.axes[0].ready.loaded), readiness)
+        ends.callback(crew.end, keeper, KEEPER_PATIENCE_S)
+        return readiness
 
     def _start_viewers(self, ends: ExitStack, at: ViewersPlace) -> None:
         axis = self.axes[0]
@@ -315,6 +336,7 @@ def _header(ready: Ready, axis: AxisReady) -> LogHeader:
         realtime_offset_ns=ready.link.realtime_offset_ns,
         extra={
             "law": axis.how.name,
+            "unnoticed": " ".join(one.name for one in unnoticed(devices_of(config, axis.loaded.codecs))),
             **({"seed": str(o.seed)} if o.virtual else {}),
             **({"scenario": ready.scenario.name} if ready.scenario is not None else {}),
             **({"movement_test": "not asked for: --unproven"} if o.unproven else {}),

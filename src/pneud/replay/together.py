@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from pneud.bus.inbox import Inbox
+from pneud.bus.mapped_inbox import inbox_of
 from pneud.bus.shared import identifiers
 from pneud.compiled.backend import INTERPRETED, Backend
 from pneud.config import conversions
@@ -46,7 +46,7 @@ class SimulatedLane:
 
     def __init__(self, loaded: Loaded, node: PlantNode, how: Backend) -> None:
         p = conversions.axis_of(loaded.config, loaded.codecs.command_lsb_v)
-        self.turn = Turn(how.axis(p), Inbox(loaded.codecs, loaded.config.bus), loaded.codecs)
+        self.turn = Turn(how.axis(p), inbox_of(loaded.codecs, loaded.config.bus), loaded.codecs)
         self.node = node
         self.identifiers = frozenset(identifiers(loaded.config, loaded.codecs))
         self.touched = 0

@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from pneud.rig.node import PlantNode
-from pneud.rig.segment import Rigs
+from pneud.rig.node import Truth
 from pneud.rig.truth import TruthWriter
+from pneud.rig.valvenode import ValveNode
 from pneud.signals import Frame, ValveState
 
 IDLE_S = 0.02  # longest wait: how late `stop` and a valve time-out may be noticed
@@ -32,9 +32,23 @@ class BusLink(Protocol):
         """Sleep until something can be drained, or the time is over."""
 
 
+class Plant(Protocol):
+    """What runs a rig, in real time or in simulated time."""
+
+    @property
+    def valve(self) -> ValveNode: ...  # noqa: D102
+    @property
+    def started(self) -> bool: ...  # noqa: D102
+    def on_frame(self, frame: Frame) -> None: ...  # noqa: D102
+    def due(self) -> int | None: ...  # noqa: D102
+    def poll(self, t_ns: int, *, current_only: bool = False) -> list[Frame]: ...  # noqa: D102
+    def advance(self, t_ns: int) -> None: ...  # noqa: D102
+    def truth(self) -> Truth: ...  # noqa: D102
+
+
 def serve(
     link: BusLink,
-    node: PlantNode | Rigs,
+    node: Plant,
     *,
     stop: Callable[[], bool],
     truth: TruthWriter | None = None,
@@ -44,15 +58,14 @@ def serve(
 
     Args:
         link: to the bus; its stamps are CLOCK_MONOTONIC.
-        node: the plant, or several.
+        node: the plant.
         stop: asked at least every 20 ms.
-        truth: where the true position at every SYNC is put; several have their own, each as `on_truth`.
-        on_valve_state: told whenever the valve node of the only one changes its state.
+        truth: where the true position at every SYNC is put.
+        on_valve_state: told whenever the valve node changes its state.
     """
     frames: list[Frame] = []
-    if isinstance(node, PlantNode):
-        node.on_truth = truth.put if truth is not None else node.on_truth
-    valve_state = _valve_state(node)
+    synced_ns = node.truth().t_ns
+    valve_state = node.valve.state
     while not stop():
         due_ns = node.due()
         timeout_s = IDLE_S if due_ns is None else min(IDLE_S, (due_ns - time.monotonic_ns()) * 1e-9)
@@ -68,6 +81,11 @@ def serve(
             heard = heard or bool(frames)
             for frame in frames:
                 node.on_frame(frame)
+                at = node.truth()
+                if at.t_ns != synced_ns:
+                    synced_ns = at.t_ns
+                    if truth is not None:
+                        truth.put(at.t_ns, at.position_m)
             if not frames or not link.wait(0.0):
                 break  # else a SYNC came while the plant integrated, and outdated answers must not leave
         # one frame at a time where they are late, so that a SYNC which came meanwhile makes the rest void
@@ -78,12 +96,7 @@ def serve(
             node.advance(
                 now_ns - LAG_NS
             )  # in small portions, or the next frame would find hours to integrate
-        if (now := _valve_state(node)) != valve_state:
-            valve_state = now
-            if on_valve_state is not None and now is not None:
-                on_valve_state(now)
-
-
-def _valve_state(node: PlantNode | Rigs) -> ValveState | None:
-    """Of the only one."""
-    return node.valve.state if isinstance(node, PlantNode) else None
+        if node.valve.state != valve_state:
+            valve_state = node.valve.state
+            if on_valve_state is not None:
+                on_valve_state(valve_state)

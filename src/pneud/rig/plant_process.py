@@ -5,19 +5,22 @@ from __future__ import annotations
 import mmap
 import signal
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from pneud import crew
 from pneud.bus.codec import Codecs
 from pneud.bus.link import Link, LinkError, open_link
 from pneud.bus.wire import Carriage
 from pneud.physics.plant import PlantParameters
-from pneud.rig.answering import serve
+from pneud.rig.answering import Plant, serve
 from pneud.rig.node import Advance, PlantNode
 from pneud.rig.segment import Rigs, Segment
 from pneud.rig.truth import TruthWriter
 from pneud.rt import setup
 from pneud.signals import ValveState
+
+if TYPE_CHECKING:
+    from pneud.canopen.plan import Plan
 
 
 class Rig(NamedTuple):
@@ -29,10 +32,20 @@ class Rig(NamedTuple):
     priority: int  # to try for, since frames that come late are not what a real bus does
     advance: Advance  # what integrates the plant
     carriage: Carriage  # how frames are taken from the bus and given to it
+    plans: tuple[Plan, ...] = ()  # of its nodes, where they have to be configured before they answer
+    odd_nodes: int | None = None  # seed of their misbehaviour
 
     def node(self, segment: Segment | None = None) -> PlantNode:
         """Its nodes and the cylinder between them, to which nothing happens; perhaps on a bus with others."""
         return PlantNode(self.plant, self.codecs, self.seed, advance=self.advance, segment=segment)
+
+    def answering(self, node: PlantNode) -> Plant:
+        """What answers on the bus for it: itself, or CANopen nodes that it is the inside of."""
+        if not self.plans:
+            return node
+        from pneud.rig.canopen import CanopenRig, slaves_of  # noqa: PLC0415 - for rigs with nodes only
+
+        return CanopenRig(node, self.plans, slaves_of(self.plans, self.odd_nodes))
 
 
 class Play(Protocol):
@@ -105,4 +118,5 @@ def answer(
     for node, truth in zip(nodes, truths, strict=False):
         node.on_truth = truth.put
     setup.apply(rigs[0].priority, None, False)
-    serve(link, nodes[0] if len(nodes) == 1 else Rigs(nodes), stop=stop, on_valve_state=on_valve_state)
+    plant = rigs[0].answering(nodes[0]) if len(nodes) == 1 else Rigs(nodes)
+    serve(link, plant, stop=stop, on_valve_state=on_valve_state)

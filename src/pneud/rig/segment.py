@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from pneud.rig.transmission import Wire
+from pneud.rig.valvenode import ValveNode
 from pneud.signals import Frame
 
 if TYPE_CHECKING:
-    from pneud.rig.node import PlantNode
+    from pneud.rig.node import PlantNode, Truth
 
 
 class Segment:
@@ -23,9 +24,13 @@ class Segment:
         """Deal with all that happens until `t_ns`: ends of transmissions, and valve nodes that give up."""
         wire, nodes = self.wire, self.nodes
         while True:
-            first = nodes[0] if len(nodes) == 1 else min(nodes, key=_deadline)
+            first = freely = nodes[0]
+            if len(nodes) > 1:
+                first, freely = min(nodes, key=_deadline), min(nodes, key=_next)
             upcoming, deadline_ns = wire.upcoming, first.valve.deadline_ns
-            if upcoming is not None and upcoming[0] <= t_ns and upcoming[0] <= deadline_ns:
+            if freely.next_ns <= min(t_ns, deadline_ns, freely.next_ns if upcoming is None else upcoming[0]):
+                freely.sample_freely()
+            elif upcoming is not None and upcoming[0] <= t_ns and upcoming[0] <= deadline_ns:
                 end_ns, item = wire.take()
                 for node in nodes:
                     node.hear(end_ns, item)
@@ -51,6 +56,15 @@ class Rigs:
         """Whether time has begun to pass for any."""
         return any(node.started for node in self.nodes)
 
+    @property
+    def valve(self) -> ValveNode:
+        """That of the first."""
+        return self.nodes[0].valve
+
+    def truth(self) -> Truth:
+        """That of the first."""
+        return self.nodes[0].truth()
+
     def on_frame(self, frame: Frame) -> None:
         """A frame was sent: the wire carries it once, and what happens to one rig's frames happens to it."""
         takers = [node for node in self.nodes if node.takes(frame.can_id)]
@@ -72,6 +86,10 @@ class Rigs:
         """Deal with all events until `t_ns`, and integrate the plants to it."""
         for node in self.nodes:
             node.advance(t_ns)
+
+
+def _next(node: PlantNode) -> int:
+    return node.next_ns
 
 
 def _stamp(frame: Frame) -> int:

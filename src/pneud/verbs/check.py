@@ -15,8 +15,9 @@ from pneud.config.models import Config
 from pneud.config.places import line_of
 from pneud.config.sections import ConfigError
 from pneud.control.tunables import in_slot
-from pneud.loading import Loaded, load_axes
+from pneud.loading import Loaded, devices_of, load_axes
 from pneud.physics import ratings
+from pneud.safety.unnoticed import Unnoticed, unnoticed
 from pneud.scenario import verdict
 from pneud.scenario.files import is_scenario, load_axis, load_scenario
 from pneud.study import gains, linear
@@ -77,6 +78,7 @@ def _report(loaded: Loaded) -> _Report:
     if wrong := [_placed(loaded, finding) for finding in found if finding.is_error]:
         raise ConfigError(f"{loaded.path}: {'; '.join(wrong)}")
     doubts = [_placed(loaded, finding) for finding in found] + linear.doubts_of(c)
+    blind = unnoticed(devices_of(c, codecs))
     believed, true = _flowing(c), _flowing(conversions.truth_of(c))
     stroke, mass = c.cylinder.stroke_m, c.cylinder.moving_mass_kg
     form = "" if entry is not None else f"{c.control.discretisation}, "
@@ -88,8 +90,10 @@ def _report(loaded: Loaded) -> _Report:
         *([f"the plant's: {_in_words(true)}"] if true != believed else []),
         f"law {c.control.law}, {form}on {c.bus.channel} with {loaded.dbc.name}",
         *([f"adaptation starts from {start}"] if start else []),
+        *(f"not noticed here: {', '.join(names)} ({why})" for why, names in _by_reason(blind).items()),
     ]
-    named = {"name": c.name, "file": str(loaded.path), "warnings": doubts, "valve": believed}
+    named: dict[str, Any] = {"name": c.name, "file": str(loaded.path), "warnings": doubts, "valve": believed}
+    named["unnoticed"] = [{"fault": one.name, "why": one.why, "wholly": one.wholly} for one in blind]
     return _Report(named, lines)
 
 
@@ -116,6 +120,13 @@ def _bus_in_words(bus: dict[str, Any] | None, axis: str, axes: int) -> str:
         f"bus: {what} takes up to {bus['bits_per_tick']} bit times at {1e-3 * bus['bitrate_bit_s']:g} kbit/s:"
         f" up to {bus['most_hz']} Hz; at most {bus['most_axes']} like {axis} at this rate"
     )
+
+
+def _by_reason(blind: list[Unnoticed]) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {}
+    for one in blind:
+        found.setdefault(one.why, []).append(one.name)
+    return found
 
 
 def _flowing(c: Config) -> dict[str, Any]:

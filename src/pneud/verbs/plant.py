@@ -10,11 +10,11 @@ from typing import Annotated
 import typer
 
 from pneud.bus.link import open_link, refuse_if_driven
-from pneud.compiled.backend import backend
+from pneud.compiled.backend import Backend, backend
 from pneud.config import conversions
 from pneud.config.sections import ConfigError
 from pneud.crew import asked_to_leave
-from pneud.loading import bus_name, listening_s
+from pneud.loading import Loaded, bus_name, listening_s, plans_of_plant
 from pneud.rig.plant_process import Rig, answer
 from pneud.scenario.files import load_all, load_scenario, place_of
 from pneud.scenario.stage import Stage
@@ -45,11 +45,8 @@ def plant(
         print(f"valve node: {state.name.lower()}", file=sys.stderr, flush=True)
 
     how = backend(config.loop.compiled, conversions.axis_of(config, axes[0].codecs.command_lsb_v))
-    priority = conversions.plant_priority(config.realtime)
-    rigs, answers = [], list[int]()
-    for n, (c, *_, codecs) in enumerate(axes):
-        answers += [codecs.encoder.can_id, codecs.pressure.can_id, codecs.valve_status.can_id]
-        rigs.append(Rig(conversions.plant_of(c), codecs, seed + n, priority, how.advance, how.carriage))
+    rigs = [_rig(axis, seed + n, how) for n, axis in enumerate(axes)]
+    answers = [answer.codec.can_id for axis in axes for answer in axis.codecs.answers]
     stage = Stage(scenario, config.loop.rate_hz) if scenario is not None else None
     with open_link(channel, virtual=True, by=how.carriage) as link:
         refuse_if_driven(link, answers, listening_s(config), "other nodes answer there")
@@ -60,3 +57,10 @@ def plant(
         stage.over()
         print(json.dumps(stage.effects()))
     return 0
+
+
+def _rig(axis: Loaded, seed: int, how: Backend) -> Rig:
+    config, codecs = axis.config, axis.codecs
+    priority = conversions.plant_priority(config.realtime)
+    plans, odd = plans_of_plant(axis), config.plant.odd_nodes
+    return Rig(conversions.plant_of(config), codecs, seed, priority, how.advance, how.carriage, plans, odd)
