@@ -27,7 +27,7 @@ def built(folder: Path) -> Path:
     return folder / "node"
 
 
-def axis(folder: Path, name: str, *changes: tuple[str, str]) -> Path:
+def axis(folder: Path, name: str, *changes: tuple[str, str], frames: tuple[str, str] = ("", "")) -> Path:
     """A configuration of pneud's, changed, with the foreign frames, beside their DBC."""
     shutil.copy(FOREIGN / "foreign.dbc", folder)
     text = (CONFIGS / name).read_text(encoding="utf-8")
@@ -35,7 +35,9 @@ def axis(folder: Path, name: str, *changes: tuple[str, str]) -> Path:
         assert old in text
         text = text.replace(old, new)
     path = folder / "foreign.toml"
-    path.write_text(f"{text}\n{(FOREIGN / 'frames.toml').read_text(encoding='utf-8')}", encoding="utf-8")
+    told = (FOREIGN / "frames.toml").read_text(encoding="utf-8")
+    assert frames[0] in told
+    path.write_text(f"{text}\n{told.replace(*frames)}", encoding="utf-8")
     return path
 
 

@@ -35,6 +35,7 @@ NOT_HERE = {
     r"pneud sim --compare.*": "minutes; tests/test_compare.py",
     r"pneud identify ((monday|last|bus)\.mcap.*|.*--against .*)": "ten seconds each; tests/test_identify.py",
     r"pneud report .* --reference .*": "bench takes minutes; tests/test_reporting.py",
+    r"pneud map --bus socketcan:can0 .*": "a rig; tests/test_map.py listens on unixcan",
     r"candump .*|pneud .*socketcan:vcan0.*": "SocketCAN; tests/vm runs daemon and rig over vcan0",
 }
 # Pages that take a rig from some command on

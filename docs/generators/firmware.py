@@ -129,6 +129,9 @@ the Python library [`autosar-e2e`](https://pypi.org/project/autosar-e2e/) tests 
 
 {others}
 
+A node that goes by another rule than the configuration, or by other identifiers, takes no command and stays centred: the axis stops with
+`valve_rebooted`. What it sends is `corrupt`.
+
 In C, none of it with a table:
 
 ```c

@@ -25,7 +25,8 @@ from pneud.study.mapping.found import Found, look
 from pneud.study.mapping.guessing import VALUES
 from pneud.study.mapping.sources import heard, recorded
 from pneud.study.mapping.watching import Watch
-from pneud.verbs import JsonOption, VerbError, complete_config
+from pneud.verbs import JsonOption, ProgressOption, VerbError, complete_config
+from pneud.view.progress import each, progress
 
 LOOK_S = 1.0  # between two looks at a bus that is listened to
 
@@ -70,6 +71,7 @@ def map_(
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Replace a table without asking.")] = False,
     json: JsonOption = False,
+    how: ProgressOption = "auto",
 ) -> int:
     """Listen, say what was heard, and what the mapping may be. It sends nothing.
 
@@ -91,7 +93,8 @@ def map_(
     watch = Watch(_sync_id(decoder))
     remarks = Remarks()
     if recording is not None:
-        watch.add(recorded(recording, remarks))
+        with progress(how) as report:
+            watch.add(each(recorded(recording, remarks), report, recording.name, 0, "frames"))
     elif bus is not None:
         _listen(watch, bus, seconds, decoder, given, quiet=json)
     else:

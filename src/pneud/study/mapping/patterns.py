@@ -12,7 +12,7 @@ from pneud.bus.protection import CCITT, E2E_P01, H2F, Crc, checksum
 from pneud.config.protection import DataIdMode, Protection
 
 ENOUGH = 16  # different frames before anything is said of them
-STEADY = 0.9  # of the steps of a counter are by one: the others are lost frames
+STEADY = 0.75  # of the steps of a counter are by one: the others are lost frames
 PLAIN: tuple[Protection, ...] = ("pneud", "sae-j1850", "crc8-h2f", "crc16-ccitt", "xor8", "sum8")
 
 
