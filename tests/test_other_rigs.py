@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import pytest
 
 from pneud.config.models import Config
-from pneud.loading import Loaded, changed_text, load
+from pneud.config.toml import changed_text
+from pneud.loading import Loaded, load
 from pneud.log.files.naming import new_log
 from pneud.log.files.reader import read_log
 from pneud.log.files.writer import LogWriter
