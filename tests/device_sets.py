@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from pneud import resources
-from pneud.loading import changed_text
+from pneud.config.toml import changed_text
 
 EXTENDED = 0x80000000
 HEAD = 'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_: CONTROLLER NODE\n\n'

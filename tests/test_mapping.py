@@ -18,8 +18,8 @@ from pneud.bus.codec import ROW, Answer, Codecs, DatabaseError, codecs_from
 from pneud.bus.mapped_inbox import MappedInbox, inbox_of
 from pneud.bus.wire import CAN_EFF_FLAG, wire_time_ns
 from pneud.config.models import BusConfig, GasConfig
-from pneud.config.toml import tables_of
-from pneud.loading import changed_text, devices_of, load
+from pneud.config.toml import changed_text, tables_of
+from pneud.loading import devices_of, load
 from pneud.replay.lockstep import Simulation, backend_of
 from pneud.safety.unnoticed import unnoticed
 from pneud.signals import Defect, EncoderStatus, Frame, Source, ValveState

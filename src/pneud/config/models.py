@@ -518,6 +518,25 @@ class LogConfig(Section):
         return self
 
 
+Touch = Literal["stop", "centre", "go_on"]
+
+
+class OthersConfig(Section):
+    """What this axis does, engaged, where a fault takes another one of the same daemon.
+
+    A stop is a controlled one, then what `limits.stop_then` says; `centre` lets go of the load at once.
+    """
+
+    centre: Touch = "stop"  # one that is centred at once
+    stop: Touch = "stop"  # one that comes to a controlled stop
+
+
+class FaultsConfig(Section):
+    """What a fault does beyond its own axis."""
+
+    others: OthersConfig = OthersConfig()
+
+
 class Config(Section):
     """A whole axis."""
 
@@ -535,6 +554,7 @@ class Config(Section):
     limits: LimitsConfig
     in_position: InPositionConfig = InPositionConfig()
     hunting: HuntingConfig = HuntingConfig()
+    faults: FaultsConfig = FaultsConfig()
     log: LogConfig = LogConfig()
     plant: PlantConfig = PlantConfig()
 

@@ -19,6 +19,7 @@ from pneud.rig import dynamics
 from pneud.rig.damage import UNDAMAGED, advance_damaged, scaled
 from pneud.rig.dynamics import PlantState
 from pneud.rig.node import ENCODER_NODE, PRESSURE_NODE, VALVE_NODE, Advance, PlantNode, ids_of_nodes
+from pneud.rig.segment import Segment
 from pneud.scenario import format as kinds
 from pneud.scenario.format import SIGNALS, Scenario
 from pneud.signals import Frame, ValveState
@@ -106,10 +107,11 @@ class Engine:
         rate_hz: float,
         machine: Machine = _nothing,
         advance: Advance = dynamics.advance,
+        segment: Segment | None = None,
     ) -> None:
         self.scenario = scenario
         self.effects = Effects()
-        self.node = PlantNode(p, codecs, seed, hook=self._hook, advance=self._advance)
+        self.node = PlantNode(p, codecs, seed, hook=self._hook, advance=self._advance, segment=segment)
         self._healthy = p
         self._damage = UNDAMAGED
         self._codecs = codecs
