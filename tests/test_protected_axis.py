@@ -30,7 +30,7 @@ class Lossy(PlantNode):
     commands = 0
     states: list[int]
 
-    def on_frame(self, frame: Frame, *, carried: bool = False) -> None:
+    def on_frame(self, frame: Frame, *, carried: bool = True) -> None:
         if frame.can_id == self._command_id:
             self.commands += 1
             if any(self.commands in span for span in self.lost):
