@@ -178,8 +178,7 @@ def done(desk: Desk, step: Step, names: dict[str, object], refused: dict[str, in
 def sections_exist(text: str) -> None:
     """A part of a configuration is one: put over that of the virtual axis, it can be read."""
     from pneud import resources  # noqa: PLC0415
-    from pneud.config.toml import tables_of  # noqa: PLC0415
-    from pneud.loading import changed_text  # noqa: PLC0415
+    from pneud.config.toml import changed_text, tables_of  # noqa: PLC0415
 
     base = (resources.configs() / "virtual.toml").read_text(encoding="utf-8")
     parse(changed_text(base, tables_of(text)), "the page")

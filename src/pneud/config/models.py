@@ -195,6 +195,7 @@ class BusConfig(Section):
     deadline_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0  # without a complete set in time
     overload_timeout_ms: Annotated[float, Field(ge=1, le=10_000)] = 1000.0  # every tick after skipped ones
     command_delay_us: Annotated[float, Field(ge=0, le=10_000)] | None = None  # sampling → command acts
+    encoders_apart_m: Positive = 1e-3  # more between two encoders is an error of theirs
     frames: FramesConfig = FramesConfig()
     signals: SignalsConfig | None = None
     messages: dict[str, MessageConfig] = Field(default_factory=dict)
@@ -517,6 +518,25 @@ class LogConfig(Section):
         return self
 
 
+Touch = Literal["stop", "centre", "go_on"]
+
+
+class OthersConfig(Section):
+    """What this axis does, engaged, where a fault takes another one of the same daemon.
+
+    A stop is a controlled one, then what `limits.stop_then` says; `centre` lets go of the load at once.
+    """
+
+    centre: Touch = "stop"  # one that is centred at once
+    stop: Touch = "stop"  # one that comes to a controlled stop
+
+
+class FaultsConfig(Section):
+    """What a fault does beyond its own axis."""
+
+    others: OthersConfig = OthersConfig()
+
+
 class Config(Section):
     """A whole axis."""
 
@@ -534,6 +554,7 @@ class Config(Section):
     limits: LimitsConfig
     in_position: InPositionConfig = InPositionConfig()
     hunting: HuntingConfig = HuntingConfig()
+    faults: FaultsConfig = FaultsConfig()
     log: LogConfig = LogConfig()
     plant: PlantConfig = PlantConfig()
 

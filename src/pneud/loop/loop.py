@@ -15,9 +15,11 @@ from pneud.bus.link import Link
 from pneud.loading import SYNC_COUNTERS
 from pneud.log.format.header import SNAPSHOT_S
 from pneud.loop.answers import Answers
+from pneud.loop.company import Company
 from pneud.loop.lane import Lane
 from pneud.loop.options import Options
 from pneud.loop.pacer import Pacer
+from pneud.loop.routes import Routes
 from pneud.loop.turn import END_TICKS
 from pneud.rt.notify import Service
 from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES, LOG_LOST, NO_SENSORS
@@ -43,10 +45,28 @@ class Loop:
     """
 
     def __init__(
-        self, lanes: Sequence[Lane], codecs: Codecs, link: Link, options: Options, nodes: Nodes | None = None
+        self,
+        lanes: Sequence[Lane],
+        codecs: Codecs,
+        link: Link,
+        options: Options,
+        nodes: Nodes | None = None,
+        company: Company | None = None,
     ) -> None:
+        """A loop that has not begun.
+
+        Args:
+            lanes: one for each axis.
+            codecs: of any of them; all have the same SYNC.
+            link: to the bus.
+            options: of the run.
+            nodes: whether they are ready; None where they just are.
+            company: what several axes are to each other; None for one alone.
+        """
         self.lanes = lanes
+        self._company = company
         self._turns = [lane.turn for lane in lanes]
+        self._routes = Routes(lanes)
         self._link = link
         self._nodes = nodes
         self._hushed = False  # no SYNC is sent
@@ -98,9 +118,7 @@ class Loop:
             host |= self._lacks(self._nodes)
         # drain
         link.drain(self._came)
-        for turn in turns:
-            turn.open(self._came)
-        self._came.clear()
+        self._routes.open(self._came)
         # SYNC, and wait
         index = count % SYNC_COUNTERS
         sync_data = self._syncs[index]
@@ -164,9 +182,7 @@ class Loop:
             looks = now_ns < look_until_ns
             if link.drain(came, 0 if looks else limit_ns - now_ns):
                 newest_ns = came[-1].stamp_ns
-                for turn in self._turns:
-                    turn.feed(came)
-                came.clear()
+                self._routes.feed(came)
                 complete = self._complete()
             elif link.down and not looks:
                 # a dead interface is always readable: sleep, or this would spin at high priority
@@ -184,8 +200,10 @@ class Loop:
         if not self._ending and (self._stop or (self._total is not None and self._passed >= self._total)):
             self._ending = True
             self._service.stopping()
+        company = self._company
+        may_arm = company is None or company.look()
         for lane in self.lanes:
-            lane.ask(self._ending)
+            lane.ask(self._ending, may_arm)
 
     def _complete(self) -> bool:
         for turn in self._turns:  # noqa: SIM110 - a generator would take longer than all of it
@@ -210,6 +228,8 @@ class Loop:
             faults = (tick.latched or present) | tick.present & LOG_LOST
             service.report(t_ns, self._behind, tick.state, faults)
             self._behind = 0
+        if self._company is not None:
+            self._company.after()
         over = True
         for lane in self.lanes:
             over = lane.over() and over
