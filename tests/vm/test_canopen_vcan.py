@@ -60,11 +60,11 @@ def test_candump_the_plan_and_the_log_agree(tmp_path: Path) -> None:
     axis.write_text(text.replace("\n[control]\n", NODES, 1))
     with (tmp_path / "candump.log").open("w+") as seen:
         candump = subprocess.Popen(["candump", "-L", "vcan0"], stdout=seen)
-        common = ["--config", axis, "--bus", "socketcan:vcan0"]
+        common = ["--config", str(axis), "--bus", "socketcan:vcan0"]
         plant = subprocess.Popen([*PNEUD, "plant", *common], stderr=subprocess.PIPE)
-        run = subprocess.Popen([*PNEUD, *common, "--headless", "--log", log], stderr=subprocess.PIPE)
+        run = subprocess.Popen([*PNEUD, *common, "--headless", "--log", str(log)], stderr=subprocess.PIPE)
         try:
-            eventually(lambda: (tmp_path / "candump.log").read_text().count(" 281#") > POSITIONS, 120.0)
+            eventually(lambda: (tmp_path / "candump.log").read_text().count(" 281#") > POSITIONS, 170.0)
         finally:
             run.send_signal(signal.SIGINT)
             _, err = run.communicate(timeout=60)
