@@ -209,6 +209,12 @@ def _unipolar() -> DeviceSet:
     return DeviceSet(MESSAGES | {"CMD": cmd, "VALVE": valve}, signals, GUARDS)
 
 
+def _two_encoders() -> DeviceSet:
+    other = Message(0x1A3, 8, ("Pos 7|40@0- (0.1,0) um",))
+    second = {"second_position_m": "ENC2.Pos"}
+    return DeviceSet(MESSAGES | {"ENC2": other}, SIGNALS | second, GUARDS, {"encoders_apart_m": 0.0005})
+
+
 def _wide() -> DeviceSet:
     enc = Message(0x1A0, 8, ("Pos 0|64@1- (-1E-9,0) m",))
     return DeviceSet(MESSAGES | {"ENC": enc}, lacking("status", "age_s"), without("ENC"))
@@ -257,6 +263,7 @@ def device_sets() -> dict[str, DeviceSet]:
         "wide": _wide(),
         "one-for-all": _one_for_all(),
         "profiles": _profiles(),
+        "two-encoders": _two_encoders(),
         "free": DeviceSet(MESSAGES, SIGNALS, GUARDS, {"sync": False}),
         "bare": _bare(),
     }

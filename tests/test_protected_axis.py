@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import random
+import shutil
 from pathlib import Path
 
 import pytest
 
+from commands import pneud_here as pneud
 from foreign import axis
 from pneud.config import conversions
 from pneud.loading import Loaded, load
@@ -99,3 +102,28 @@ def test_two_identifiers_of_sixteen_the_other_way_round_cost_two_commands(
     node = another(tmp_path, loaded, "data_id = [0x30, 0x31", "data_id = [0x31, 0x30")
     records, states = run(loaded, node, 1.5)
     assert states[-100] == ValveState.ENABLED and not faults(records), "the others hold it"
+
+
+@pytest.mark.slow
+def test_what_map_finds_on_a_bus_is_enough_to_run_on_it(loaded: Loaded, tmp_path: Path) -> None:
+    log, config = tmp_path / "run.mcap", tmp_path / "found.toml"
+    done = pneud("sim", loaded.path, "--duration", "4", "-o", log)
+    assert done.returncode == 0, done.stderr
+    for source in (loaded.path, loaded.dbc):
+        shutil.copy(source, tmp_path)
+    (tmp_path / loaded.path.name).rename(config)
+    done = pneud("map", log, "--dbc", tmp_path / loaded.dbc.name, "-o", config, "--yes")
+    assert done.returncode == 0, done.stderr
+    found = load(config)
+    assert found.config.bus.messages["LINEAR_POSITION"].protection == "e2e-p01"
+    assert found.config.bus.messages["DRIVE_SETPOINT"].data_id == tuple(range(0x30, 0x40))
+    node = Lossy(conversions.plant_of(loaded.config), loaded.codecs, 0)
+    records, states = run(found, node, 2.0)
+    assert not faults(records)
+    assert states[-100] == ValveState.ENABLED
+    assert simulated_rms_mm(records[-500:]) < 0.1
+
+
+def simulated_rms_mm(records: list[Record]) -> float:
+    off = [1e3 * (r.tick.reference.position_m - r.truth_m) for r in records if is_engaged(r.tick.state)]
+    return math.sqrt(sum(e * e for e in off) / len(off))

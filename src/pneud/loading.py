@@ -157,7 +157,7 @@ def _check_ranges(config: Config, codecs: Codecs, dbc: Path) -> None:
             codecs.valve_command.encode(voltage_v, 1, SYNC_COUNTERS, counter=0)
         swing_pa = limits.supply_max_pa - config.gas.atmosphere_pa
         values = {
-            "status": 1, "age_s": 0.0, "state": 4,
+            "status": 1, "age_s": 0.0, "state": 4, "second_position_m": 0.0,
             "p1_pa": limits.chamber_max_pa, "p2_pa": limits.chamber_max_pa, "supply_pa": limits.supply_max_pa,
         }  # fmt: skip
         for end, position_m in ((-1.0, limits.travel_min_m), (1.0, limits.travel_max_m)):
@@ -188,6 +188,7 @@ def devices_of(config: Config, codecs: Codecs) -> Devices:
         pressure=pressure,
         valve=valve,
         status="status" in told,
+        second="second_position_m" in told,
         age="age_s" in told,
         homed=config.encoder.kind == "incremental",
         supply="supply_pa" in told,

@@ -195,6 +195,7 @@ class BusConfig(Section):
     deadline_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0  # without a complete set in time
     overload_timeout_ms: Annotated[float, Field(ge=1, le=10_000)] = 1000.0  # every tick after skipped ones
     command_delay_us: Annotated[float, Field(ge=0, le=10_000)] | None = None  # sampling → command acts
+    encoders_apart_m: Positive = 1e-3  # more between two encoders is an error of theirs
     frames: FramesConfig = FramesConfig()
     signals: SignalsConfig | None = None
     messages: dict[str, MessageConfig] = Field(default_factory=dict)

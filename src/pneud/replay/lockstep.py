@@ -71,11 +71,11 @@ class Simulation:
             )
             self.node = self.engine.node
         plans = plans_of_plant(loaded)
-        self._answering: Plant = self.node
+        self._slaves: Plant | None = None  # stand before the node, where it is made of them
         if plans:
             from pneud.rig.canopen import CanopenRig, slaves_of  # noqa: PLC0415 - for rigs with nodes only
 
-            self._answering = CanopenRig(self.node, plans, slaves_of(plans), configured=True)
+            self._slaves = CanopenRig(self.node, plans, slaves_of(plans), configured=True)
         self._operator = operator
         self.shut = False  # the run is over and the axis is coming to rest
         self.tx = 0
@@ -89,7 +89,7 @@ class Simulation:
 
     def records(self) -> Iterator[Record]:
         """The ticks, as the loop hands them to the recorder."""
-        turn, machine, node = self.turn, self._machine, self._answering
+        turn, machine, node = self.turn, self._machine, self._slaves or self.node
         idle, count, stalled = 0, 0, 0
         left_over: list[Frame] = []
         last_state, last_present = int(State.STARTING), 0

@@ -303,7 +303,7 @@ class PlantNode:
         p1, p2 = reversed(chambers) if w.exchanged_pressures else chambers
         p1, p2, supply = read(p1), read(p2), read(true.supply_pa)
         values = {
-            "position_m": position, "status": status, "age_s": self._age_s,
+            "position_m": position, "second_position_m": position, "status": status, "age_s": self._age_s,
             "p1_pa": p1, "p2_pa": p2, "difference_pa": p1 - p2, "supply_pa": supply,
             "applied_v": valve.output_v, "state": int(valve.state),
         }  # fmt: skip

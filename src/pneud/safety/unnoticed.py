@@ -28,6 +28,7 @@ class Devices(NamedTuple):
     pressure: Teller
     valve: Teller
     status: bool  # the encoder says how it is
+    second: bool  # there is another one to compare it with
     age: bool  # and how old its readings are
     homed: bool  # the axis finds its reference itself
     supply: bool  # somebody measures it
@@ -91,7 +92,7 @@ def _of_frames(d: Devices) -> Iterator[Unnoticed]:
 def _of_values(d: Devices) -> Iterator[Unnoticed]:
     """What the sensors would tell."""
     if not d.status:
-        yield Unnoticed(F.ENCODER_ERROR, "the encoder has no status")
+        yield Unnoticed(F.ENCODER_ERROR, "the encoder has no status", wholly=not d.second)
         yield Unnoticed(F.ENCODER_LOST_REFERENCE, "the encoder has no status")
         if not d.homed:
             yield Unnoticed(F.ENCODER_UNREFERENCED, "the encoder has no status")

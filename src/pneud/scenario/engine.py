@@ -124,6 +124,8 @@ class Engine:
         self._later = {since: [p for p in playing if p.fault.since == since] for since in ("start", "armed")}
         self._due: list[_Playing] = []  # whose time has come, if not their condition
         self._active: list[_Playing] = []
+        command = codecs.valve_command
+        self._enables = command.encode(0.0, 0, 1, counter=0) != command.encode(0.0, 1, 1, counter=0)
         self._free = p.free_s > 0.0  # nobody sends SYNC: a tick is from command to command
         self._roles = {codecs.sync.can_id: "sync", codecs.valve_command.can_id: "valve_command"}
         for role, ids in zip(("encoder", "pressure", "valve_status"), ids_of_nodes(codecs), strict=True):
@@ -385,8 +387,8 @@ class Engine:
         codec, effects = self._codecs.valve_command, self.effects
         if not codec.valid(frame.data):
             return
-        _, enable, _ = codec.decode(frame.data)
-        if enable:
+        voltage_v, enable, _ = codec.decode(frame.data)
+        if enable if self._enables else voltage_v != 0.0:
             effects.engaged = True
             if self._armed_ns < 0:
                 self._armed_ns = frame.stamp_ns

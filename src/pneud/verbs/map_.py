@@ -15,6 +15,7 @@ from pneud import resources
 from pneud.bus.link import open_link
 from pneud.config.reading import load_with_text
 from pneud.config.sections import ConfigError, check_channel
+from pneud.config.toml import TomlError, tables_of
 from pneud.config.writing import rewrite
 from pneud.crew import asked_to_leave
 from pneud.replay.remarks import Remarks
@@ -103,15 +104,14 @@ def map_(
         print(line, file=sys.stderr)
     if not watch.frames:
         print(f"pneud: nothing was heard on {bus or recording}", file=sys.stderr)
-        return 1
     found = look(watch, decoder, given)
-    if output is not None:
+    if output is not None and watch.frames:
         _write(output, found, decoder, yes)
     if json:
         print(json_.dumps({"schema": 1, "source": str(bus or recording)} | shown.as_json(found)))
-    else:
+    elif watch.frames:
         _print(found, decoder, written=output is not None)
-    return 0
+    return 0 if watch.frames else 1
 
 
 def _given(options: dict[str, str | None], fill: list[str] | None) -> dict[str, str]:
@@ -254,16 +254,24 @@ def _write(path: Path, found: Found, decoder: Decoder | None, yes: bool) -> None
     """Write the table: into a configuration, or as a file of its own."""
     if decoder is None:
         raise VerbError("there is nothing to write without a DBC; name one with --dbc")
-    if not path.exists():
-        with replacing(path) as beside:
-            beside.write_text(shown.table(found, decoder.path.name), encoding="utf-8")
-        return
-    if not yes:
+    if path.exists() and not yes:
         if not sys.stdin.isatty():
             raise VerbError(
-                f"{path}: is there already, and there is nobody to ask; --yes replaces its mapping"
+                f"{path}: is there already; nobody is there to ask, and --yes replaces its mapping"
             )
         print(f"{path}: replace its mapping? [y/N] ", end="", file=sys.stderr, flush=True)
         if sys.stdin.readline().strip().lower() not in ("y", "yes"):
             raise VerbError(f"{path}: left as it is")
-    rewrite(path, lambda tables: shown.put(tables.setdefault("bus", {}), found, decoder.path.name))
+    if path.exists() and not _is_table(path):
+        rewrite(path, lambda tables: shown.put(tables.setdefault("bus", {}), found, decoder.path.name))
+        return
+    with replacing(path) as beside:
+        beside.write_text(shown.table(found, decoder.path.name), encoding="utf-8")
+
+
+def _is_table(path: Path) -> bool:
+    """Whether a file has a mapping and nothing else."""
+    try:
+        return tables_of(path.read_text(encoding="utf-8-sig")).keys() == {"bus"}
+    except (TomlError, UnicodeDecodeError) as e:
+        raise ConfigError(f"{path}: {e}") from None

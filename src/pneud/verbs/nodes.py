@@ -156,10 +156,8 @@ def _meant(network: Any, of: int | None, serial: int | None) -> lss.Identity:
         if serial is not None:
             found = [identity for identity in found if identity[3] == serial]
         if len(found) != 1:
-            how = f"{len(found)} nodes have" if found else "no node has"
-            raise VerbError(
-                f"{how} no identifier{' and this serial number' if serial else ''}; give --of or --serial", 1
-            )
+            several = f"{len(found)} nodes are without an identifier; name one by --serial"
+            raise VerbError(several if found else "no node is without an identifier; name one by --of", 1)
         return found[0]
     parts = Master(network).identity(of)
     if None in parts[:3]:

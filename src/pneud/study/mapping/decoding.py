@@ -20,6 +20,7 @@ from pneud.study.mapping.patterns import STEADY, Place
 from pneud.study.mapping.watching import KEPT, Watch
 
 MOVES = 3.0  # times as far as noise with the same steps would go
+LEAST = 8  # different values of what moves
 NOISE = 4.0  # so far noise goes, in times of its steps' RMS
 NEW_S = 1.0  # what "now" means
 _CONTROLLER = re.compile(r"controller|master|host|plc|pneud", re.I)  # as senders are called
@@ -67,6 +68,8 @@ def _moving(values: Floats) -> float:
     steps = np.diff(values)
     if len(steps) and steps[-1] > 0.0 and (np.isclose(steps, steps[-1])).mean() > STEADY:
         return 0.0  # it counts
+    if len(np.unique(values)) < LEAST:
+        return 0.0  # a state
     rms = float(np.sqrt((steps**2).mean())) if len(steps) else 0.0
     return float(np.ptp(values)) / (NOISE * rms) if rms > 0.0 else 0.0
 
