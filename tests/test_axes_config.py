@@ -117,6 +117,13 @@ def test_so_many_axes_fit_at_so_high_a_rate(axes: int, rate_hz: float) -> None:
     assert most_axes(one.config, one.codecs) >= axes
 
 
+def test_each_axis_of_a_file_has_a_proof_of_its_own(file: Path) -> None:
+    file.write_text(TEXT)
+    assert [axis.proof_file.name for axis in load_axes(file)] == ["a.x.toml", "a.y.toml"]
+    alone = load("virtual.toml")
+    assert alone.proof_file == alone.path
+
+
 def test_check_says_what_the_bus_carries(file: Path) -> None:
     file.write_text(TEXT + THIRD)
     found = json.loads(pneud("check", str(file), "--json").stdout)
