@@ -87,6 +87,12 @@ class Rig:
         self.count += 1
         return tick
 
+    def go_on(self, how: Backend) -> None:
+        """Compute the axis another way from now on."""
+        axis = how.axis(self.axis.parameters)
+        axis.thaw(self.axis.freeze())
+        self.axis = axis
+
     def ticks(self, n: int) -> list[Tick]:
         return [self.tick() for _ in range(n)]
 

@@ -19,7 +19,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from commands import object_of, pneud
+from commands import object_of, pneud, pneud_here
 from pneud.bench import chart, contestants, rates
 from pneud.bench.contestants import AbsentError, TrackScript
 from pneud.bench.disturbances import DISTURBANCES, Disturb, cpus_busy
@@ -390,7 +390,7 @@ def test_the_header_names_where_it_comes_from() -> None:
 
 def test_a_log_yields_the_durations_of_its_ticks(tmp_path: Path) -> None:
     log = tmp_path / "x.mcap"
-    assert pneud("sim", "virtual.toml", "--duration", "0.3", "-o", log).returncode in (0, 1)
+    assert pneud_here("sim", "virtual.toml", "--duration", "0.3", "-o", log).returncode in (0, 1)
     found = contestants.sample_of_log(log, 100, 200)
     assert found.ticks == 200
     assert len(found.durations_ns["lateness"]) == 200
@@ -546,7 +546,7 @@ def test_the_loop_misses_no_command_however_it_is_disturbed(name: str, track: Tr
 
 
 def test_a_usage_error_is_one_line() -> None:
-    done = pneud("bench", "--pairs", "0")
+    done = pneud_here("bench", "--pairs", "0")
     assert (done.returncode, done.stdout) == (2, "")
     assert len(done.stderr.splitlines()) == 1
 

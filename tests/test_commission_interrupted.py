@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from axis_rig import CLEAR, Rig, ready, same
+from axis_rig import CLEAR, Rig, quick, ready, same
 from pneud import resources
+from pneud.compiled.backend import INTERPRETED
 from pneud.config.proof import digest, keep, place
 from pneud.loading import Loaded, load
 from pneud.log.files.reader import LogReader
@@ -50,10 +51,9 @@ class Amid(NamedTuple):
             return [edges._replace(acts=edges.acts[at : at + 1])]
         return [step for step in static(p) + dynamic(p) if step.name == self.name][:1]
 
-    def is_under_way(self, rig: Rig) -> bool:
-        """As the axis is now."""
-        s = rig.axis.state
-        return s.supervisor.state == self.state and (not self.braking or s.probe.braked_ns != 0)
+    def is_under_way(self, rig: Rig, tick: Tick) -> bool:
+        """As the axis is since the last tick."""
+        return tick.state == self.state and (not self.braking or rig.axis.state.probe.braked_ns != 0)
 
 
 MOVEMENT = Amid("movement test", True, State.PROBING, after=1300)  # the valve's edge is passed
@@ -91,7 +91,10 @@ class ReachedError(Exception):
 
 
 class Bench:
-    """The axis of a test's rig; its configuration and proof are kept as those of a daemon are."""
+    """The axis of a test's rig; its configuration and proof are kept as those of a daemon are.
+
+    The axis is compiled until something happens, which may be to its functions.
+    """
 
     tries, log_name = False, "run.mcap"
 
@@ -100,15 +103,17 @@ class Bench:
         self.happens: Callable[[], tuple[int, int]] | None = None  # kind of a request, ticks that are skipped
 
     def play(self, operator: Operator) -> None:
+        self.rig.go_on(quick())
         tick, under_way = self.rig.tick(), 0
         while operator.verdict is None:
             asked = operator.ask(tick.state, tick.present)
             kind, values = (0, ()) if asked is None else asked
             skipped = 0
-            under_way += under_way > 0 or self.amid.is_under_way(self.rig)
+            under_way += under_way > 0 or self.amid.is_under_way(self.rig, tick)
             if under_way == self.amid.after:
                 if self.happens is None:
                     raise ReachedError
+                self.rig.go_on(INTERPRETED)
                 other, skipped = self.happens()
                 kind, values = (other, ()) if other else (kind, values)
             tick = self.rig.tick(kind, *values, skipped=skipped)

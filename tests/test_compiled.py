@@ -10,7 +10,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from types import UnionType
@@ -265,6 +265,15 @@ def elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     return tmp_path / "pneud" / "compiled"
 
 
+@pytest.fixture
+def unloaded() -> Iterator[None]:
+    """Nothing is loaded yet, and what a test loads does not stay."""
+    backend_module.built.cache_clear()
+    yield
+    backend_module.built.cache_clear()
+
+
+@pytest.mark.usefixtures("unloaded")
 def test_a_machine_without_compiler_computes_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "which", lambda _: None)
     found = backend("auto", PARAMETERS)
@@ -311,6 +320,7 @@ def test_a_law_that_was_cut_short_is_built_anew(elsewhere: Path) -> None:
     assert all(library.stat().st_size > 4096 for library in elsewhere.iterdir())
 
 
+@pytest.mark.usefixtures("unloaded")
 def test_a_law_that_computes_something_else_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     def off_by_one_bit(*arguments: Any) -> Any:
         state, tick = cycle(*arguments)

@@ -98,6 +98,16 @@ def test_another_cantools_reads_anew(
     assert not (cache / f"{key}.json").exists()
 
 
+def test_a_process_whose_module_is_exchanged_keeps_nothing_for_the_other_one(
+    cache: Path, parses: list[bytes], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    messages(DBC, keep=True)
+    (tmp_path / "database.py").write_text("of another version")
+    monkeypatch.setattr(database, "__file__", str(tmp_path / "database.py"))
+    messages(DBC, keep=True)
+    assert len(list(cache.iterdir())) == len(parses) == 1
+
+
 def test_a_folder_that_others_may_write_to_is_not_used(cache: Path, parses: list[bytes]) -> None:
     cache.mkdir(parents=True)
     cache.chmod(0o777)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import random
+import shutil
 import threading
 import tomllib
 from collections.abc import Iterator
@@ -16,7 +17,9 @@ import pytest
 
 from commands import pneud_here as pneud
 from pneud.bus.transport import Party
+from pneud.loading import load
 from pneud.replay import traffic
+from pneud.replay.lockstep import Simulation
 from pneud.signals import Frame
 from pneud.study.mapping.decoding import Decoder
 from pneud.study.mapping.found import Found, look
@@ -162,7 +165,9 @@ def test_a_recording_becomes_a_table(tmp_path: Path, decoder: Decoder) -> None:
     log = candump(tmp_path / "bus.log")
     done = pneud("map", log, "--dbc", decoder.path, "-o", tmp_path / "map.toml", "--p2", "PT_B.Value")
     assert done.returncode == 0, done.stderr
-    assert "answers SYNC after" in done.stdout and "18FF1225" in done.stdout
+    assert "SYNC + 4" in done.stdout and "18FF1225" in done.stdout
+    again = pneud("map", log, "--dbc", decoder.path, "-o", tmp_path / "map.toml", "--yes")
+    assert again.returncode == 0, again.stderr
     bus = tomllib.loads((tmp_path / "map.toml").read_text())["bus"]
     assert bus["dbc"] == "foreign.dbc" and bus["sync"] is True
     assert bus["signals"]["position_m"] == "LVDT.Way"
@@ -184,7 +189,24 @@ def test_a_log_of_pneud_is_a_recording() -> None:
     done = pneud("map", GOLDEN / "composite.mcap", "--dbc", DBC)
     assert done.returncode == 0, done.stderr
     assert 'position_m = "ENCODER.Position"' in done.stdout
-    assert done.stdout.count("byte 7, pneud") == 4 and done.stdout.count("byte 6, 0 … 255") == 4
+    assert done.stdout.count("byte 7: pneud") == 4 and done.stdout.count("byte 6: 0…255") == 4
+
+
+def test_a_configuration_gets_the_table_and_runs(tmp_path: Path) -> None:
+    for name in ("virtual.toml", "pneud.dbc"):
+        shutil.copy(DBC.with_name(name), tmp_path)
+    config = tmp_path / "virtual.toml"
+    before = config.read_text()
+    done = pneud("map", GOLDEN / "composite.mcap", "--dbc", tmp_path / "pneud.dbc", "-o", config, "--yes")
+    assert done.returncode == 0, done.stderr
+    loaded = load(config)
+    assert loaded.config.bus.signals is not None
+    assert config.read_text().startswith(before.partition("[bus]")[0]), "all else stays as it was"
+    records = list(Simulation(loaded, 0.2).records())
+    assert records[-1].tick.measurement.position_m == pytest.approx(0.486, abs=0.1)
+    assert not any(record.tick.latched for record in records)
+    again = pneud("map", GOLDEN / "composite.mcap", "--config", config, "-o", config, "--yes")
+    assert again.returncode == 0, again.stderr
 
 
 def test_without_a_dbc_there_are_messages_only(tmp_path: Path) -> None:
@@ -213,10 +235,14 @@ def test_what_cannot_be_is_one_line(tmp_path: Path, decoder: Decoder) -> None:
     refused(pneud("map", log, "-o", tmp_path / "m.toml"), 2, "nothing to write without a DBC")
     refused(pneud("map", "--bus", "auto"), 2, "--bus auto")
     (tmp_path / "m.toml").write_text("name = 1")
-    refused(pneud("map", log, "--dbc", decoder.path, "-o", tmp_path / "m.toml"), 2, "nobody to ask", "--yes")
+    refused(
+        pneud("map", log, "--dbc", decoder.path, "-o", tmp_path / "m.toml"), 2, "nobody is there", "--yes"
+    )
     (tmp_path / "empty.log").write_text("")
     done = pneud("map", tmp_path / "empty.log")
     assert (done.returncode, done.stdout) == (1, "") and "nothing was heard" in done.stderr
+    done = pneud("map", tmp_path / "empty.log", "--json")
+    assert (done.returncode, json.loads(done.stdout)["messages"]) == (1, [])
 
 
 def test_a_bus_is_listened_to_and_nothing_is_sent(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

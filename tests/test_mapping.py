@@ -13,11 +13,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pneud import resources
 from pneud.bus.codec import ROW, Answer, Codecs, DatabaseError, codecs_from
 from pneud.bus.mapped_inbox import MappedInbox, inbox_of
 from pneud.bus.wire import CAN_EFF_FLAG, wire_time_ns
 from pneud.config.models import BusConfig, GasConfig
-from pneud.signals import Defect, Frame, Source, ValveState
+from pneud.config.toml import changed_text, tables_of
+from pneud.loading import devices_of, load
+from pneud.replay.lockstep import Simulation, backend_of
+from pneud.safety.unnoticed import unnoticed
+from pneud.signals import Defect, EncoderStatus, Frame, Source, ValveState
 
 GAS = GasConfig(supply_pa=600_000.0)
 HEAD = 'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_: A\n'
@@ -155,11 +160,11 @@ def test_a_double_is_itself_to_the_bit() -> None:
         (HEAD + OUT + text).encode(),
         GAS,
     )
-    row = (math.pi, 1, 0.0, 3e5, 2e5, 0.0, 0.0, 0.0, 0)
+    row = (math.pi, 1, 0.0, 0.0, 3e5, 2e5, 0.0, 0.0, 0.0, 0)
     encoder, pressure = codecs.answers
     assert encoder.codec.encode(*row, counter=0) == struct.pack(">d", math.pi)
     assert pressure.codec.encode(*row, counter=0) == struct.pack("<ff", 3.0, 2.0)
-    assert pressure.codec.decode(struct.pack("<ff", 3.0, 2.0))[3:5] == (3e5, 2e5)
+    assert pressure.codec.decode(struct.pack("<ff", 3.0, 2.0))[4:6] == (3e5, 2e5)
     for wrong in (math.nan, math.inf):
         with pytest.raises(ValueError, match=r"X\.Pos = .* is outside"):
             encoder.codec.encode(wrong, *row[1:], counter=0)
@@ -206,7 +211,7 @@ def test_words_of_other_devices() -> None:
     for word, status in ((0xFFF1, 1), (0x0003, 3), (0x0008, 5), (0x0000, 4)):
         data = bytes(4) + word.to_bytes(2, "little") + bytes(2)
         assert codecs.encoder.decode(data)[1] == status
-    assert codecs.encoder.decode(codecs.encoder.encode(0.1, 5, *[0.0] * 7, counter=0))[1] == 5
+    assert codecs.encoder.decode(codecs.encoder.encode(0.1, 5, *[0.0] * 8, counter=0))[1] == 5
     assert [codecs.valve_command.encode(0.0, on, 0, counter=0)[2] for on in (0, 1)] == [3, 7]
     assert codecs.valve_command.decode(codecs.valve_command.encode(1.0, 1, 0, counter=0))[:2] == (1.0, 1)
 
@@ -215,9 +220,9 @@ class Talk:
     """Frames for a mapped inbox."""
 
     def __init__(
-        self, text: str, roles: dict[str, Any], messages: dict[str, Any] | None = None, sync: bool = True
-    ):
-        bus = bus_of(roles, messages, sync=sync)
+        self, text: str, roles: dict[str, Any], messages: dict[str, Any] | None = None, **more: Any
+    ) -> None:
+        bus = bus_of(roles, messages, **more)
         self.codecs = codecs_from(bus, Path("x.dbc"), (HEAD + text + OUT).encode(), GAS)
         inbox = inbox_of(self.codecs, bus)
         assert isinstance(inbox, MappedInbox)
@@ -228,7 +233,7 @@ class Talk:
 
     def tick(self, *which: int, **values: float) -> Any:
         """One tick in which these of the answers come."""
-        row = dict(zip(ROW, (0.2, 1, 0.0, 3e5, 2e5, 1e5, 6e5, 0.0, 1), strict=True)) | values
+        row = dict(zip(ROW, (0.2, 1, 0.0, 0.2, 3e5, 2e5, 1e5, 6e5, 0.0, 1), strict=True)) | values
         self.t_ns += MS
         self.counter += 1
         self.inbox.begin(self.t_ns)
@@ -277,6 +282,27 @@ def test_one_pressure_by_the_difference(lacking: str) -> None:
     assert (m.p1_pa, m.p2_pa) == (pytest.approx(3e5), pytest.approx(2e5))
 
 
+def test_an_age_may_be_a_constant() -> None:
+    talk = Talk(PLAIN, ROLES | {"age_s": 0.0003}, sync=False)
+    talk.tick(0, 1, 2)
+    m = talk.tick(1, 2)
+    assert m.encoder_age_ns == MS - 200_000 + 300_000
+    answering = Talk(PLAIN, ROLES | {"age_s": 0.0003})  # what was sampled before SYNC does not answer it
+    assert answering.tick(0, 1, 2).encoder_defects == Defect.LATE
+
+
+def test_two_encoders_have_to_agree() -> None:
+    text = PLAIN + 'BO_ 304 ENC2: 4 A\n SG_ Pos : 0|32@1- (1,0) [0|0] "um" A\n'
+    talk = Talk(text, ROLES | {"second_position_m": "ENC2.Pos"}, encoders_apart_m=2e-3)
+    i = [a.name for a in talk.codecs.answers].index("ENC2")
+    others = [k for k in range(4) if k != i]
+    assert talk.tick(*range(4)).encoder_status == EncoderStatus.REFERENCED
+    m = talk.tick(*range(4), second_position_m=0.2021)
+    assert m.encoder_status == EncoderStatus.REFERENCED | EncoderStatus.ERROR
+    assert m.fresh == 7
+    assert talk.tick(*others).fresh == Source.PRESSURE | Source.VALVE
+
+
 def test_a_counter_of_one_message_says_what_it_says_of_any() -> None:
     messages = {"ENC": {"counter": "Cnt"}}
     talk = Talk(PLAIN, ROLES | {"age_s": "ENC.Age"}, messages)
@@ -323,6 +349,26 @@ def test_free_sensors_need_no_sync() -> None:
     m = talk.inbox.measurement(0, 0)
     assert m.fresh == Source.ENCODER | Source.VALVE
     assert m.encoder_offset_ns == 1 - MS - wire_time_ns(8, 1e6)
+
+
+# --- the page ---
+
+
+def test_the_example_of_the_documentation_is_a_rig(tmp_path: Path) -> None:
+    page = (Path(__file__).parent.parent / "docs" / "mapping.md").read_text(encoding="utf-8")
+    dbc, toml = (
+        page.partition(f"```{kind}")[2].partition("\n")[2].partition("```")[0] for kind in ("text", "toml")
+    )
+    (tmp_path / "four.dbc").write_text(dbc)
+    text = changed_text((resources.configs() / "virtual.toml").read_text(), tables_of(toml))
+    (tmp_path / "four.toml").write_text(text)
+    loaded = load(tmp_path / "four.toml")
+    run = Simulation(loaded, 0.5, how=backend_of(loaded))
+    assert {record.tick.latched for record in run.records()} == {0}
+    assert run.inbox.counts().rx > 3 * 500
+    blind = {one.name for one in unnoticed(devices_of(loaded.config, loaded.codecs)) if one.wholly}
+    assert {"valve_missing", "supply_pressure", "encoder_frozen"} <= blind
+    assert "encoder_error" not in blind
 
 
 # --- what is wrong ---

@@ -105,6 +105,12 @@ def kind(annotation: Any, metadata: Any = ()) -> str:
         )
     if origin in (Union, UnionType):
         return " or ".join(kind(one, metadata) for one in get_args(annotation) if one is not NoneType)
+    if (
+        origin is tuple
+        and isinstance(first := get_args(annotation)[0], type)
+        and issubclass(first, BaseModel)
+    ):
+        return "list of tables"
     if origin is tuple:
         return f"list of: {kind(get_args(annotation)[0])}"
     if origin is dict:
@@ -142,8 +148,10 @@ def tables(model: type[BaseModel], path: str = "") -> Iterator[str]:
     """A section for each table, in the order of the models."""
     said = meanings(model)
     plain = [(n, f) for n, f in model.model_fields.items() if not is_table(f) and f.annotation not in APART]
+    path, lists = path.strip("[]"), path.startswith("[")
     if plain:
-        yield f"\n## {f'`[{path}]`' if path else 'At the top'}\n"
+        shown = f"[[{path}]]" if lists else f"[{path}]"
+        yield f"\n## {f'`{shown}`' if path else 'At the top'}\n"
         yield f"{inspect.getdoc(model)}\n"
         yield "| key | value | unit | default | |\n|---|---|---|---|---|"
         for name, field in plain:
@@ -160,6 +168,8 @@ def tables(model: type[BaseModel], path: str = "") -> Iterator[str]:
                 yield from tables(SignalsConfig, "bus.signals")
                 yield from tables(SignalConfig, "bus.signals.VALUE")
                 yield from tables(MessageConfig, "bus.messages.MESSAGE")
+        elif (inner := listed(field)) is not None:
+            yield from tables(inner, f"[{path}.{name}]" if path else f"[{name}]")
 
 
 def frames() -> Iterator[str]:
@@ -169,6 +179,13 @@ def frames() -> Iterator[str]:
     for role, frame in FramesConfig():
         signals = ", ".join(f"{name} = `{signal}`" for name, signal in frame.signals.items())
         yield f"| `{role}` | `{frame.message}` | {signals or '–'} |"
+
+
+def listed(field: FieldInfo) -> type[BaseModel] | None:
+    """The model of a key that is a list of tables."""
+    of = get_args(field.annotation)
+    found = of[0] if get_origin(field.annotation) is tuple and of else None
+    return found if isinstance(found, type) and issubclass(found, BaseModel) else None
 
 
 def is_table(field: FieldInfo) -> bool:

@@ -36,14 +36,8 @@ GROUPS = {
     "Software rig": ("plant", "sim", "scenarios", "reproduce"),
     "Logs": ("logs", "replay", "report", "view", "export", "import", "recover", "learnt", "identify"),
     "A rig and its machine": (
-        "new",
-        "map",
-        "commission",
-        "check",
-        "design",
-        "doctor",
-        "install-service",
-        "bench",
+        *("new", "map", "nodes", "commission", "check", "design"),
+        *("doctor", "install-service", "bench"),
     ),
     "Running daemon": (
         *("status", "arm", "disarm", "stop", "clear", "home", "hold", "restart"),

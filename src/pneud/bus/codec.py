@@ -48,7 +48,7 @@ ROLES: dict[str, dict[str, float | None]] = {
 
 
 SOURCES: dict[str, tuple[str, ...]] = {
-    "encoder": ("position_m", "status", "age_s"),
+    "encoder": ("position_m", "status", "age_s", "second_position_m"),
     "pressure": ("p1_pa", "p2_pa", "difference_pa", "supply_pa"),
     "valve": ("applied_v", "state"),
 }

@@ -21,6 +21,7 @@ from pure2c.cache import Cache
 
 _KEPT = 32  # databases that stay
 _SILENCE = logging.NullHandler()
+_OWN = Path(__file__).read_bytes()  # of what runs, whatever becomes of the file
 
 
 class Signal(NamedTuple):
@@ -123,7 +124,7 @@ def _encoding(dbc: bytes) -> str:
 
 def _key(dbc: bytes) -> str:
     digest = hashlib.sha256(dbc)
-    digest.update(Path(__file__).read_bytes())
+    digest.update(_OWN)
     spec = find_spec("cantools")
     if spec is not None and spec.origin is not None:
         found = Path(spec.origin).stat()

@@ -178,7 +178,8 @@ class Inbox:
         self._encoder = self._sources[0]
         self._whole = sum(o.bit for o in self._sources)
         self._origins = {o.codec.can_id: o for o in self._sources}
-        self._own = frozenset((codecs.sync.can_id, codecs.valve_command.can_id))
+        own = (codecs.sync, codecs.valve_command) if bus.sync else (codecs.valve_command,)
+        self._own = frozenset(codec.can_id for codec in own)
         self._older_s = codecs.older_s
         self.sync = bus.sync  # whether frames answer SYNC
         self._sync_wire_ns, self._command_wire_ns, self._encoder_wire_ns = (

@@ -12,9 +12,10 @@ from collections.abc import Sequence
 from pneud.bus.codec import ROW, SOURCES, Codecs
 from pneud.bus.inbox import CORRUPT, FROZEN, NEVER_NS, Inbox, InboxState, Origin, OriginState
 from pneud.config.models import BusConfig
-from pneud.signals import Frame, Measurement, ValveState
+from pneud.signals import EncoderStatus, Frame, Measurement, ValveState
 
-_POSITION, _STATUS, _AGE, _P1, _P2, _DIFFERENCE, _SUPPLY, _APPLIED, _STATE = range(len(ROW))
+_POSITION, _STATUS, _AGE, _SECOND, _P1, _P2, _DIFFERENCE, _SUPPLY, _APPLIED, _STATE = range(len(ROW))
+_ERROR = int(EncoderStatus.ERROR)
 _KINDS_FROM = 1 << 32  # identifiers of the kinds of a multiplexed message: beyond all that a bus has
 _UNKNOWN = OriginState(-1, 0, 0, -NEVER_NS, ())
 
@@ -40,6 +41,7 @@ class MappedInbox(Inbox):
     def __init__(self, codecs: Codecs, bus: BusConfig) -> None:
         assert codecs.row is not None
         self._constants = codecs.row.values
+        self._apart_m = bus.encoders_apart_m
         self._gates: dict[int, _Gate] = {}
         self._kinds = 0  # bits of the parts that are kinds
         super().__init__(codecs, bus)
@@ -65,14 +67,11 @@ class MappedInbox(Inbox):
         for i, answer in enumerate(self._answers):
             codec = answer.codec
             # a message's kinds have one counter, which the gate looks at
-            origin = Origin(
-                1 << i,
-                codec,
-                self._constants,
-                bus,
-                has_age="age_s" in answer.filled,
-                counted=answer.kind is None,
-            )
+            tells_age = "age_s" in answer.filled or self._constants[_AGE] > 0.0
+            aged = "position_m" in answer.filled and tells_age
+            # a message's kinds have one counter, which the gate looks at
+            counted = answer.kind is None
+            origin = Origin(1 << i, codec, self._constants, bus, has_age=aged, counted=counted)
             if answer.kind is not None:
                 gate = self._gates.setdefault(codec.can_id, _Gate(codecs, codec.can_id))
                 gate.parts[answer.kind] = origin
@@ -120,6 +119,8 @@ class MappedInbox(Inbox):
                 row[_P1] = row[_P2] + row[_DIFFERENCE]
             else:
                 row[_P2] = row[_P1] - row[_DIFFERENCE]
+        if tells[_SECOND] is not None and not abs(row[_POSITION] - row[_SECOND]) <= self._apart_m:
+            row[_STATUS] = int(row[_STATUS]) | _ERROR
         echo_v, enabled = self.echo
         if tells[_APPLIED] is None:
             row[_APPLIED] = echo_v

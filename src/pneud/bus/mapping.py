@@ -32,7 +32,7 @@ from pneud.config.models import BusConfig, GasConfig
 from pneud.signals import EncoderStatus, ValveState
 
 SYNC_ID = 0x080  # CANopen's
-_NO_ROW = (math.nan, 1, 0.0, math.nan, math.nan, math.nan, math.nan, math.nan, int(ValveState.BOOT))
+_NO_ROW = (math.nan, 1, 0.0, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, int(ValveState.BOOT))
 _UNKNOWN = {"status": int(EncoderStatus.ERROR), "state": int(ValveState.FAULT), "enable": 0}
 _NUMBERS = {"status": range(8), "state": range(5), "enable": range(2)}  # of the axis
 _FLOAT_MOST = {32: (2.0 - 2.0**-23) * 2.0**127, 64: 1.7976931348623157e308}

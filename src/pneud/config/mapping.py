@@ -85,6 +85,7 @@ class SignalsConfig(Section):
     position_m: Mapped
     status: Mapped | None = None  # bits 1 referenced, 2 warning, 4 error; none: always referenced
     age_s: Mapped | None = None  # from sampling to sending, in the position's message; none: 0
+    second_position_m: Mapped | None = None  # of another encoder; they may not differ
     p1_pa: Mapped | None = None  # one of the chambers may come from the other and difference_pa
     p2_pa: Mapped | None = None
     difference_pa: Mapped | None = None  # p1 - p2
@@ -107,7 +108,7 @@ class SignalsConfig(Section):
                 raise ValueError(f"{name}: a signal has to tell it; constants are {', '.join(CONSTANTS)}")
             if value.gauge and name not in ("p1_pa", "p2_pa", "supply_pa"):
                 raise ValueError(f"{name}: gauge is of p1_pa, p2_pa and supply_pa")
-            if (value.counts_per_m or value.m_per_count) and name != "position_m":
+            if (value.counts_per_m or value.m_per_count) and not name.endswith("position_m"):
                 raise ValueError(f"{name}: counts are of position_m; give unit")
             if (value.values or value.mask) and name not in ("status", "state", "enable"):
                 raise ValueError(f"{name}: mask and values are of status, state and enable")

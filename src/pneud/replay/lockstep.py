@@ -12,11 +12,12 @@ from pathlib import Path
 from pneud.bus.mapped_inbox import inbox_of
 from pneud.compiled.backend import INTERPRETED, Backend, backend
 from pneud.config import conversions
-from pneud.loading import SYNC_COUNTERS, Loaded, load
+from pneud.loading import SYNC_COUNTERS, Loaded, load, plans_of_plant
 from pneud.log.format.header import LogHeader
 from pneud.loop.conditions import Conditions
 from pneud.loop.turn import END_TICKS, Turn
 from pneud.replay.simulated_machine import DOWN, HEALTHY, SimulatedMachine
+from pneud.rig.answering import Plant
 from pneud.rig.node import PlantNode
 from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES
 from pneud.safety.supervisor import is_engaged
@@ -69,6 +70,12 @@ class Simulation:
                 scenario, rig, loaded.codecs, seed, rate_hz, self._machine.begin, how.advance
             )
             self.node = self.engine.node
+        plans = plans_of_plant(loaded)
+        self._slaves: Plant | None = None  # stand before the node, where it is made of them
+        if plans:
+            from pneud.rig.canopen import CanopenRig, slaves_of  # noqa: PLC0415 - for rigs with nodes only
+
+            self._slaves = CanopenRig(self.node, plans, slaves_of(plans), configured=True)
         self._operator = operator
         self.shut = False  # the run is over and the axis is coming to rest
         self.tx = 0
@@ -82,7 +89,7 @@ class Simulation:
 
     def records(self) -> Iterator[Record]:
         """The ticks, as the loop hands them to the recorder."""
-        turn, machine, node = self.turn, self._machine, self.node
+        turn, machine, node = self.turn, self._machine, self._slaves or self.node
         idle, count, stalled = 0, 0, 0
         left_over: list[Frame] = []
         last_state, last_present = int(State.STARTING), 0
@@ -96,7 +103,7 @@ class Simulation:
             sequence = count % SYNC_COUNTERS + 1
             sync = Frame(t_ns, self._sync.can_id, self._sync.encode(counter=sequence))
             if not self.inbox.sync:
-                node.look(t_ns)
+                self.node.look(t_ns)
             elif link == HEALTHY:
                 node.on_frame(sync)
             turn.begin(t_ns)

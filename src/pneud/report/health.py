@@ -182,7 +182,8 @@ class Health:
         received = frames.can_id[~sent]
         errors = received & CAN_ERR_FLAG != 0
         self.error_frames += int(errors.sum())
-        self.foreign += int(np.isin(received[~errors], (sync_id, command_id)).sum())
+        own = (sync_id, command_id) if self._sync else (command_id,)
+        self.foreign += int(np.isin(received[~errors], own).sum())
         for source in self.sources:
             source.add(block.ticks, frames, sync_ns, command_ns, self._sync)
         self._emergencies(frames)

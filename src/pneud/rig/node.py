@@ -13,8 +13,9 @@ from pneud.bus.wire import CAN_ERR_FLAG, wire_time_ns
 from pneud.physics.plant import PlantParameters
 from pneud.rig import dynamics
 from pneud.rig.dynamics import PlantState, initial_state, stroke_position
+from pneud.rig.segment import Segment
 from pneud.rig.sensors import Noise, PressureSensor, quantised, sensed
-from pneud.rig.transmission import Item, Wire
+from pneud.rig.transmission import Item
 from pneud.rig.valvenode import ValveNode
 from pneud.signals import EncoderStatus, Frame
 
@@ -49,6 +50,7 @@ class _Answer(NamedTuple):
 
 class _Foreign(NamedTuple):
     frame: Frame  # neither the controller's nor a node's own; all of them hear it
+    sender: PlantNode  # through which it was put
 
 
 class PlantNode:
@@ -63,6 +65,7 @@ class PlantNode:
         seed: of the sensors' noise.
         hook: fault injection on frames.
         advance: `dynamics.advance` or its compiled version.
+        segment: the bus that it shares with other rigs; one of its own without.
     """
 
     def __init__(
@@ -73,10 +76,12 @@ class PlantNode:
         *,
         hook: Hook | None = None,
         advance: Advance = dynamics.advance,
+        segment: Segment | None = None,
     ) -> None:
         self.p = p
         self.force_ext_n = 0.0
         self.hook = hook
+        self.on_truth: Callable[[int, float], None] | None = None  # told of every SYNC: its stamp, position
         self.valve = ValveNode(codecs.valve_command, p.valve_timeout_s, p.dac_bits, p.valve.u_max_v)
         self.unsendable = 0  # answers with a value that their frame cannot carry
         self._codecs = codecs
@@ -95,11 +100,15 @@ class PlantNode:
         self._counters = dict.fromkeys(self._answer_ids, 0)
         self._counts = {answer.codec.can_id: answer.codec.counter_values for answer in codecs.answers}
         self._free_ns = round(p.free_s * 1e9)
-        self._next_ns = _NEVER_NS  # when the nodes sample by themselves
-        self._wire = Wire()
+        self.next_ns = _NEVER_NS
+        """When the nodes sample by themselves."""
+        self._segment = segment if segment is not None else Segment()
+        self._segment.nodes.append(self)
+        self._wire = self._segment.wire
         self._ended: list[tuple[int, _Answer]] = []  # transmitted, not yet polled
         self._held: list[Frame] = []  # delayed by the hook
         self._now_ns = _START_NS
+        self._current_ns = -1  # of the last SYNC, or the last sampling without
         self._epoch_ns = _START_NS
         self._plant_ns = _START_NS
         self._state = initial_state(p)
@@ -124,8 +133,13 @@ class PlantNode:
         """The rig at the send stamp of the last SYNC."""
         return self._truth
 
-    def on_frame(self, frame: Frame) -> None:
-        """A frame was sent at its stamp; frames come in order of stamps, foreign ones are ignored."""
+    def on_frame(self, frame: Frame, *, carried: bool = True) -> None:
+        """A frame was sent at its stamp; frames come in order of stamps, foreign ones are ignored.
+
+        Args:
+            frame: as it was sent.
+            carried: the bus has yet to carry it; of several rigs on a segment, this is said to one.
+        """
         sync = frame.can_id == self._sync_id
         if not sync and frame.can_id != self._command_id:
             return
@@ -135,10 +149,19 @@ class PlantNode:
         if sync:
             self._integrate(sent_ns)
             self._truth = Truth(frame.stamp_ns, stroke_position(self._state, self.p), self._state)
+            self._current_ns = frame.stamp_ns
+            if self.on_truth is not None:
+                self.on_truth(frame.stamp_ns, self._truth.position_m)
+        if not carried:
+            return
         for passed in (frame,) if self.hook is None else self.hook(frame, False):
             if passed.can_id in (self._sync_id, self._command_id) and len(self._wire.waiting) < MAX_WAITING:
                 duration = self._duration_ns(len(passed.data), passed.can_id)
                 self._wire.add(Item(max(passed.stamp_ns, sent_ns), passed.can_id, duration, passed))
+
+    def takes(self, can_id: int) -> bool:
+        """Whether a frame with this identifier is for this rig."""
+        return can_id in (self._sync_id, self._command_id)
 
     def put(self, frame: Frame) -> None:
         """A frame of somebody else waits for the wire from its stamp on, no earlier than now.
@@ -150,7 +173,7 @@ class PlantNode:
         else:
             duration = self._duration_ns(len(frame.data), frame.can_id)
             ready_ns = max(frame.stamp_ns, self._now_ns)
-            self._wire.add(Item(ready_ns, frame.can_id, duration, _Foreign(frame)))
+            self._wire.add(Item(ready_ns, frame.can_id, duration, _Foreign(frame, self)))
 
     def reboot(self, node: int) -> None:
         """One of the nodes starts anew: its counter from 0, the valve node's output centred."""
@@ -167,8 +190,8 @@ class PlantNode:
     def due(self) -> int | None:
         """Earliest time [ns] at which `poll` may have a frame; None as long as no frame comes in."""
         times = [end for end, _ in self._ended] + [frame.stamp_ns for frame in self._held]
-        if self._next_ns != _NEVER_NS:
-            times.append(self._next_ns + self._delay_ns + self._shortest_ns)
+        if self.next_ns != _NEVER_NS:
+            times.append(self.next_ns + self._delay_ns + self._shortest_ns)
         upcoming = self._wire.upcoming
         if upcoming is not None:
             end, item = upcoming
@@ -199,7 +222,7 @@ class PlantNode:
         for end_ns, answer in self._ended:
             if end_ns > t_ns:
                 later.append((end_ns, answer))
-            elif not current_only or answer.sync_ns >= self._truth.t_ns:
+            elif not current_only or answer.sync_ns >= self._current_ns:
                 frames.extend(self._sent(end_ns, answer))
         self._ended = later
         self._held = [frame for frame in frames if frame.stamp_ns > t_ns]
@@ -221,33 +244,32 @@ class PlantNode:
         if not self.started:
             self._epoch_ns = self._plant_ns = t_ns
             if self._free_ns:
-                self._next_ns = t_ns
+                self.next_ns = t_ns
 
     def _duration_ns(self, data_bytes: int, can_id: int) -> int:
         return wire_time_ns(data_bytes, self.p.bitrate_bit_s, can_id)
 
     def _run(self, t_ns: int) -> None:
-        wire, valve = self._wire, self.valve
-        while True:
-            upcoming = wire.upcoming
-            if self._next_ns <= min(t_ns, valve.deadline_ns, _NEVER_NS if upcoming is None else upcoming[0]):
-                self._sample_freely()
-            elif upcoming is not None and upcoming[0] <= t_ns and upcoming[0] <= valve.deadline_ns:
-                self._end_of(*wire.take())
-            elif valve.deadline_ns <= t_ns:
-                self._integrate(valve.deadline_ns)
-                valve.expire()
-            else:
-                break
+        self._segment.run(t_ns)
         self._now_ns = max(self._now_ns, t_ns)
 
-    def _end_of(self, end_ns: int, item: Item) -> None:
+    def expire(self) -> None:
+        """The valve node has waited for a command for too long."""
+        self._integrate(self.valve.deadline_ns)
+        self.valve.expire()
+
+    def hear(self, end_ns: int, item: Item) -> None:
+        """The transmission of a frame of anybody has ended."""
         load = item.load
         if isinstance(load, _Answer):
-            self._ended.append((end_ns, load))
+            if item.can_id in self._answer_ids:
+                self._ended.append((end_ns, load))
             return
         if isinstance(load, _Foreign):
-            self._held.append(load.frame._replace(stamp_ns=end_ns))
+            if load.sender is self:
+                self._held.append(load.frame._replace(stamp_ns=end_ns))
+        elif item.can_id not in (self._sync_id, self._command_id):
+            return  # another axis's command
         frame: Frame = load.frame if isinstance(load, _Foreign) else load
         self._integrate(end_ns)
         if item.can_id == self._command_id:
@@ -255,11 +277,12 @@ class PlantNode:
         elif item.can_id == self._sync_id and not self._free_ns and self._codecs.sync.valid(frame.data):
             self._sample(end_ns, frame.stamp_ns)
 
-    def _sample_freely(self) -> None:
-        t_ns = self._next_ns
-        self._next_ns += self._free_ns
+    def sample_freely(self) -> None:
+        """The nodes sample by themselves, and not for a SYNC."""
+        t_ns = self.next_ns
+        self.next_ns += self._free_ns
         self._integrate(t_ns)
-        self._truth = Truth(t_ns, stroke_position(self._state, self.p), self._state)
+        self._current_ns = t_ns
         self._sample(t_ns, t_ns)
 
     def _sample(self, t_ns: int, sync_ns: int) -> None:
@@ -281,7 +304,7 @@ class PlantNode:
         p1, p2 = reversed(chambers) if w.exchanged_pressures else chambers
         p1, p2, supply = read(p1), read(p2), read(true.supply_pa)
         values = {
-            "position_m": position, "status": status, "age_s": self._age_s,
+            "position_m": position, "second_position_m": position, "status": status, "age_s": self._age_s,
             "p1_pa": p1, "p2_pa": p2, "difference_pa": p1 - p2, "supply_pa": supply,
             "applied_v": valve.output_v, "state": int(valve.state),
         }  # fmt: skip

@@ -28,6 +28,7 @@ class Devices(NamedTuple):
     pressure: Teller
     valve: Teller
     status: bool  # the encoder says how it is
+    second: bool  # there is another one to compare it with
     age: bool  # and how old its readings are
     homed: bool  # the axis finds its reference itself
     supply: bool  # somebody measures it
@@ -91,7 +92,7 @@ def _of_frames(d: Devices) -> Iterator[Unnoticed]:
 def _of_values(d: Devices) -> Iterator[Unnoticed]:
     """What the sensors would tell."""
     if not d.status:
-        yield Unnoticed(F.ENCODER_ERROR, "the encoder has no status")
+        yield Unnoticed(F.ENCODER_ERROR, "the encoder has no status", wholly=not d.second)
         yield Unnoticed(F.ENCODER_LOST_REFERENCE, "the encoder has no status")
         if not d.homed:
             yield Unnoticed(F.ENCODER_UNREFERENCED, "the encoder has no status")
@@ -112,7 +113,9 @@ def _of_valve(d: Devices) -> Iterator[Unnoticed]:
         (F.VALVE_REBOOTED, (ValveState.BOOT, ValveState.CENTRED), "that it is not enabled"),
     ):
         if d.states.isdisjoint(states):
-            yield Unnoticed(fault, f"the valve does not tell {what}")
+            # a number that the table of its states does not have is taken for a fault
+            wholly = fault != F.VALVE_FAULT or not d.states
+            yield Unnoticed(fault, f"the valve does not tell {what}", wholly)
     if ValveState.ENABLED not in d.states:
         yield Unnoticed(F.VALVE_ACTIVE, "the valve does not tell that it is enabled", wholly=not d.applied)
 
@@ -120,6 +123,8 @@ def _of_valve(d: Devices) -> Iterator[Unnoticed]:
 def _of_bus(d: Devices) -> Iterator[Unnoticed]:
     """What else would be heard."""
     if not d.sync:
+        why = "bus.sync = false: whose SYNC it is tells nothing, only valve commands do"
+        yield Unnoticed(F.OTHER_CONTROLLER, why, wholly=False)
         yield Unnoticed(F.IDENTIFIER_CLASH, "bus.sync = false: nobody knows how many frames there should be")
     if not d.nodes:
         yield Unnoticed(F.EMERGENCY, "no message has a node, whose EMCY could be heard")

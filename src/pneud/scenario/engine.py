@@ -19,6 +19,7 @@ from pneud.rig import dynamics
 from pneud.rig.damage import UNDAMAGED, advance_damaged, scaled
 from pneud.rig.dynamics import PlantState
 from pneud.rig.node import ENCODER_NODE, PRESSURE_NODE, VALVE_NODE, Advance, PlantNode, ids_of_nodes
+from pneud.rig.segment import Segment
 from pneud.scenario import format as kinds
 from pneud.scenario.format import SIGNALS, Scenario
 from pneud.signals import Frame, ValveState
@@ -106,10 +107,11 @@ class Engine:
         rate_hz: float,
         machine: Machine = _nothing,
         advance: Advance = dynamics.advance,
+        segment: Segment | None = None,
     ) -> None:
         self.scenario = scenario
         self.effects = Effects()
-        self.node = PlantNode(p, codecs, seed, hook=self._hook, advance=self._advance)
+        self.node = PlantNode(p, codecs, seed, hook=self._hook, advance=self._advance, segment=segment)
         self._healthy = p
         self._damage = UNDAMAGED
         self._codecs = codecs
@@ -122,6 +124,8 @@ class Engine:
         self._later = {since: [p for p in playing if p.fault.since == since] for since in ("start", "armed")}
         self._due: list[_Playing] = []  # whose time has come, if not their condition
         self._active: list[_Playing] = []
+        command = codecs.valve_command
+        self._enables = command.encode(0.0, 0, 1, counter=0) != command.encode(0.0, 1, 1, counter=0)
         self._free = p.free_s > 0.0  # nobody sends SYNC: a tick is from command to command
         self._roles = {codecs.sync.can_id: "sync", codecs.valve_command.can_id: "valve_command"}
         for role, ids in zip(("encoder", "pressure", "valve_status"), ids_of_nodes(codecs), strict=True):
@@ -383,8 +387,8 @@ class Engine:
         codec, effects = self._codecs.valve_command, self.effects
         if not codec.valid(frame.data):
             return
-        _, enable, _ = codec.decode(frame.data)
-        if enable:
+        voltage_v, enable, _ = codec.decode(frame.data)
+        if enable if self._enables else voltage_v != 0.0:
             effects.engaged = True
             if self._armed_ns < 0:
                 self._armed_ns = frame.stamp_ns

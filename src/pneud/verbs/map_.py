@@ -15,6 +15,7 @@ from pneud import resources
 from pneud.bus.link import open_link
 from pneud.config.reading import load_with_text
 from pneud.config.sections import ConfigError, check_channel
+from pneud.config.toml import TomlError, tables_of
 from pneud.config.writing import rewrite
 from pneud.crew import asked_to_leave
 from pneud.replay.remarks import Remarks
@@ -25,7 +26,8 @@ from pneud.study.mapping.found import Found, look
 from pneud.study.mapping.guessing import VALUES
 from pneud.study.mapping.sources import heard, recorded
 from pneud.study.mapping.watching import Watch
-from pneud.verbs import JsonOption, VerbError, complete_config
+from pneud.verbs import JsonOption, ProgressOption, VerbError, complete_config
+from pneud.view.progress import each, progress
 
 LOOK_S = 1.0  # between two looks at a bus that is listened to
 
@@ -70,6 +72,7 @@ def map_(
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Replace a table without asking.")] = False,
     json: JsonOption = False,
+    how: ProgressOption = "auto",
 ) -> int:
     """Listen, say what was heard, and what the mapping may be. It sends nothing.
 
@@ -91,7 +94,8 @@ def map_(
     watch = Watch(_sync_id(decoder))
     remarks = Remarks()
     if recording is not None:
-        watch.add(recorded(recording, remarks))
+        with progress(how) as report:
+            watch.add(each(recorded(recording, remarks), report, recording.name, 0, "frames"))
     elif bus is not None:
         _listen(watch, bus, seconds, decoder, given, quiet=json)
     else:
@@ -100,15 +104,14 @@ def map_(
         print(line, file=sys.stderr)
     if not watch.frames:
         print(f"pneud: nothing was heard on {bus or recording}", file=sys.stderr)
-        return 1
     found = look(watch, decoder, given)
-    if output is not None:
+    if output is not None and watch.frames:
         _write(output, found, decoder, yes)
     if json:
         print(json_.dumps({"schema": 1, "source": str(bus or recording)} | shown.as_json(found)))
-    else:
+    elif watch.frames:
         _print(found, decoder, written=output is not None)
-    return 0
+    return 0 if watch.frames else 1
 
 
 def _given(options: dict[str, str | None], fill: list[str] | None) -> dict[str, str]:
@@ -251,16 +254,24 @@ def _write(path: Path, found: Found, decoder: Decoder | None, yes: bool) -> None
     """Write the table: into a configuration, or as a file of its own."""
     if decoder is None:
         raise VerbError("there is nothing to write without a DBC; name one with --dbc")
-    if not path.exists():
-        with replacing(path) as beside:
-            beside.write_text(shown.table(found, decoder.path.name), encoding="utf-8")
-        return
-    if not yes:
+    if path.exists() and not yes:
         if not sys.stdin.isatty():
             raise VerbError(
-                f"{path}: is there already, and there is nobody to ask; --yes replaces its mapping"
+                f"{path}: is there already; nobody is there to ask, and --yes replaces its mapping"
             )
         print(f"{path}: replace its mapping? [y/N] ", end="", file=sys.stderr, flush=True)
         if sys.stdin.readline().strip().lower() not in ("y", "yes"):
             raise VerbError(f"{path}: left as it is")
-    rewrite(path, lambda tables: shown.put(tables.setdefault("bus", {}), found, decoder.path.name))
+    if path.exists() and not _is_table(path):
+        rewrite(path, lambda tables: shown.put(tables.setdefault("bus", {}), found, decoder.path.name))
+        return
+    with replacing(path) as beside:
+        beside.write_text(shown.table(found, decoder.path.name), encoding="utf-8")
+
+
+def _is_table(path: Path) -> bool:
+    """Whether a file has a mapping and nothing else."""
+    try:
+        return tables_of(path.read_text(encoding="utf-8-sig")).keys() == {"bus"}
+    except (TomlError, UnicodeDecodeError) as e:
+        raise ConfigError(f"{path}: {e}") from None

@@ -4,17 +4,23 @@ import json as json_
 from typing import Any
 
 from pneud.console.client import Client
-from pneud.verbs import JsonOption, SocketOption
+from pneud.verbs import AxisOption, JsonOption, SocketOption
 from pneud.view.learnt import in_brief
 
 _SILENT_S = 0.5
 
 
-def status(socket: SocketOption = None, json: JsonOption = False) -> int:
+def status(axis: AxisOption = None, socket: SocketOption = None, json: JsonOption = False) -> int:
     """How the axis is."""
-    with Client(socket) as client:
+    with Client(socket, axis) as client:
         found = client.ask("status")
-    print(json_.dumps(found) if json else "\n".join(in_words(found)))
+    if json:
+        print(json_.dumps(found))
+    elif "axes" in found:
+        lease = {"lease": found["lease"]}
+        print("\n\n".join("\n".join(in_words({**one, **lease})) for one in found["axes"].values()))
+    else:
+        print("\n".join(in_words(found)))
     return 0
 
 

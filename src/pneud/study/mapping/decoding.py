@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from itertools import islice
 from pathlib import Path
@@ -19,8 +20,10 @@ from pneud.study.mapping.patterns import STEADY, Place
 from pneud.study.mapping.watching import KEPT, Watch
 
 MOVES = 3.0  # times as far as noise with the same steps would go
+LEAST = 8  # different values of what moves
 NOISE = 4.0  # so far noise goes, in times of its steps' RMS
 NEW_S = 1.0  # what "now" means
+_CONTROLLER = re.compile(r"controller|master|host|plc|pneud", re.I)  # as senders are called
 
 
 class Course(NamedTuple):
@@ -30,6 +33,7 @@ class Course(NamedTuple):
     signal: Signal
     times_s: Floats
     values: Floats
+    commanded: bool  # a controller sends it, says the DBC
 
     @property
     def name(self) -> str:
@@ -64,6 +68,8 @@ def _moving(values: Floats) -> float:
     steps = np.diff(values)
     if len(steps) and steps[-1] > 0.0 and (np.isclose(steps, steps[-1])).mean() > STEADY:
         return 0.0  # it counts
+    if len(np.unique(values)) < LEAST:
+        return 0.0  # a state
     rms = float(np.sqrt((steps**2).mean())) if len(steps) else 0.0
     return float(np.ptp(values)) / (NOISE * rms) if rms > 0.0 else 0.0
 
@@ -135,8 +141,9 @@ class Decoder:
                 times.append(1e-9 * (frame.stamp_ns - watch.first_ns))
                 values.append(float(value))
         by_name = {s.name: s for s in message.signals}
+        commanded = any(_CONTROLLER.search(name) for name in coder.senders)
         return [
-            Course(message.name, by_name[name], np.array(times), np.array(values))
+            Course(message.name, by_name[name], np.array(times), np.array(values), commanded)
             for name, (times, values) in said.items()
             if times
         ]

@@ -13,7 +13,7 @@ from pneud.study.mapping.patterns import Check
 from pneud.study.mapping.watching import Seen, Watch
 
 SIGNALS_HEAD = ("signal", "from", "to", "unit", "values/s", "moves", "with position")
-MESSAGES_HEAD = ("id", "bytes", "message", "Hz", "jitter", "how", "bytes that change", "counter", "checksum")
+MESSAGES_HEAD = ("id", "bytes", "message", "Hz", "jitter", "when", "change", "counter", "checksum")
 
 
 class Found(NamedTuple):
@@ -165,12 +165,10 @@ def message_rows(found: Found) -> list[tuple[str, ...]]:
             found.names.get(seen.can_id, ""),
             f"{seen.rate_hz:.4g}" if seen.rate_hz else "",
             f"{1e6 * seen.jitter_s:.0f} µs" if seen.rate_hz else "",
-            f"{seen.timing} after {1e6 * seen.delay_s:.0f} µs" if seen.delay_s > 0.0 else seen.timing,
-            " ".join(map(str, seen.changing)),
-            ""
-            if seen.counter is None
-            else f"{seen.counter.place}, {seen.counter.first} … {seen.counter.last}",
-            "" if seen.check is None else f"{seen.check.place}, {seen.check.rule}{_identifier(seen.check)}",
+            f"SYNC + {1e6 * seen.delay_s:.0f} µs" if seen.delay_s > 0.0 else seen.timing,
+            _spans(seen.changing),
+            "" if seen.counter is None else f"{seen.counter.place}: {seen.counter.first}…{seen.counter.last}",
+            "" if seen.check is None else f"{seen.check.place}: {seen.check.rule}{_identifier(seen.check)}",
         )
         for seen in found.messages
     ]
@@ -209,6 +207,17 @@ def _identifier(check: Check) -> str:
     ids = check.data_id if isinstance(check.data_id, tuple) else (check.data_id,)
     mode = "" if check.data_id_mode == "both" else f" {check.data_id_mode}"
     return f", data_id{mode} {' '.join(f'0x{one:X}' for one in ids)}"
+
+
+def _spans(numbers: tuple[int, ...]) -> str:
+    """Numbers in order, those in a row as from–to."""
+    spans: list[list[int]] = []
+    for n in numbers:
+        if spans and n == spans[-1][-1] + 1:
+            spans[-1].append(n)
+        else:
+            spans.append([n])
+    return " ".join(str(s[0]) if len(s) == 1 else f"{s[0]}–{s[-1]}" for s in spans)
 
 
 def _figures(value: float) -> float:

@@ -6,11 +6,12 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
-from pneud.study.mapping.decoding import Course
+from pneud.study.mapping.decoding import MOVES, Course
 
 LENGTHS = ("m", "mm", "um", "µm", "μm")
 PRESSURES = ("Pa", "hPa", "kPa", "MPa", "mbar", "bar")
 VOLTS = ("V", "mV")
+COUNTS = 16  # bits that a position without a unit has at the least
 TIMES = ("s", "ms", "us", "µs", "μs")
 VALUES = (
     *("position_m", "status", "age_s", "p1_pa", "p2_pa", "difference_pa", "supply_pa"),
@@ -51,9 +52,13 @@ def guess(courses: Iterable[Course], given: Mapping[str, str]) -> Guess:
         return found[1:]
 
     def command(c: Course) -> bool:
-        return bool(_COMMAND.search(c.name))
+        return c.commanded or bool(_COMMAND.search(c.name))
 
     positions = sorted(free(LENGTHS, lambda c: not command(c)), key=lambda c: -c.moving)
+    if not positions and "position_m" not in given:
+        counts = free(("",), lambda c: not command(c) and c.signal.length >= COUNTS and c.moving > MOVES)
+        positions = sorted(counts, key=lambda c: -c.moving)[:1]
+        doubts += [f"position_m: {c.name} moves and has no unit; give m_per_count" for c in positions]
     fill("position_m", positions)
     if "position_m" not in given and len(positions) > 1:
         doubts.append(f"position_m: {positions[0].name} moves most; {positions[1].name} is a length, too")

@@ -12,7 +12,8 @@ from pneud.bus.protection import CCITT, E2E_P01, H2F, Crc, checksum
 from pneud.config.protection import DataIdMode, Protection
 
 ENOUGH = 16  # different frames before anything is said of them
-STEADY = 0.9  # of the steps of a counter are by one: the others are lost frames
+STEADY = 0.75  # of the steps of a counter are by one: the others are lost frames
+AS_STEADY = 0.02  # so much more of them may be missed by what counts further
 PLAIN: tuple[Protection, ...] = ("pneud", "sae-j1850", "crc8-h2f", "crc16-ccitt", "xor8", "sum8")
 
 
@@ -65,10 +66,14 @@ def counter_in(frames: Sequence[bytes], places: Sequence[Place]) -> Counter | No
     """The place that goes up by one with each frame, if there is one: no wider than what is seen to count."""
     if len(set(frames)) < ENOUGH:
         return None
-    found = [(values, place) for place in places if _counts(values := place.values(frames))]
+    found = [(values, place) for place in places if _steady(values := place.values(frames)) > STEADY]
     if not found:
         return None
-    values, place = max(found, key=lambda f: (max(f[0]) - min(f[0]), -f[1].length))
+    # the lower bits of a counter count as well, and so do, nearly, those beside it that seldom change
+    best = max(_steady(values) for values, _ in found) - AS_STEADY
+    values, place = max(
+        (f for f in found if _steady(f[0]) >= best), key=lambda f: (max(f[0]) - min(f[0]), -f[1].length)
+    )
     first, last = min(values), max(values)
     wrapped = (last, first) in pairwise(values) and first < 2
     if not wrapped:
@@ -76,10 +81,11 @@ def counter_in(frames: Sequence[bytes], places: Sequence[Place]) -> Counter | No
     return Counter(place, first, last, wrapped)
 
 
-def _counts(values: list[int]) -> bool:
+def _steady(values: list[int]) -> float:
+    """Part of the steps that are up by one, or from the last value to the first."""
     last, first = max(values), min(values)
     up = sum(after == before + 1 or (before, after) == (last, first) for before, after in pairwise(values))
-    return last - first > 1 and up >= STEADY * (len(values) - 1)
+    return up / (len(values) - 1) if last - first > 1 else 0.0
 
 
 def check_in(
