@@ -44,8 +44,8 @@ class Bounds(NamedTuple):
 class Shunned(NamedTuple):
     """Speeds between which no short move should peak, and jerks that it should not have.
 
-    At such speeds friction falls faster than anybody sees; such jerks take so much of the valve that little is
-    left for friction where it turns round.
+    At such speeds friction falls faster than anybody sees; such jerks take so much of the valve that little
+    is left for friction where it turns round.
     """
 
     low_m_s: float = 0.0
