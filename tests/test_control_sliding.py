@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from pneud.control.homogeneous import feedback
 from pneud.control.laws.situation import LawOutput
-from pneud.control.laws.sliding import Sliding, SlidingState, engage, law, reaching
+from pneud.control.laws.sliding import Sliding, SlidingState, engage, firmer, law, reaching
+from pneud.control.tunables import bandwidth
 from pneud.physics.valve import Valve, opening
 
 VALVE = Valve(5.0, 0.0, 0.7, 0.1)
@@ -30,6 +31,14 @@ def answer(
         engage(w[2]) if state is None else state,
         *w, jerk_d, drift, d_hat, force_rate, FILL, EXHAUST, H, p, VALVE, last_v,
     )  # fmt: skip
+
+
+@given(st.floats(1e-6, 1e-2), st.floats(1.0, 2.0))
+def test_a_firmer_law_is_faster_by_as_much_at_every_error(error_m: float, more: float) -> None:
+    firm = firmer(LAW, more)
+    assert bandwidth(firm.gains, error_m) == pytest.approx(more * bandwidth(LAW.gains, error_m))
+    assert firm._replace(gains=LAW.gains) == LAW
+    assert firmer(LAW, 1.0) == LAW
 
 
 @pytest.mark.parametrize("implicit", [True, False])
