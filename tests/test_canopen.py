@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canopen_bus import Wire, canopen, network_of
+from commands import pneud
 from pneud import resources
 from pneud.bus.codec import ROW, Codec, Codecs
 from pneud.canopen import lss, objects, words
@@ -23,6 +26,7 @@ from pneud.canopen.master import Master, NodeError, Patience
 from pneud.canopen.objects import Command, Nmt
 from pneud.canopen.plan import plans_of
 from pneud.config.models import Config
+from pneud.config.proof import digest
 from pneud.config.reading import parse
 from pneud.config.sections import ConfigError
 from pneud.loading import load
@@ -382,3 +386,46 @@ def test_two_sensors_with_one_identifier_are_told_apart_by_their_serial_numbers(
         assert [s.id for s in slaves] == [2, 4]
         with pytest.raises(lss.LssError, match=r"no node with .* answers; see what stands on it"):
             lss.give(network, (0xFFFFFFFE, 0x404, 0x10001, 300), 5)
+
+
+ONE_MORE = (
+    '\n[[bus.nodes]]\nid = 4\nprofile = "analog401"\nroles = ["none", "supply"]\nrange_pa = [0.0, 1.6e6]\n'
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('unit = "mbar"', 'unit = "mbar"'),
+        ('unit = "mbar"', 'unit = "Pa"\nbits = 32'),  # two PDOs
+        ('roles = ["p1", "p2", "supply"]', 'roles = ["p2", "p1"]'),  # nobody tells the supply
+        ("\n[[bus.nodes]]\nid = 3\n", f"{ONE_MORE}\n[[bus.nodes]]\nid = 3\n"),
+        ('profile = "analog404"', 'profile = "analog401"'),
+        ("step_m = 1e-6", "step_m = 2e-6"),
+    ],
+)
+def test_other_nodes_lead_to_the_same_motion(old: str, new: str, tmp_path: Path) -> None:
+    text = TEXT
+    if ONE_MORE in new:  # it tells the supply
+        text = text.replace('roles = ["p1", "p2", "supply"]', 'roles = ["p1", "p2"]', 1)
+    assert old in text
+    (tmp_path / "axis.toml").write_text(text.replace(old, new, 1))
+    done = pneud("sim", tmp_path / "axis.toml", "--json", "--duration", 8, "-o", tmp_path / "run.mcap")
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert (summary["state"], summary["faults"]) == ("tracking", [])
+    assert summary["tracking_mm"]["rms"] < 0.02
+    replayed = json.loads(pneud("replay", tmp_path / "run.mcap", "--json").stdout)
+    assert replayed["identical"]
+
+
+def test_another_device_needs_another_movement_test() -> None:
+    dbc = dbc_of(load("canopen.toml").config).encode()
+
+    def of(config: Config) -> str:
+        return digest(config, dbc)
+
+    kept = changed("step_m = 1e-6", "step_m = 1e-6\nidentity = {serial = 4711}")
+    assert of(kept) != of(parse(TEXT, "x"))
+    assert of(kept) != of(changed("step_m = 1e-6", "step_m = 1e-6\nidentity = {serial = 4712}"))
