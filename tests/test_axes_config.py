@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,8 @@ from pneud.bus.load import load_of, most_axes, most_hz
 from pneud.config.axes import own_text
 from pneud.config.reading import parse
 from pneud.config.sections import ConfigError
+from pneud.console.protocol import ProtocolError
+from pneud.console.tuning import Tuning
 from pneud.loading import load, load_axes
 
 FOLDER = resources.configs() / "axes"
@@ -117,6 +120,13 @@ def test_so_many_axes_fit_at_so_high_a_rate(axes: int, rate_hz: float) -> None:
     assert most_axes(one.config, one.codecs) >= axes
 
 
+def test_each_axis_of_a_file_has_a_proof_of_its_own(file: Path) -> None:
+    file.write_text(TEXT)
+    assert [axis.proof_file.name for axis in load_axes(file)] == ["a.x.toml", "a.y.toml"]
+    alone = load("virtual.toml")
+    assert alone.proof_file == alone.path
+
+
 def test_check_says_what_the_bus_carries(file: Path) -> None:
     file.write_text(TEXT + THIRD)
     found = json.loads(pneud("check", str(file), "--json").stdout)
@@ -126,3 +136,20 @@ def test_check_says_what_the_bus_carries(file: Path) -> None:
         **{"axes": 3, "most_axes": 3, "most_hz": 560},
     }
     assert "a tick of 3 axes takes up to 1785 bit times" in pneud("check", str(file)).stdout
+
+
+def test_what_a_file_says_of_a_running_axis_is_taken_by_its_name(file: Path) -> None:
+    file.write_text(TEXT)
+    _, y = load_axes(file)
+    own = partial(own_text, "y", 1, 2)
+    tuning = Tuning(y.config, y.path, y.text, None, own)
+    tuning.read()
+    assert not tuning.changed_on_disk()
+    file.write_text(TEXT.replace("reference.amplitude_m = 0.04", "reference.amplitude_m = 0.03"))
+    tuning.read()
+    assert tuning.changed_on_disk()
+    assert tuning.reload().words == "tune from the file: reference.amplitude_m 0.04 → 0.03"
+    file.write_text(TEXT.replace('name = "y"', 'name = "z"'))
+    tuning.read()
+    with pytest.raises(ProtocolError, match="no such axis"):
+        tuning.reload()

@@ -128,8 +128,9 @@ def test_what_ends_a_motion_is_for_all(desk: Bench, verb: str) -> None:
 
 def test_a_stop_is_for_all_whatever_it_names(desk: Bench) -> None:
     desk.stands(0.4, 0.4)
-    assert desk.ask("stop", axis="y")["axes"] == ["x", "y"]
-    assert desk.taken == [dict.fromkeys(NAMES, Request(RequestKind.STOP))]
+    for name in ("y", "nobody"):
+        assert desk.ask("stop", axis=name)["axes"] == ["x", "y"]
+        assert desk.taken.pop() == dict.fromkeys(NAMES, Request(RequestKind.STOP))
     desk.refuses["x"] = (Answer.WRONG_STATE, 0)  # nothing to stop there
     assert desk.ask("stop")["ok"]
 

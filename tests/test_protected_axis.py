@@ -30,12 +30,12 @@ class Lossy(PlantNode):
     commands = 0
     states: list[int]
 
-    def on_frame(self, frame: Frame, *, carried: bool = True) -> None:
+    def on_frame(self, frame: Frame) -> None:
         if frame.can_id == self._command_id:
             self.commands += 1
             if any(self.commands in span for span in self.lost):
                 return
-        super().on_frame(frame, carried=carried)
+        super().on_frame(frame)
 
 
 def run(loaded: Loaded, node: Lossy, seconds: float) -> tuple[list[Record], list[int]]:

@@ -11,7 +11,7 @@ from pneud import resources
 from pneud.bus.codec import SOURCES, Codecs, DatabaseError, codecs_from, load_codecs
 from pneud.bus.load import overload
 from pneud.bus.shared import why_not_together
-from pneud.config.axes import Part, axes_of, name_of, one_of
+from pneud.config.axes import Part, axes_of, name_of, one_of, proof_file
 from pneud.config.models import BusConfig, Config, GasConfig
 from pneud.config.nodes import GENERATED
 from pneud.config.reading import explain, parse
@@ -34,6 +34,11 @@ class Loaded(NamedTuple):
     text: str
     dbc: Path
     codecs: Codecs
+
+    @property
+    def proof_file(self) -> Path:
+        """The file beside which it is kept that the movement test was passed."""
+        return proof_file(self.path, self.config.name)
 
 
 def load(

@@ -73,6 +73,15 @@ def name_of(file: str | Path, parts: Sequence[Part]) -> str:
     return Path(file).resolve().stem
 
 
+def proof_file(path: Path, axis: str) -> Path:
+    """The file beside which an axis's proof is kept: its own, or one of its name beside that of several."""
+    try:
+        several = AXIS in tables_of(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError):  # whoever loads it says so
+        several = False
+    return path.with_name(f"{path.stem}.{axis}{path.suffix}") if several else path
+
+
 def own_text(axis: str, number: int, axes: int, text: str) -> str:
     """What a file says of one of the axes of a run, as `Part.text`.
 

@@ -24,10 +24,10 @@ def meant(desks: Sequence[Desk], message: protocol.Request) -> tuple[int, ...]:
         ProtocolError: it names one that is not there, or has to name one and does not.
     """
     names = [desk.name for desk in desks]
-    if message.axis is not None and message.axis not in names:
-        raise ProtocolError(Error.INVALID, f"no axis {message.axis!r}; there is {', '.join(names)}")
     if message.verb in _ALWAYS_ALL:
         return tuple(range(len(desks)))
+    if message.axis is not None and message.axis not in names:
+        raise ProtocolError(Error.INVALID, f"no axis {message.axis!r}; there is {', '.join(names)}")
     if message.axis is not None:
         return (names.index(message.axis),)
     if len(desks) == 1 or message.verb in _ALL:

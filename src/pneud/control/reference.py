@@ -43,7 +43,8 @@ class Bounds(NamedTuple):
 
 class Shunned(NamedTuple):
     """Speeds between which no short move should peak, since friction falls there faster than anybody sees; and
-    jerks, which take so much of the valve that little is left for friction where it turns round."""
+    jerks, which take so much of the valve that little is left for friction where it turns round.
+    """
 
     low_m_s: float = 0.0
     high_m_s: float = 0.0  # none are shunned where both are zero

@@ -162,7 +162,7 @@ def lacks_proof(o: RunOptions, axis: Loaded, channel: str, whose: str = "") -> b
     """Whether the axis may not be armed for want of a movement test; on a virtual bus that is but said."""
     if o.virtual:
         return False
-    found = proven(axis.path, digest(axis.config, axis.dbc.read_bytes()))
+    found = proven(axis.proof_file, digest(axis.config, axis.dbc.read_bytes()))
     if found == Proof.PASSED:
         return False
     words = {Proof.FAILED: "failed", Proof.CHANGED: "was with another rig", Proof.MISSING: "is lacking"}[

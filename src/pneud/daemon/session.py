@@ -166,7 +166,6 @@ class Session:
             # somebody who looks on wants to see it, and has keys to go on or to end it
             end_on_fault=o.virtual and not (self._is_shown and os.isatty(0)),
             no_realtime=config.realtime.required and not fifo.ok,
-            unproven=any(axis.unproven for axis in ready.axes),
         )
         end = handoff.SharedEnd(taking)
         ends.callback(end.close)  # by which the console sees at once that the run is over
@@ -177,11 +176,10 @@ class Session:
             turn = Turn(axis.ready.axis, inbox_of(codecs, axis.config.bus), codecs)
             watch = RecorderWatch(axis.ring, axis.recorder)
             known = truth if turn.inbox.sync else None  # which it is at SYNC
-            if asking is None:
-                lanes.append(Lane(turn, ready.link, watch, options, known, end))
-                continue
-            own = identifiers(axis.config, codecs)
-            lanes.append(Lane(turn, ready.link, watch, options, known, asking.ends[number], own))
+            operator = end if asking is None else asking.ends[number]
+            own = options._replace(unproven=axis.ready.unproven)
+            known_ids = identifiers(axis.config, codecs)
+            lanes.append(Lane(turn, ready.link, watch, own, known, operator, known_ids))
         company = Company(lanes, [axis.config for axis in self.axes], asking) if asking is not None else None
         return Loop(lanes, ready.axes[0].loaded.codecs, ready.link, options, nodes, company)
 

@@ -77,6 +77,7 @@ class Lane:
         self._console = console
         self._watch = ConsoleWatch(recorder.ring)
         self._asked = False  # the request is an operator's
+        self._unproven = UNPROVEN if options.unproven else 0
         self._trusted = False  # by an operator: no movement test is asked for
         self._armed = not options.auto_arm
         self._shut = False  # shutdown has been requested of the axis
@@ -125,9 +126,8 @@ class Lane:
     def host(self, t_ns: int, others: int) -> int:
         """Bits of `signals.Host`, those from elsewhere among them."""
         lost = 0 if self._shut else self._watch.host(t_ns)
-        if self._trusted:
-            others &= ~UNPROVEN
-        return self.conditions.host(t_ns, others | lost | self.recorder.host)
+        unproven = 0 if self._trusted else self._unproven
+        return self.conditions.host(t_ns, others | lost | unproven | self.recorder.host)
 
     def see_truth(self, sync_ns: int) -> None:
         """Look for the true position at this tick's SYNC."""

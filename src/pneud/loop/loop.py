@@ -83,7 +83,6 @@ class Loop:
         self._snapshot_ticks = options.ticks(SNAPSHOT_S)
         self._total = None if options.duration_s is None else options.ticks(options.duration_s)
         self._host = int(Host.NO_REALTIME) if options.no_realtime else 0
-        self._host |= int(Host.UNPROVEN) if options.unproven else 0
         self._service = Service(options.rate_hz, [state.label for state in State], FAULT_NAMES)
         self._came: list[Frame] = []  # and not handed on yet
         self._count = 0

@@ -60,13 +60,18 @@ class _Events:
 class _Base:
     """The connection, and what both kinds of clients have to know of it."""
 
-    def __init__(self, socket: str | Path | None = None) -> None:
+    def __init__(self, socket: str | Path | None = None, axis: str | None = None) -> None:
         """Connect to a daemon: by its socket, else to the one that runs.
+
+        Args:
+            socket: of the daemon.
+            axis: that all calls are for, where it has several.
 
         Raises:
             PlaceError: there is none, there are several, or it may not be talked to.
         """
-        self._connection = Connection(None if socket is None else str(socket))
+        self._connection = Connection(None if socket is None else str(socket), axis)
+        self._at_end = "stop" if axis is None else "hold"  # a stop is for all axes
         self._lock = threading.Lock()  # a stop may come while another call waits
         self._events: _Events | None = None
         self._moves = False  # something was set going
@@ -92,7 +97,7 @@ class _Base:
         try:
             if self._moves:
                 with suppress(RefusedError, PlaceError):  # it does not move, or the daemon has gone
-                    self._ask(Ask("stop", {}))
+                    self._ask(Ask(self._at_end, {}))
         finally:
             self.close()
 

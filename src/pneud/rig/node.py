@@ -133,35 +133,36 @@ class PlantNode:
         """The rig at the send stamp of the last SYNC."""
         return self._truth
 
-    def on_frame(self, frame: Frame, *, carried: bool = True) -> None:
-        """A frame was sent at its stamp; frames come in order of stamps, foreign ones are ignored.
-
-        Args:
-            frame: as it was sent.
-            carried: the bus has yet to carry it; of several rigs on a segment, this is said to one.
-        """
-        sync = frame.can_id == self._sync_id
-        if not sync and frame.can_id != self._command_id:
+    def on_frame(self, frame: Frame) -> None:
+        """A frame was sent at its stamp; frames come in order of stamps, foreign ones are ignored."""
+        if not self.takes(frame.can_id):
             return
-        sent_ns = max(frame.stamp_ns, self._now_ns)
-        self._begin(sent_ns)
-        self._run(sent_ns)
-        if sync:
-            self._integrate(sent_ns)
-            self._truth = Truth(frame.stamp_ns, stroke_position(self._state, self.p), self._state)
-            self._current_ns = frame.stamp_ns
-            if self.on_truth is not None:
-                self.on_truth(frame.stamp_ns, self._truth.position_m)
-        if not carried:
-            return
+        sent_ns = self.note(frame)
         for passed in (frame,) if self.hook is None else self.hook(frame, False):
-            if passed.can_id in (self._sync_id, self._command_id) and len(self._wire.waiting) < MAX_WAITING:
+            if self.takes(passed.can_id) and len(self._wire.waiting) < MAX_WAITING:
                 duration = self._duration_ns(len(passed.data), passed.can_id)
                 self._wire.add(Item(max(passed.stamp_ns, sent_ns), passed.can_id, duration, passed))
 
     def takes(self, can_id: int) -> bool:
         """Whether a frame with this identifier is for this rig."""
         return can_id in (self._sync_id, self._command_id)
+
+    def note(self, frame: Frame) -> int:
+        """A frame for this rig was sent, and another one's `on_frame` has the bus carry it.
+
+        Returns:
+            When it was sent, as far as this rig is concerned [ns].
+        """
+        sent_ns = max(frame.stamp_ns, self._now_ns)
+        self._begin(sent_ns)
+        self._run(sent_ns)
+        if frame.can_id == self._sync_id:
+            self._integrate(sent_ns)
+            self._truth = Truth(frame.stamp_ns, stroke_position(self._state, self.p), self._state)
+            self._current_ns = frame.stamp_ns
+            if self.on_truth is not None:
+                self.on_truth(frame.stamp_ns, self._truth.position_m)
+        return sent_ns
 
     def put(self, frame: Frame) -> None:
         """A frame of somebody else waits for the wire from its stamp on, no earlier than now.

@@ -69,8 +69,11 @@ class Rigs:
         """A frame was sent: the wire carries it once, and what happens to one rig's frames happens to it."""
         takers = [node for node in self.nodes if node.takes(frame.can_id)]
         carrier = next((node for node in takers if node.hook is not None), takers[0] if takers else None)
-        for node in self.nodes:
-            node.on_frame(frame, carried=node is carrier)
+        for node in takers:
+            if node is carrier:
+                node.on_frame(frame)
+            else:
+                node.note(frame)
 
     def due(self) -> int | None:
         """Earliest time at which `poll` may have a frame; None as long as no frame comes in."""

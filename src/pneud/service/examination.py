@@ -12,7 +12,7 @@ from rich.text import Text
 
 from pneud.config.models import Config
 from pneud.config.sections import ConfigError
-from pneud.loading import load
+from pneud.loading import load_axes
 from pneud.log.files.naming import log_folder
 from pneud.rt.setup import Report, own_cpu
 from pneud.service import installation, machine
@@ -40,7 +40,7 @@ def diagnose(
         DatabaseError: its DBC cannot be used.
         LogError: there is no folder for logs.
     """
-    loaded = load(config_file)
+    loaded = load_axes(config_file)[0]  # what it asks of the machine is the same for all
     wanted = wanted_by(loaded.config)
     facts = read(wanted.interface, log_folder(None))
     findings = examine(

@@ -39,6 +39,8 @@ def check(
         return _check_scenario(file, json)
     axes = load_axes(file)
     reports = [_report(loaded) for loaded in axes]
+    for loaded, report in zip(axes, reports, strict=True) if len(axes) > 1 else ():
+        report.lines.append(f"its command acts {loaded.config.bus.command_delay_us:g} µs after sampling")
     bus = _bus(axes)
     if json:
         found = [report.found for report in reports]

@@ -23,11 +23,17 @@ from pneud.loading import Loaded, load
 from pneud.rt.outputs import require_folder, write_whole
 from pneud.signals import State
 from pneud.study.commissioning.movement import CURES, Verdict
-from pneud.verbs import ConfigOption, JsonOption, SocketOption, VerbError
+from pneud.verbs import AxisOption, ConfigOption, JsonOption, SocketOption, VerbError
 
 if TYPE_CHECKING:
     from pneud.study.commissioning.procedure import Outcome, Wishes
     from pneud.study.commissioning.written import Change
+
+
+MISSED = (
+    "the axis can be used, and its file fits the rig; what is starred lies beyond its limit; where that"
+    " matters: slower limits.motion, a finer encoder or another valve (docs/commissioning.md, missed)"
+)
 
 
 def commission(
@@ -53,6 +59,7 @@ def commission(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FILE", help="A page with pictures (.html).")
     ] = None,
+    axis: AxisOption = None,
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> int:
@@ -80,9 +87,9 @@ def commission(
     if not virtual and seed is not None:
         raise VerbError("--seed: draws a software rig; give --virtual, too")
     if virtual:
-        outcome, c = _simulated(config_file, seed, wishes, yes)
+        outcome, c = _simulated(config_file, axis, seed, wishes, yes)
     else:
-        outcome, c = _on_the_rig(socket, config_file, wishes, again, yes)
+        outcome, c = _on_the_rig(socket, axis, config_file, wishes, again, yes)
     findings = _findings(outcome.movement)
     if output is not None and outcome.found is not None:
         write_whole(output, _page(outcome, c))
@@ -108,12 +115,12 @@ class _Talk:
 
 
 def _simulated(
-    config_file: str | None, seed: int | None, wishes: Wishes, yes: bool
+    config_file: str | None, axis: str | None, seed: int | None, wishes: Wishes, yes: bool
 ) -> tuple[Outcome, Config]:
     from pneud.study.commissioning import procedure, truths  # noqa: PLC0415
     from pneud.study.commissioning.bench import Simulated  # noqa: PLC0415
 
-    loaded = load(config_file or "virtual.toml")
+    loaded = load(config_file or "virtual.toml", axis=axis)
     packaged = loaded.path.is_relative_to(resources.configs())
     if packaged and wishes.write and wishes.steps:
         print("pneud: nothing is written into a configuration that comes with pneud", file=sys.stderr)
@@ -125,25 +132,30 @@ def _simulated(
 
 
 def _on_the_rig(
-    socket: str | None, config_file: str | None, wishes: Wishes, again: bool, yes: bool
+    socket: str | None, axis: str | None, config_file: str | None, wishes: Wishes, again: bool, yes: bool
 ) -> tuple[Outcome, Config]:
     from pneud.study.commissioning import procedure  # noqa: PLC0415
     from pneud.study.commissioning.live import Live  # noqa: PLC0415
 
-    with Client(socket) as client:
+    with Client(socket, axis) as client:
         status = client.ask("status")
+    if "axes" in status:
+        raise VerbError(f"commission: name one of the axes {', '.join(status['axes'])} with --axis")
     if status["config_changed"]:
         raise VerbError("commission: the daemon's file has changed since it began: pneud restart", 1)
     if status["state"] != State.DISARMED.label:
         cure = "pneud clear" if status["state"] == State.FAULT.label else "pneud disarm"
         raise VerbError(f"commission: the axis is {status['state']}, not disarmed: {cure}", 1)
-    loaded = load(status["config"])
-    if config_file is not None and load(config_file).text != loaded.text:
+    loaded = load(status["config"], axis=axis)
+    if wishes.write and wishes.steps and loaded.proof_file != loaded.path:
+        cure = "give each a file of its own in a folder, or --movement-test or --dry-run"
+        raise VerbError(f"commission: {loaded.path} has several axes, and is not written: {cure}")
+    if config_file is not None and load(config_file, axis=axis).text != loaded.text:
         raise VerbError(f"commission: the daemon runs {status['config']}, another configuration")
-    passed = proven(loaded.path, digest(loaded.config, loaded.dbc.read_bytes())) == Proof.PASSED
+    passed = proven(loaded.proof_file, digest(loaded.config, loaded.dbc.read_bytes())) == Proof.PASSED
     wishes = wishes._replace(movement=again or not passed or not wishes.steps)
     _agreed(loaded, wishes, yes)
-    rig = Live(lambda: Client(socket), loaded)
+    rig = Live(lambda: Client(socket, axis), loaded)
     try:
         return procedure.commission(rig, wishes, _Talk(yes)), loaded.config
     except RefusedError as e:
@@ -195,7 +207,10 @@ def _in_words(o: Outcome, findings: list[dict[str, str]]) -> list[str]:
     if o.failure:
         lines.append(f"ended: {o.failure}")
     lines += [f"faults: {', '.join(o.faults)}"] if o.faults else []
-    return [*lines, *_worth(o), f"commission: {o.verdict}{', written' if o.written else ''}"]
+    lines += _worth(o)
+    if o.verdict == "missed":
+        lines.append(f"next: {MISSED}")
+    return [*lines, f"commission: {o.verdict}{', written' if o.written else ''}"]
 
 
 def _worth(o: Outcome) -> list[str]:

@@ -19,7 +19,7 @@ from pneud.study import gains as rules
 from pneud.study.judging import Judged, Lengths
 from pneud.study.proposing import LAWS, Proposal, propose
 from pneud.study.push import Pushed, service
-from pneud.verbs import FileArgument, JsonOption, ProgressOption
+from pneud.verbs import AxisOption, FileArgument, JsonOption, ProgressOption
 from pneud.view.progress import each, progress
 
 
@@ -69,6 +69,7 @@ def design(
         float | None, typer.Option("--alpha", metavar="X", help="Exponent; default the configuration's.")
     ] = None,
     rate: Annotated[float | None, typer.Option("--rate", metavar="HZ", help="Ticks per second.")] = None,
+    axis: AxisOption = None,
     simulate: Annotated[
         bool, typer.Option("--simulate", help="Try what people do, on rigs unlike the model, too.")
     ] = False,
@@ -88,7 +89,7 @@ def design(
         ConfigError: the configuration or an option cannot be used.
         DatabaseError: the DBC cannot be used.
     """
-    loaded = load(file, rate)
+    loaded = load(file, rate, axis=axis)
     c = loaded.config
     alpha = c.control.alpha if alpha is None else alpha
     omega = None if bandwidth == "auto" else _number("--bandwidth", bandwidth)

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from pneud.loading import Loaded, load
+from pneud.config.reading import text_of
+from pneud.loading import Loaded, load_axes
 from pneud.service import installation
 from pneud.service.installation import InstallError
 from pneud.verbs import VerbError
@@ -34,7 +35,9 @@ def install_service(
     """
     if networkd and config_file is None:
         raise VerbError("--networkd is about the interface of an axis; name its --config")
-    loaded = load(config_file) if config_file is not None else None
+    if config_file is not None and Path(config_file).is_dir():
+        raise VerbError("--config: a service takes one file; write its axes as [[axis]]")
+    loaded = load_axes(config_file)[0] if config_file is not None else None
     axis = installation.axis_of(loaded.path, loaded.config) if loaded is not None else None
     executable, root = installation.command(), destdir or Path("/")
     if destdir is None and (why := installation.unseen(executable, Path(sys.base_prefix))):
@@ -54,8 +57,9 @@ def install_service(
 
 
 def _keep(root: Path, axis: installation.Unit, loaded: Loaded) -> None:
-    path, was_there = installation.keep_config(root, axis, loaded.text, loaded.dbc)
+    text, _ = text_of(loaded.path)  # with all axes that it has
+    path, was_there = installation.keep_config(root, axis, text, loaded.dbc)
     if not was_there:
         print(path)
-    elif path.read_text() != loaded.text:
+    elif path.read_text() != text:
         print(f"{path} is another one and stays; the service uses it", file=sys.stderr)

@@ -18,12 +18,14 @@ def restart(socket: SocketOption = None, json: JsonOption = False) -> int:
         PlaceError: no daemon to talk to, or it has ended and does not answer again.
     """
     with Client(socket) as client:
-        before = client.ask("status")["log"]
+        status = client.ask("status")
+        one = next(iter(status["axes"])) if "axes" in status else None
+        before = (status if one is None else status["axes"][one])["log"]
         try:
             client.ask("restart")
         except RefusedError as e:
             return refused(e, json)
-    client, status = next_session(lambda: Client(socket), before, PATIENCE_S)
+    client, status = next_session(lambda: Client(socket, one), before, PATIENCE_S)
     client.close()
     show({key: status[key] for key in ("state", "log")}, json, f"{status['state']}; log {status['log']}")
     return 0

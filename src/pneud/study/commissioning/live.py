@@ -97,7 +97,7 @@ class Live:
             "bus": self._status["bus"],
             "log": self._status["log"],
         }
-        keep(self.loaded.path, digest(self.loaded.config, self.loaded.dbc.read_bytes()), told)
+        keep(self.loaded.proof_file, digest(self.loaded.config, self.loaded.dbc.read_bytes()), told)
         if verdict.passed and any(f["name"] == "unproven" for f in self._status["faults"]):
             self._begin_anew()
 
@@ -112,7 +112,7 @@ class Live:
         put_text(before.path, text)
         try:
             self.loaded = load(before.path)
-            carry_over(before.path, of, digest(self.loaded.config, self.loaded.dbc.read_bytes()))
+            carry_over(before.proof_file, of, digest(self.loaded.config, self.loaded.dbc.read_bytes()))
             self._begin_anew()
         except BaseException:
             put_text(before.path, before.text)
