@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
+import tomllib
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,22 +18,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canopen_bus import Wire, canopen, network_of
-from commands import pneud
+from commands import pneud, pneud_here
 from pneud import resources
 from pneud.bus.codec import ROW, Codec, Codecs
-from pneud.canopen import lss, objects, words
+from pneud.canopen import keeper, lss, objects, words
 from pneud.canopen.eds import Eds, EdsError, parse_eds, read_eds
 from pneud.canopen.frames import dbc_of
 from pneud.canopen.master import Master, NodeError, Patience
 from pneud.canopen.objects import Command, Nmt
 from pneud.canopen.plan import plans_of
 from pneud.config.models import Config
+from pneud.config.nodes import NodeConfig, check_nodes
 from pneud.config.proof import digest
 from pneud.config.reading import parse
 from pneud.config.sections import ConfigError
 from pneud.loading import load
 from pneud.rig.slave import KINDS, Oddity, Slave, drawn
 from pneud.signals import Frame, ValveState
+from pneud.study.plausibility import findings
 
 PROFILES = ("encoder406", "analog404", "analog401", "valve408")
 TEXT = (resources.configs() / "canopen.toml").read_text()
@@ -315,7 +319,7 @@ def test_each_kind_of_oddity_is_drawn_and_the_same_seed_draws_the_same() -> None
     ],
 )
 def test_emergencies_are_said_in_words(code: int, said: str) -> None:
-    assert objects.emergency_text(code) == f"EMCY 0x{code:04X}: {said}"
+    assert objects.emergency_words(code) == said
 
 
 # the library, in simulated time
@@ -418,6 +422,36 @@ def test_other_nodes_lead_to_the_same_motion(old: str, new: str, tmp_path: Path)
     assert summary["tracking_mm"]["rms"] < 0.02
     replayed = json.loads(pneud("replay", tmp_path / "run.mcap", "--json").stdout)
     assert replayed["identical"]
+
+
+def test_the_nodes_of_the_page_are_those_of_an_axis() -> None:
+    page = (Path(__file__).parent.parent / "docs" / "canopen.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    nodes = tuple(NodeConfig.model_validate(node) for node in tomllib.loads(block)["bus"]["nodes"])
+    check_nodes(nodes)
+    assert [(n.id, n.profile, n.filled) for n in nodes] == [
+        (n.id, n.profile, n.filled) for n in load("canopen.toml").config.bus.nodes
+    ]
+
+
+def test_without_the_library_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(keeper, "find_spec", lambda _: None)
+    done = pneud_here("nodes", "list", "--bus", "unixcan:x")
+    assert done.returncode == 3
+    assert done.stdout == ""
+    assert done.stderr == "pneud: [[bus.nodes]] needs the canopen library: pip install 'pneud[canopen]'\n"
+
+
+def test_check_says_what_is_left_to_nobody() -> None:
+    def said(config: Config) -> str:
+        return "; ".join(doubt.words for doubt in findings(config, 1e-3, 50.0))
+
+    assert "node 1 may be any device: pneud nodes keep" in said(parse(TEXT, "x"))
+    assert "node 1 may" not in said(changed("step_m = 1e-6", "identity = {serial = 1}"))
+    assert "does not watch that commands come" in said(changed('dead_band = "off"', "deadline = false"))
+    assert "nobody makes up for" in said(
+        changed("compensate_dead_zone = true", "compensate_dead_zone = false")
+    )
 
 
 def test_another_device_needs_another_movement_test() -> None:

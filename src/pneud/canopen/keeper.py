@@ -171,7 +171,8 @@ class Keeper:
 
     def _emergency(self, node: int, code: int) -> None:
         if code != self._emergencies.get(node, 0):
-            self._say(f"nodes: {self._plans[node].name}: {objects.emergency_text(code)}")
+            words = f"EMCY 0x{code:04X}: {objects.emergency_words(code)}"
+            self._say(f"nodes: {self._plans[node].name}: {words}")
         self._emergencies[node] = code
 
     def _end_faults(self, link: Link) -> None:

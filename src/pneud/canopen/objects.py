@@ -268,7 +268,6 @@ _EMERGENCIES = (  # code, mask
 )
 
 
-def emergency_text(code: int) -> str:
+def emergency_words(code: int) -> str:
     """What an emergency (EMCY) says, in words."""
-    words = next((text for value, mask, text in _EMERGENCIES if code & mask == value), "unknown")
-    return f"EMCY 0x{code:04X}: {words}"
+    return next((text for value, mask, text in _EMERGENCIES if code & mask == value), "unknown")
