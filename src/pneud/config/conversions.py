@@ -285,7 +285,7 @@ def behind_of(c: Config) -> float:
 
 
 def shunned_of(c: Config) -> Shunned:
-    """Jerks that ask too much of the valve, and speeds where friction's pole is faster than the motion filter."""
+    """Jerks that ask too much of the valve; speeds where friction's pole is faster than the motion filter."""
     v_s, k = c.control.friction.stribeck_speed_m_s, cylinder_of(c)
     jerk = JERK_SHARE * k.F1_nominal * c.valve.u_max_v / k.M
     low, high = SHUNNED if behind_of(c) > 1.0 else (0.0, 0.0)

@@ -42,8 +42,10 @@ class Bounds(NamedTuple):
 
 
 class Shunned(NamedTuple):
-    """Speeds between which no short move should peak, since friction falls there faster than anybody sees; and
-    jerks, which take so much of the valve that little is left for friction where it turns round.
+    """Speeds between which no short move should peak, and jerks that it should not have.
+
+    At such speeds friction falls faster than anybody sees; such jerks take so much of the valve that little
+    is left for friction where it turns round.
     """
 
     low_m_s: float = 0.0
@@ -205,7 +207,7 @@ def move(start: Reference, end_m: float, bounds: Bounds) -> Way:
 def unhurried(bounds: Bounds, distance_m: float, shunned: Shunned) -> Bounds:
     """The bounds for a move from rest to rest, with less jerk where that or the speed of its peak is shunned.
 
-    It then peaks at the lowest of the speeds. One that gets no further than the bound on speed peaks as it is.
+    It then peaks at the lowest of the speeds. One that gets no further than the bound on speed peaks there.
     """
     if shunned.jerk_m_s3 > 0.0:
         bounds = bounds._replace(jerk_m_s3=min(bounds.jerk_m_s3, shunned.jerk_m_s3))
