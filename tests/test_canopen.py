@@ -446,12 +446,13 @@ def test_check_says_what_is_left_to_nobody() -> None:
     def said(config: Config) -> str:
         return "; ".join(doubt.words for doubt in findings(config, 1e-3, 50.0))
 
-    assert "node 1 may be any device: pneud nodes keep" in said(parse(TEXT, "x"))
-    assert "node 1 may" not in said(changed("step_m = 1e-6", "identity = {serial = 1}"))
+    assert "may be any device" not in said(parse(TEXT, "x"))
+    rig = TEXT.replace('channel = "auto"', 'channel = "socketcan:can0"', 1)
+    assert "node 1 may be any device: pneud nodes keep" in said(parse(rig, "x"))
+    assert "node 1 may" not in said(parse(rig.replace("step_m = 1e-6", "identity = {serial = 1}", 1), "x"))
     assert "does not watch that commands come" in said(changed('dead_band = "off"', "deadline = false"))
-    assert "nobody makes up for" in said(
-        changed("compensate_dead_zone = true", "compensate_dead_zone = false")
-    )
+    alone = changed("compensate_dead_zone = true", "compensate_dead_zone = false")
+    assert "nobody makes up for the valve's dead band" in said(alone)
 
 
 def test_another_device_needs_another_movement_test() -> None:
