@@ -14,6 +14,7 @@ import pytest
 
 pytest.importorskip("canopen")
 
+from can import CanOperationError
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,10 +22,11 @@ from canopen_bus import Wire, canopen, network_of
 from commands import pneud, pneud_here
 from pneud import resources
 from pneud.bus.codec import ROW, Codec, Codecs
+from pneud.bus.unixcan import UnixCanBus
 from pneud.canopen import keeper, lss, objects, words
 from pneud.canopen.eds import Eds, EdsError, parse_eds, read_eds
 from pneud.canopen.frames import dbc_of
-from pneud.canopen.master import Master, NodeError, Patience
+from pneud.canopen.master import BusError, Master, NodeError, Patience, network_on
 from pneud.canopen.objects import Command, Nmt
 from pneud.canopen.plan import plans_of
 from pneud.config.models import Config
@@ -440,6 +442,16 @@ def test_without_the_library_one_line_says_what_to_install(monkeypatch: pytest.M
     assert done.returncode == 3
     assert done.stdout == ""
     assert done.stderr == "pneud: [[bus.nodes]] needs the canopen library: pip install 'pneud[canopen]'\n"
+
+
+def test_a_bus_that_fails_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise CanOperationError("Failed to transmit: [Errno 105]\nNo buffer space available")
+
+    monkeypatch.setattr(UnixCanBus, "send", fail)
+    with pytest.raises(BusError) as e, network_on("unixcan:fails") as network:
+        Master(network).command(1, Command.START)
+    assert str(e.value).startswith("unixcan:fails: Failed to transmit: [Errno 105] No buffer space available")
 
 
 def test_check_says_what_is_left_to_nobody() -> None:

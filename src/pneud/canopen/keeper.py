@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from pneud import crew
 from pneud.bus.link import Link, LinkError, open_link
 from pneud.canopen import objects
-from pneud.canopen.master import NEEDS_LIBRARY, Master, MissingLibraryError, NodeError, network_on
+from pneud.canopen.master import NEEDS_LIBRARY, BusError, Master, MissingLibraryError, NodeError, network_on
 from pneud.canopen.objects import Nmt
 from pneud.canopen.plan import Plan
 from pneud.canopen.words import RESET_WORD
@@ -127,8 +127,8 @@ class Keeper:
         except NodeError as e:
             self._tell(f"nodes: {e}")
             return False
-        except OSError as e:
-            self._tell(f"nodes: {self._channel}: {e.strerror or e}")
+        except BusError as e:
+            self._tell(f"nodes: {e}")
             return False
         done, self._to_do = self._to_do, set()
         self._hear(link, known=done)
