@@ -444,6 +444,23 @@ def test_without_the_library_one_line_says_what_to_install(monkeypatch: pytest.M
     assert done.stderr == "pneud: [[bus.nodes]] needs the canopen library: pip install 'pneud[canopen]'\n"
 
 
+def test_nodes_without_a_heartbeat_are_asked_for_their_state() -> None:
+    text = TEXT
+    for node in (1, 2, 3):
+        text = text.replace(f"\nid = {node}\n", f"\nid = {node}\nguard = true\n", 1)
+    config = parse(text, "x")
+    assert all(message.heartbeat_timeout_ms is None for message in config.bus.messages.values())
+    plans = plans_of(config)
+    slaves = [Slave(plan.eds, plan.node.id, 1) for plan in plans]
+    wire = Wire(*slaves)
+    with network_of(wire) as network:
+        Master(network, pause=wire.pause, clock=wire.clock).configure(plans)
+    assert all(s.state == Nmt.OPERATIONAL for s in slaves)
+    assert all(s.get(0x100C, 0) == 100 and s.get(0x1017, 0) == 0 for s in slaves)
+    told = [frame.data[0] for frame in wire.heard if frame.can_id == 0x701][1:]
+    assert {data & 0x7F for data in told} == {Nmt.OPERATIONAL}
+
+
 def test_a_bus_that_fails_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> None:
         raise CanOperationError("Failed to transmit: [Errno 105]\nNo buffer space available")

@@ -398,6 +398,8 @@ class Master:
         self.states.pop(node, None)
         end = self._clock() + max(self._patience.start_s, plan.node.patience_ms * 1e-3)
         while self.states.get(node) != Nmt.OPERATIONAL:
+            if plan.node.guard:
+                self._network.send_message(objects.HEARTBEAT_ID + node, b"", remote=True)
             if self.boots[node] != boots:
                 return False
             if self._clock() >= end:

@@ -92,6 +92,7 @@ DEVICE_NAME = 0x1008
 SAVE = Object(0x1010, 1, U32, "store parameters")
 SAVE_WORD = int.from_bytes(b"save", "little")
 HEARTBEAT = Object(0x1017, 0, U16, "heartbeat producer time")
+GUARD_TIME, LIFE_FACTOR = Object(0x100C, 0, U16, "guard time"), Object(0x100D, 0, U8, "life time factor")
 IDENTITY = tuple(
     Object(0x1018, sub, U32, word) for sub, word in enumerate(("vendor", "product", "revision", "serial"), 1)
 )
