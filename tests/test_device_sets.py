@@ -6,6 +6,7 @@ import math
 import os
 import secrets
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -62,7 +63,7 @@ def test_what_devices_lack_is_what_cannot_be_noticed(tmp_path: Path) -> None:
 
 
 def test_a_movement_test_is_one_of_a_mapping(tmp_path: Path) -> None:
-    def of(name: str, **change: object) -> str:
+    def of(name: str, **change: Any) -> str:
         loaded = load(SETS[name].write(tmp_path, name, **change))
         return digest(loaded.config, loaded.dbc.read_bytes())
 
