@@ -13,6 +13,7 @@ import pytest
 
 canopen = pytest.importorskip("canopen")
 
+from pneud.bus.wire import CAN_RTR_FLAG  # noqa: E402
 from pneud.rig.slave import Slave  # noqa: E402
 from pneud.signals import Frame  # noqa: E402
 
@@ -33,11 +34,11 @@ class Wire:
             slave.power_up(self.now_ns)
 
     def send(self, message: Any) -> None:
-        self.now_ns += FRAME_NS
-        frame = Frame(self.now_ns, message.arbitration_id, bytes(message.data))
+        self.pass_until(self.now_ns + FRAME_NS)
+        flag = CAN_RTR_FLAG if message.is_remote_frame else 0
+        frame = Frame(self.now_ns, message.arbitration_id | flag, bytes(message.data or b""))
         self.heard.append(frame)
         for slave in self.slaves:
-            slave.poll(self.now_ns - 1)  # which may have booted since
             slave.on_frame(frame)
 
     def pass_until(self, t_ns: int) -> None:

@@ -2,32 +2,42 @@
 
 from __future__ import annotations
 
+import json
+import re
 import struct
+import tomllib
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 pytest.importorskip("canopen")
 
+from can import CanOperationError
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canopen_bus import Wire, canopen, network_of
+from commands import pneud, pneud_here
 from pneud import resources
 from pneud.bus.codec import ROW, Codec, Codecs
-from pneud.canopen import lss, objects, words
+from pneud.bus.unixcan import UnixCanBus
+from pneud.canopen import keeper, lss, objects, words
 from pneud.canopen.eds import Eds, EdsError, parse_eds, read_eds
 from pneud.canopen.frames import dbc_of
-from pneud.canopen.master import Master, NodeError, Patience
+from pneud.canopen.master import BusError, Master, NodeError, Patience, network_on
 from pneud.canopen.objects import Command, Nmt
 from pneud.canopen.plan import plans_of
 from pneud.config.models import Config
+from pneud.config.nodes import NodeConfig, check_nodes
+from pneud.config.proof import digest
 from pneud.config.reading import parse
 from pneud.config.sections import ConfigError
 from pneud.loading import load
 from pneud.rig.slave import KINDS, Oddity, Slave, drawn
 from pneud.signals import Frame, ValveState
+from pneud.study.plausibility import findings
 
 PROFILES = ("encoder406", "analog404", "analog401", "valve408")
 TEXT = (resources.configs() / "canopen.toml").read_text()
@@ -311,7 +321,7 @@ def test_each_kind_of_oddity_is_drawn_and_the_same_seed_draws_the_same() -> None
     ],
 )
 def test_emergencies_are_said_in_words(code: int, said: str) -> None:
-    assert objects.emergency_text(code) == f"EMCY 0x{code:04X}: {said}"
+    assert objects.emergency_words(code) == said
 
 
 # the library, in simulated time
@@ -382,3 +392,104 @@ def test_two_sensors_with_one_identifier_are_told_apart_by_their_serial_numbers(
         assert [s.id for s in slaves] == [2, 4]
         with pytest.raises(lss.LssError, match=r"no node with .* answers; see what stands on it"):
             lss.give(network, (0xFFFFFFFE, 0x404, 0x10001, 300), 5)
+
+
+ONE_MORE = (
+    '\n[[bus.nodes]]\nid = 4\nprofile = "analog401"\nroles = ["none", "supply"]\nrange_pa = [0.0, 1.6e6]\n'
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('unit = "mbar"', 'unit = "mbar"'),
+        ('unit = "mbar"', 'unit = "Pa"\nbits = 32'),  # two PDOs
+        ('roles = ["p1", "p2", "supply"]', 'roles = ["p2", "p1"]'),  # nobody tells the supply
+        ("\n[[bus.nodes]]\nid = 3\n", f"{ONE_MORE}\n[[bus.nodes]]\nid = 3\n"),
+        ('profile = "analog404"', 'profile = "analog401"'),
+        ("step_m = 1e-6", "step_m = 2e-6"),
+    ],
+)
+def test_other_nodes_lead_to_the_same_motion(old: str, new: str, tmp_path: Path) -> None:
+    text = TEXT
+    if ONE_MORE in new:  # it tells the supply
+        text = text.replace('roles = ["p1", "p2", "supply"]', 'roles = ["p1", "p2"]', 1)
+    assert old in text
+    (tmp_path / "axis.toml").write_text(text.replace(old, new, 1))
+    done = pneud("sim", tmp_path / "axis.toml", "--json", "--duration", 8, "-o", tmp_path / "run.mcap")
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert (summary["state"], summary["faults"]) == ("tracking", [])
+    assert summary["tracking_mm"]["rms"] < 0.02
+    replayed = json.loads(pneud("replay", tmp_path / "run.mcap", "--json").stdout)
+    assert replayed["identical"]
+
+
+def test_the_nodes_of_the_page_are_those_of_an_axis() -> None:
+    page = (Path(__file__).parent.parent / "docs" / "canopen.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    nodes = tuple(NodeConfig.model_validate(node) for node in tomllib.loads(block)["bus"]["nodes"])
+    check_nodes(nodes)
+    assert [(n.id, n.profile, n.filled) for n in nodes] == [
+        (n.id, n.profile, n.filled) for n in load("canopen.toml").config.bus.nodes
+    ]
+
+
+def test_without_the_library_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(keeper, "find_spec", lambda _: None)
+    done = pneud_here("nodes", "list", "--bus", "unixcan:x")
+    assert done.returncode == 3
+    assert done.stdout == ""
+    assert done.stderr == "pneud: [[bus.nodes]] needs the canopen library: pip install 'pneud[canopen]'\n"
+
+
+def test_nodes_without_a_heartbeat_are_asked_for_their_state() -> None:
+    text = TEXT
+    for node in (1, 2, 3):
+        text = text.replace(f"\nid = {node}\n", f"\nid = {node}\nguard = true\n", 1)
+    config = parse(text, "x")
+    assert all(message.heartbeat_timeout_ms is None for message in config.bus.messages.values())
+    plans = plans_of(config)
+    slaves = [Slave(plan.eds, plan.node.id, 1) for plan in plans]
+    wire = Wire(*slaves)
+    with network_of(wire) as network:
+        Master(network, pause=wire.pause, clock=wire.clock).configure(plans)
+    assert all(s.state == Nmt.OPERATIONAL for s in slaves)
+    assert all(s.get(0x100C, 0) == 100 and s.get(0x1017, 0) == 0 for s in slaves)
+    told = [frame.data[0] for frame in wire.heard if frame.can_id == 0x701][1:]
+    assert {data & 0x7F for data in told} == {Nmt.OPERATIONAL}
+
+
+def test_a_bus_that_fails_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise CanOperationError("Failed to transmit: [Errno 105]\nNo buffer space available")
+
+    monkeypatch.setattr(UnixCanBus, "send", fail)
+    with pytest.raises(BusError) as e, network_on("unixcan:fails") as network:
+        Master(network).command(1, Command.START)
+    assert str(e.value).startswith("unixcan:fails: Failed to transmit: [Errno 105] No buffer space available")
+
+
+def test_check_says_what_is_left_to_nobody() -> None:
+    def said(config: Config) -> str:
+        return "; ".join(doubt.words for doubt in findings(config, 1e-3, 50.0))
+
+    assert "may be any device" not in said(parse(TEXT, "x"))
+    rig = TEXT.replace('channel = "auto"', 'channel = "socketcan:can0"', 1)
+    assert "node 1 may be any device: pneud nodes keep" in said(parse(rig, "x"))
+    assert "node 1 may" not in said(parse(rig.replace("step_m = 1e-6", "identity = {serial = 1}", 1), "x"))
+    assert "does not watch that commands come" in said(changed('dead_band = "off"', "deadline = false"))
+    alone = changed("compensate_dead_zone = true", "compensate_dead_zone = false")
+    assert "nobody makes up for the valve's dead band" in said(alone)
+
+
+def test_another_device_needs_another_movement_test() -> None:
+    dbc = dbc_of(load("canopen.toml").config).encode()
+
+    def of(config: Config) -> str:
+        return digest(config, dbc)
+
+    kept = changed("step_m = 1e-6", "step_m = 1e-6\nidentity = {serial = 4711}")
+    assert of(kept) != of(parse(TEXT, "x"))
+    assert of(kept) != of(changed("step_m = 1e-6", "step_m = 1e-6\nidentity = {serial = 4712}"))

@@ -15,14 +15,16 @@ from importlib.util import find_spec
 
 from pneud import crew
 from pneud.bus.link import Link, LinkError, open_link
+from pneud.bus.wire import CAN_RTR_FLAG
 from pneud.canopen import objects
-from pneud.canopen.master import NEEDS_LIBRARY, Master, MissingLibraryError, NodeError, network_on
+from pneud.canopen.master import NEEDS_LIBRARY, BusError, Master, MissingLibraryError, NodeError, network_on
 from pneud.canopen.objects import Nmt
 from pneud.canopen.plan import Plan
 from pneud.canopen.words import RESET_WORD
 from pneud.signals import Frame
 
 _READY, _QUIET = 0, 1  # places in the memory: of the keeper, and of the loop
+_AGAIN = "it is configured anew before anything arms"
 _LOOK_S = 0.02
 _AGAIN_S = 2.0  # after a failure
 _RESET_S = 0.5  # between two attempts to end a valve's fault
@@ -100,6 +102,9 @@ class Keeper:
         self._say = say or _to_standard_error
         self._said = ""
         self._emergencies: dict[int, int] = {}
+        self._guarded = {plan.node.id: plan.node for plan in plans if plan.node.guard}
+        self._asked_at = dict.fromkeys(self._guarded, 0.0)  # for their state
+        self._told_at = dict.fromkeys(self._guarded, 0.0)
         self._reset_at = 0.0
 
     def run(self) -> None:
@@ -127,10 +132,11 @@ class Keeper:
         except NodeError as e:
             self._tell(f"nodes: {e}")
             return False
-        except OSError as e:
-            self._tell(f"nodes: {self._channel}: {e.strerror or e}")
+        except BusError as e:
+            self._tell(f"nodes: {e}")
             return False
         done, self._to_do = self._to_do, set()
+        self._told_at = dict.fromkeys(self._guarded, time.monotonic())
         self._hear(link, known=done)
         for note in (note for one in found for note in one.notes):
             self._say(f"nodes: {note}")
@@ -143,6 +149,7 @@ class Keeper:
         while not self._stop() and not self._to_do:
             time.sleep(_LOOK_S)
             self._hear(link)
+            self._guard(link)
             self._end_faults(link)
 
     def _hear(self, link: Link, known: Set[int] = frozenset()) -> None:
@@ -159,19 +166,33 @@ class Keeper:
             node = can_id & 0x7F
             if node not in self._plans or not data:
                 continue
+            if can_id == objects.HEARTBEAT_ID + node and node in self._guarded:
+                self._told_at[node] = time.monotonic()
             if can_id == objects.HEARTBEAT_ID + node and node not in known and node not in self._to_do:
                 state = data[0] & 0x7F
                 if state != Nmt.OPERATIONAL:
                     word = "has rebooted" if state == Nmt.BOOT else "is no longer operational"
                     name = self._plans[node].name
-                    self._say(f"nodes: {name} {word}; it is configured anew before anything arms")
+                    self._say(f"nodes: {name} {word}; {_AGAIN}")
                     self._to_do.add(node)
             elif can_id == objects.EMCY_ID + node and len(data) >= 2:
                 self._emergency(node, int.from_bytes(data[:2], "little"))
 
+    def _guard(self, link: Link) -> None:
+        """Ask nodes without a heartbeat for their state; one that does not tell it is not ready any more."""
+        now = time.monotonic()
+        for node, told in self._guarded.items():
+            if now - self._asked_at[node] >= told.heartbeat_ms * 1e-3:
+                self._asked_at[node] = now
+                link.send(objects.HEARTBEAT_ID + node | CAN_RTR_FLAG, b"")
+            if now - self._told_at[node] > told.patience_ms * 1e-3:
+                self._say(f"nodes: {self._plans[node].name} does not answer its guarding; {_AGAIN}")
+                self._to_do.add(node)
+
     def _emergency(self, node: int, code: int) -> None:
         if code != self._emergencies.get(node, 0):
-            self._say(f"nodes: {self._plans[node].name}: {objects.emergency_text(code)}")
+            words = f"EMCY 0x{code:04X}: {objects.emergency_words(code)}"
+            self._say(f"nodes: {self._plans[node].name}: {words}")
         self._emergencies[node] = code
 
     def _end_faults(self, link: Link) -> None:

@@ -54,6 +54,12 @@ class MissingLibraryError(Exception):
     exit_code = 3
 
 
+class BusError(Exception):
+    """The bus takes or gives nothing; the text is one line for a person."""
+
+    exit_code = 3
+
+
 class Configured(NamedTuple):
     """What a node came to."""
 
@@ -77,7 +83,7 @@ def network_on(channel: str) -> Iterator[Any]:
 
     Raises:
         MissingLibraryError: it is not installed.
-        OSError, can.CanError: the bus cannot be used.
+        BusError: the bus cannot be used, now or later.
     """
     try:
         import can  # noqa: PLC0415 - for whoever configures only
@@ -87,12 +93,14 @@ def network_on(channel: str) -> Iterator[Any]:
     kind, _, name = channel.partition(":")
     network = canopen.Network()
     network.NOTIFIER_CYCLE = 0.1
-    network.connect(interface=kind, channel=name)
-    assert isinstance(network.bus, can.BusABC)
     try:
-        yield network
-    finally:
-        network.disconnect()
+        network.connect(interface=kind, channel=name)
+        try:
+            yield network
+        finally:
+            network.disconnect()
+    except (can.CanError, OSError) as e:
+        raise BusError(f"{channel}: {' '.join(str(e).split())}; check the interface: ip link show") from None
 
 
 class Master:
@@ -390,6 +398,8 @@ class Master:
         self.states.pop(node, None)
         end = self._clock() + max(self._patience.start_s, plan.node.patience_ms * 1e-3)
         while self.states.get(node) != Nmt.OPERATIONAL:
+            if plan.node.guard:
+                self._network.send_message(objects.HEARTBEAT_ID + node, b"", remote=True)
             if self.boots[node] != boots:
                 return False
             if self._clock() >= end:

@@ -92,6 +92,7 @@ DEVICE_NAME = 0x1008
 SAVE = Object(0x1010, 1, U32, "store parameters")
 SAVE_WORD = int.from_bytes(b"save", "little")
 HEARTBEAT = Object(0x1017, 0, U16, "heartbeat producer time")
+GUARD_TIME, LIFE_FACTOR = Object(0x100C, 0, U16, "guard time"), Object(0x100D, 0, U8, "life time factor")
 IDENTITY = tuple(
     Object(0x1018, sub, U32, word) for sub, word in enumerate(("vendor", "product", "revision", "serial"), 1)
 )
@@ -268,7 +269,6 @@ _EMERGENCIES = (  # code, mask
 )
 
 
-def emergency_text(code: int) -> str:
+def emergency_words(code: int) -> str:
     """What an emergency (EMCY) says, in words."""
-    words = next((text for value, mask, text in _EMERGENCIES if code & mask == value), "unknown")
-    return f"EMCY 0x{code:04X}: {words}"
+    return next((text for value, mask, text in _EMERGENCIES if code & mask == value), "unknown")

@@ -17,6 +17,7 @@ from pneud.config.nodes import NodeConfig
 
 PDOS = 4  # of the predefined connection set, each way
 SYNC, EVENT = 1, 255  # transmission types: with every SYNC; at once
+LIFE_FACTOR = 10  # guard times; guarding pauses while another node is configured
 BY_BUS = 1  # device mode of a valve: the setpoint comes by the bus
 _PROFILE = {"encoder406": 406, "analog404": 404, "analog401": 401, "valve408": 408}
 
@@ -103,7 +104,11 @@ def _device(node: NodeConfig) -> Iterator[Step]:
 
 
 def _liveness(node: NodeConfig) -> Iterator[Step]:
-    yield Step(objects.HEARTBEAT, node.heartbeat_ms, why="pneud notices the loss of it")
+    if node.guard:
+        yield Step(objects.GUARD_TIME, node.heartbeat_ms, why="pneud asks for its state so often")
+        yield Step(objects.LIFE_FACTOR, LIFE_FACTOR, why="it notices when nobody has asked for so many times")
+    else:
+        yield Step(objects.HEARTBEAT, node.heartbeat_ms, why="pneud notices the loss of it")
     for sub, watch in enumerate(node.watches, 1):
         value = watch.node << 16 | watch.timeout_ms
         yield Step(objects.heartbeat_consumer(sub), value, why=f"it notices the loss of node {watch.node}")

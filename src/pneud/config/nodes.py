@@ -62,6 +62,7 @@ class NodeConfig(Section):
     roles: tuple[Role, ...] = ()  # of its channels, in order; []: position; p1, p2, supply; valve
     pdo: Annotated[int, Field(ge=1, le=4)] | None = None  # that carries them; none: as the profile has it
     heartbeat_ms: Annotated[int, Field(ge=1, le=20_000)] = 100  # that it sends
+    guard: bool = False  # it is asked so often instead: node guarding, for devices without a heartbeat
     heartbeat_timeout_ms: Annotated[float, Field(ge=1, le=60_000)] | None = None  # none: three of them
     watches: tuple[WatchConfig, ...] = ()  # other nodes whose heartbeat it watches
     identity: IdentityConfig = IdentityConfig()
@@ -165,7 +166,7 @@ def signals_of(nodes: tuple[NodeConfig, ...]) -> dict[str, Any]:
 def messages_of(nodes: tuple[NodeConfig, ...]) -> dict[str, Any]:
     """`[bus.messages]` as it follows from the nodes: whose heartbeat is awaited."""
     return {
-        message: {"node": node.id, "heartbeat_timeout_ms": node.patience_ms}
+        message: {"node": node.id, "heartbeat_timeout_ms": None if node.guard else node.patience_ms}
         for node in nodes
         for message, roles in node.sent().items()
         if any(role != "none" for role in roles)

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from pneud.bench.chart import svg
+from pneud.canopen.objects import emergency_words
 from pneud.config.conversions import controller_of
 from pneud.config.writing import noted
 from pneud.control.tunables import LAWS, names_of, tunables
@@ -413,7 +414,10 @@ def bus(run: LoggedRun) -> str:
     notes = [f"{health.error_frames:,} error frames", f"{health.unsent:,} frames could not be sent"]
     if health.foreign:
         notes.append(f"{health.foreign:,} SYNC or valve commands of another controller")
-    notes += [f"emergency 0x{code:04X} of node {node}" for node, code in sorted(health.emcy.items())]
+    notes += [
+        f"emergency 0x{code:04X} of node {node} ({emergency_words(code)})"
+        for node, code in sorted(health.emcy.items())
+    ]
     head = ("id", "frame", "way", "count", "per second", "lost", "corrupt", "frozen", "late")
     return f"{table(head, rows, words=3, label='frames')}<p>{', '.join(notes)}.</p>{_readings(run)}"
 

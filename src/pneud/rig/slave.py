@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from pneud.bus.wire import CAN_RTR_FLAG
 from pneud.canopen import objects
 from pneud.canopen.eds import Eds
 from pneud.canopen.objects import INVALID, Command, Nmt, Pdo
@@ -107,6 +108,7 @@ class Slave:
         self._up_ns = _NEVER_NS  # when it has booted; never before power-up
         self._beat_ns = _NEVER_NS  # when its next heartbeat is due
         self._sync_ns = -_NEVER_NS
+        self._guarded = 0x80  # alternates with each time that it is asked for its state
         self._answers, self._reboots = 0, odd.reboots
         self._lss_configuring = False
         self._lss_next = 0  # part of its identity that fastscan has come to
@@ -182,6 +184,10 @@ class Slave:
                 self._sdo(t_ns, data)
         elif frame.can_id == objects.LSS_REQUEST_ID and len(data) == 8:
             self._lss(t_ns, data)
+        elif frame.can_id == objects.HEARTBEAT_ID + self.id | CAN_RTR_FLAG:
+            self._guarded ^= 0x80
+            state = bytes((self.state | self._guarded,))
+            self._out.append(Frame(t_ns + _ANSWER_NS, objects.HEARTBEAT_ID + self.id, state))
 
     def emergency(self, t_ns: int, code: int) -> None:
         """Report an emergency, or with 0 that there is none any more."""

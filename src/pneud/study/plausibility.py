@@ -254,6 +254,22 @@ def _law(c: Config, p: PlantParameters, bandwidth_rad_s: float) -> Iterator[Doub
         yield Doubt("limits.disagreement_n", words, False)
 
 
+def _nodes(c: Config) -> Iterator[Doubt]:
+    """CANopen nodes that leave something to nobody."""
+    for number, node in enumerate(c.bus.nodes):
+        key = f"bus.nodes.{number}"
+        if node.profile == "valve408" and not node.deadline:
+            words = f"the valve, node {node.id}, does not watch that commands come: it needs another watch"
+            yield Doubt(f"{key}.deadline", words, False)
+        nobody = node.dead_band == "off" and not c.control.compensate_dead_zone
+        if node.profile == "valve408" and nobody and c.valve.dead_zone_v > 0.0:
+            words = "nobody makes up for the valve's dead band: neither it nor control.compensate_dead_zone"
+            yield Doubt(f"{key}.dead_band", words, False)
+        if node.identity.serial is None and c.bus.channel != "auto":  # which is for software rigs
+            words = f"node {node.id} may be any device: pneud nodes keep takes down which one it is"
+            yield Doubt(key, words, False)
+
+
 def findings(c: Config, command_lsb_v: float, bandwidth_rad_s: float) -> list[Doubt]:
     """All that is implausible, errors first.
 
@@ -267,7 +283,7 @@ def findings(c: Config, command_lsb_v: float, bandwidth_rad_s: float) -> list[Do
     believed = plant_of(knowing)._replace(
         friction=friction_of(c.control.friction), valve=axis.controller.valve
     )
-    found = [*_rig(c, believed), *_chambers(c), *_homing(c, believed)]
+    found = [*_rig(c, believed), *_chambers(c), *_homing(c, believed), *_nodes(c)]
     found += [*_law(c, believed, bandwidth_rad_s), *_motion(c, axis, believed)]
     said = {finding.words for finding in found}
     true, there = truth_of(c), plant_of(c)
