@@ -43,14 +43,12 @@ class DeviceSet(NamedTuple):
         types = (f"SIG_VALTYPE_ {one};\n" for one in self.floats)
         return HEAD + "".join(m.text(name) for name, m in self.messages.items()) + "".join(types)
 
-    def write(self, folder: Path, name: str, **change: Any) -> Path:
-        """The configuration as a file, with its DBC beside it."""
+    def write(self, folder: Path, name: str, base: str = "virtual.toml", **change: Any) -> Path:
+        """The configuration as a file, with its DBC beside it: another one's, with these devices."""
         (folder / f"{name}.dbc").write_text(self.dbc())
         bus = {"dbc": f"{name}.dbc", "signals": self.signals, "messages": dict(self.guards), **self.more}
-        text = changed_text(
-            (resources.configs() / "virtual.toml").read_text(), {"name": name, "bus": bus} | change
-        )
-        (folder / f"{name}.toml").write_text(text)
+        text = (resources.configs() / base).read_text()
+        (folder / f"{name}.toml").write_text(changed_text(text, {"name": name, "bus": bus} | change))
         return folder / f"{name}.toml"
 
 

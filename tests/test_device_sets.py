@@ -6,6 +6,7 @@ import math
 import os
 import secrets
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -62,7 +63,7 @@ def test_what_devices_lack_is_what_cannot_be_noticed(tmp_path: Path) -> None:
 
 
 def test_a_movement_test_is_one_of_a_mapping(tmp_path: Path) -> None:
-    def of(name: str, **change: object) -> str:
+    def of(name: str, **change: Any) -> str:
         loaded = load(SETS[name].write(tmp_path, name, **change))
         return digest(loaded.config, loaded.dbc.read_bytes())
 
@@ -132,14 +133,16 @@ def test_every_device_set_tracks(name: str, tmp_path: Path, figures: Figures) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", [0.93, 1.0, 1.07])
-def test_sensors_run_free_at_a_rate_of_their_own(part: float, tmp_path: Path, figures: Figures) -> None:
+@pytest.mark.parametrize(("part", "most_m"), [(0.5, RMS_M), (0.93, RMS_M), (1.07, 3.0 * RMS_M)])
+def test_sensors_run_free_at_a_rate_of_their_own(
+    part: float, most_m: float, tmp_path: Path, figures: Figures
+) -> None:
     file = SETS["free"].write(tmp_path, "free", plant={"free_period_us": 1000.0 * part})
     records = run(file, tmp_path / "x.mcap", 4.0)
     settled = [r.true_error_m for r in records[2000:4000]]
     rms_m = math.sqrt(sum(e * e for e in settled) / len(settled))
     figures(f"free sensors, every {part:g} ms: true error {1e3 * rms_m:.4f} mm rms")
-    assert rms_m <= 2.5 * RMS_M
+    assert rms_m <= most_m
 
 
 @pytest.mark.slow
@@ -190,7 +193,7 @@ def test_the_campaign_finds_what_the_list_leaves(name: str, tmp_path: Path) -> N
         assert not found & never, (played, found & never)
         lacking = set(scenario.expect.faults) - found
         assert lacking <= hardly, (played, found)
-        if not lacking:
+        if not lacking and loaded.config.bus.sync:  # else nobody knows in which tick the evidence came
             assert run_.engine is not None
             run_.engine.settle()
             effects = run_.engine.effects.as_dict()

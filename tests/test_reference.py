@@ -148,6 +148,12 @@ def test_a_move_peaks_at_no_speed_that_is_shunned_unless_it_is_told_to(distance:
     assert unhurried(b, distance, Shunned()) == b
 
 
+@given(st.floats(0.0, 0.5), bounds)
+def test_a_move_has_no_more_jerk_than_leaves_the_valve_some_room(distance: float, b: Bounds) -> None:
+    gentler = unhurried(b, distance, Shunned(jerk_m_s3=12.0))
+    assert gentler == b._replace(jerk_m_s3=min(b.jerk_m_s3, 12.0))
+
+
 @pytest.mark.parametrize("b", [STANDARD, Bounds(0.02, 0.1, 1.0), Bounds(2.0, 20.0, 1000.0)])
 def test_no_distance_is_no_way(b: Bounds) -> None:
     assert move(rest(0.3), 0.3, b) == still(0.3)

@@ -98,15 +98,15 @@ What pneud makes of a node that does otherwise, in every tick, and for how long 
 
 ## Other rules
 
-A node that protects its frames by a rule of its own keeps it: [`protection`](configuration.md#busframesrole) names it, `crc` and
-`counter` the signals, which may lie anywhere in the frame. The checksum goes over all bytes but its own; of one that is no whole
+A node that protects its frames by a rule of its own keeps it: `protection` names it, `crc` and `counter` the signals, which may lie
+anywhere in the frame. The keys belong to [a role](configuration.md#busframesrole), or to [a message](mapping.md) where signals are mapped. The checksum goes over all bytes but its own; of one that is no whole
 bytes, its bits count as zeros. What is no CRC notices less: two errors in one column of bits make an XOR right again.
 
 {rules}
 
 The counter is as wide as its signal and wraps from its last value, or from `counter_max`, to 0. AUTOSAR's rules demand theirs:
 
-| `protection` | counter | `data_id`, which is not in the frame |
+| rule | counter | `data_id`, which is not in the frame |
 |---|---|---|
 | `e2e-p01` | 4 bits, 0 … 14 | 16 bits; `data_id_mode`: `both` bytes, the lower one first; `alternating`, the lower one with an even counter, else the higher one; `low`, the lower one only; `nibble`, the lower one and a zero byte, and bits 8 … 11 are in the frame, in the signal `data_id_nibble` |
 | `e2e-p02` | 4 bits, 0 … 15 | sixteen of 8 bits, one for each value of the counter |
@@ -323,10 +323,8 @@ def text() -> str:
         vectors=table(("identifier", "data", "says"), list(_vectors(codecs))),
         agree=AGREE,
         most=MOST,
-        rules=table(
-            ("`protection`", "checksum", "over"), [(f"`{name}`", how, over) for name, how, over in RULES]
-        ),
-        others=table(("`protection`", "`data_id_mode`", "frames"), list(_others())),
+        rules=table(("rule", "checksum", "over"), [(f"`{name}`", how, over) for name, how, over in RULES]),
+        others=table(("rule", "`data_id_mode`", "frames"), list(_others())),
         older=round(codecs.older_s / 1e-5),
         timeout_ms=_TIMEOUT_S * 1e3,
         trace=table(("ms", "what", "state", "puts out"), list(_trace(codecs.valve_command))),

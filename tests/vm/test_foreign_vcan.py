@@ -21,7 +21,7 @@ def test_an_axis_arms_and_tracks_on_a_foreign_node(tmp_path: Path) -> None:
     with subprocess.Popen([node, "vcan0", "200"], stderr=subprocess.PIPE, text=True) as foreign:
         try:
             done = pneud(
-                "--config", config, "--bus", "socketcan:vcan0", "--arm", "--unproven", "--duration", 12,
+                "--config", config, "--bus", "socketcan:vcan0", "--arm", "--unproven", "--duration", 20,
                 "--headless", "--json", "--log", log, timeout=120,
             )  # fmt: skip
         finally:

@@ -31,7 +31,7 @@ _WIRING = "check its power, its wiring, its bit rate, and its id (pneud nodes li
 class Patience(NamedTuple):
     """How long is waited, and how often something is tried."""
 
-    answer_s: float = 0.3  # for the answer to a request
+    answer_s: float = 0.5  # for the answer to a request
     tries: int = 5
     boot_s: float = 10.0  # for a node to be there at all
     start_s: float = 3.0  # for a started node to say that it is

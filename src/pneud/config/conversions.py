@@ -46,6 +46,7 @@ MEAN_STEP_S = 0.3  # in which the mean step of the command is taken
 FAST = 16.0  # times the lead: a loop that swings faster is as fast as the valve
 FAST_S = 0.01  # where there is no lead
 SHUNNED = (0.35, 1.6)  # times v_s, between which friction falls steeply
+JERK_SHARE = 0.15  # of what the open valve does to the force, that the jerk of a short move may take
 BLOCKED_KG = 1e9  # nothing moves that
 BLEND_S = 0.1  # in which one set of gains gives way to another
 
@@ -284,9 +285,11 @@ def behind_of(c: Config) -> float:
 
 
 def shunned_of(c: Config) -> Shunned:
-    """Speeds at which no short move should peak, where friction's pole is faster than the motion filter."""
-    v_s = c.control.friction.stribeck_speed_m_s
-    return Shunned(SHUNNED[0] * v_s, SHUNNED[1] * v_s) if behind_of(c) > 1.0 else Shunned()
+    """Jerks that ask too much of the valve; speeds where friction's pole is faster than the motion filter."""
+    v_s, k = c.control.friction.stribeck_speed_m_s, cylinder_of(c)
+    jerk = JERK_SHARE * k.F1_nominal * c.valve.u_max_v / k.M
+    low, high = SHUNNED if behind_of(c) > 1.0 else (0.0, 0.0)
+    return Shunned(low * v_s, high * v_s, jerk)
 
 
 def creep_of(c: Config) -> Creep:

@@ -19,6 +19,7 @@ from pneud.physics.valve import Valve
 
 MOVING_M_S = 3e-3  # slower is no motion to learn from
 SATURATED = 0.98  # part of the greatest opening beyond which the valve is taken as saturated
+EDGE_V = 0.25  # opening up to which the edges are learnt: what is missing of a wide one is flow
 OPENING_V = 0.5  # opening at which the flow is learnt best
 LAG_V = 0.2  # lagging behind by so much, the lag is
 BENT = 0.05  # part of the friction that bristles which are bent for good may lack
@@ -170,10 +171,11 @@ def learn_valve(
     if usable and abs(v) >= MOVING_M_S and so_far.moving and u_v != 0.0:
         missing = dt * max(-valve.u_max_v, min(valve.u_max_v, missing_v))  # one odd reading is no valve
         prior = valve.dead_zone_v
+        edge = p.edges.per_s * missing * EDGE_V * EDGE_V / (EDGE_V * EDGE_V + u_v * u_v)
         if u_v > 0.0:
-            plus = within(prior + plus - p.edges.per_s * missing, p.edges) - prior
+            plus = within(prior + plus - edge, p.edges) - prior
         else:
-            minus = within(prior + minus + p.edges.per_s * missing, p.edges) - prior
+            minus = within(prior + minus + edge, p.edges) - prior
         flow = within(flow + p.flow.per_s * missing * u_v / (OPENING_V * OPENING_V + u_v * u_v), p.flow)
         if valve.omega_rad_s > 0.0:
             behind = 2.0 * valve.zeta / valve.omega_rad_s * lag * spool.rate_v_s

@@ -40,6 +40,8 @@ NEAR_M, FAR_M = 1e-4, 3e-4  # error within which the law may give way, and beyon
 DIED = 3.0  # time constants until a swing has died
 BEYOND = 0.55  # of the motion filter's bandwidth, above which a swing is seen too late to be damped
 SHUT = 0.02  # of the greatest command, up to which the law keeps the valve shut at rest
+FIRM = 1.4  # times the law's bandwidth at rest: bristles that swing as fast as the law make it ring
+BRISK_S = 5e-3  # sample time with which there is room for that
 GRACE_S = 0.08  # that a load has to come to rest when the valve is closed
 RESTLESS_V = 0.03  # mean step of the command that is hunting
 STEEPEST = 0.858  # slope of exp(−(v/v_s)²), times v_s
@@ -238,4 +240,5 @@ def standing(m: Model, motion: MotionFilter, M: float, step_m: float, h: float, 
         held=1.0 - math.exp(-h / 0.01),
         settle=round((GRACE_S if beyond else SETTLE_S) / h),
         shut_v=SHUT * u_max_v,
+        firm=FIRM if h <= BRISK_S else 1.0,
     )

@@ -42,10 +42,15 @@ class Bounds(NamedTuple):
 
 
 class Shunned(NamedTuple):
-    """Speeds between which no short move should peak: friction falls there faster than anybody sees."""
+    """Speeds between which no short move should peak, and jerks that it should not have.
+
+    At such speeds friction falls faster than anybody sees; such jerks take so much of the valve that little
+    is left for friction where it turns round.
+    """
 
     low_m_s: float = 0.0
     high_m_s: float = 0.0  # none are shunned where both are zero
+    jerk_m_s3: float = 0.0  # beyond this one; 0: none are
 
 
 class Septic(NamedTuple):
@@ -200,10 +205,12 @@ def move(start: Reference, end_m: float, bounds: Bounds) -> Way:
 
 
 def unhurried(bounds: Bounds, distance_m: float, shunned: Shunned) -> Bounds:
-    """The bounds for a move from rest to rest, with less jerk where it would peak at a speed that is shunned.
+    """The bounds for a move from rest to rest, with less jerk where that or the speed of its peak is shunned.
 
-    It then peaks at the lowest of them. One that gets no further than the bound on speed is left as it is.
+    It then peaks at the lowest of the speeds. One that gets no further than the bound on speed peaks there.
     """
+    if shunned.jerk_m_s3 > 0.0:
+        bounds = bounds._replace(jerk_m_s3=min(bounds.jerk_m_s3, shunned.jerk_m_s3))
     top = _cruise(0.0, distance_m, bounds)
     if not shunned.low_m_s < top < min(shunned.high_m_s, bounds.speed_m_s):
         return bounds

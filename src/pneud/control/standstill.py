@@ -65,6 +65,7 @@ class Standstill(NamedTuple):
     held: float = 0.0  # share of the force in balance that friction then takes over in a tick
     settle: int = 0  # ticks that the law has, before it gives way
     shut_v: float = 0.0  # opening up to which it keeps the valve shut within the band
+    firm: float = 1.0  # times the law's bandwidth, with which it brings the load to rest
 
 
 class StandstillState(NamedTuple):

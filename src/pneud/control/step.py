@@ -30,7 +30,7 @@ from pneud.control.feedforward import (
     recalled,
 )
 from pneud.control.laws.situation import LawOutput, Situation, errors
-from pneud.control.laws.sliding import Sliding, SlidingState, command, engage, law, resistance
+from pneud.control.laws.sliding import Sliding, SlidingState, command, engage, firmer, law, resistance
 from pneud.control.laws.slot import SLIDING, Slot, SlotState, afterwards, demand, joined, taken_over
 from pneud.control.motion import MotionFilter, MotionState, at_rest, correct, held, predict
 from pneud.control.prediction import Motion, Rates, Spool, ahead, follow, later
@@ -406,7 +406,8 @@ def _resistance(state: ControllerState, e: Estimate, r: Reference, p: Controller
     s = situation(state, e, r, p)
     if p.slot.kind == SLIDING:
         drift = state.f0 * s.motion.v / s.M
-        return drift + resistance(state.sliding, s.w1, s.w2, s.w3, e.d_hat_n_s, p.h, p.sliding)
+        q = arriving(is_still(r, s.goal), state.standstill, p)
+        return drift + resistance(state.sliding, s.w1, s.w2, s.w3, e.d_hat_n_s, p.h, q)
     _, Z = demand(state.own, s, p.slot)
     return s.goal.jerk_m_s3 + (s.friction.rate_n_s + s.force_rate - Z) / s.M
 
@@ -419,7 +420,7 @@ def act(
     s = situation(state, e, r, p)
     learnt = taught(state.learnt, s, r, prior, p)
     if p.standstill.enter_m <= 0.0:
-        state, out = tracked(state, s, p)
+        state, out = tracked(state, s, p.sliding, p)
         return kept(state, state.bristles_m, state.standstill, learnt), out
     still, friction_n = is_still(r, s.goal), e.force_n - learnt.load_n
     error_m = s.goal.position_m - e.position_m
@@ -439,7 +440,7 @@ def act(
     if standstill.mode != LAW:
         state, out = left_alone(state, standstill, friction_n, s, p)
     else:
-        state, out = tracked(state, s, p)
+        state, out = tracked(state, s, arriving(still, standstill, p), p)
         if still:
             shut = opening(state.applied_v, p.valve) == 0.0
             if keeps_shut(error_m, opening(out.u_v, p.valve), shut, p.standstill):
@@ -448,6 +449,11 @@ def act(
             step_v = abs(max(-u_max, min(u_max, out.u_v)) - state.applied_v)
             standstill = stirred(standstill, step_v, p.standstill)
     return kept(state, bristles_m, standstill, learnt), out
+
+
+def arriving(still: bool, s: StandstillState, p: Controller) -> Sliding:
+    """The law's parameters: firmer ones while a load comes to rest, before giving way was of no use."""
+    return firmer(p.sliding, p.standstill.firm) if still and s.tries == 0 else p.sliding
 
 
 def taught(so_far: Learnt, s: Situation, r: Reference, prior: Controller, p: Controller) -> Learnt:
@@ -482,8 +488,10 @@ def left_alone(
     return state, LawOutput(u_v, 0.0, 0.0)
 
 
-def tracked(state: ControllerState, s: Situation, p: Controller) -> tuple[ControllerState, LawOutput]:
-    """The law's command in a situation."""
+def tracked(
+    state: ControllerState, s: Situation, q: Sliding, p: Controller
+) -> tuple[ControllerState, LawOutput]:
+    """The law's command in a situation; `q` are the parameters that hold for the sliding law in this tick."""
     friction, blend = s.friction, state.blend * p.blend_kept
     if p.slot.kind != SLIDING:
         own, Z = demand(state.own, s, p.slot)
@@ -505,7 +513,7 @@ def tracked(state: ControllerState, s: Situation, p: Controller) -> tuple[Contro
         state.f1_fill,
         state.f1_exhaust,
         p.h,
-        p.sliding,
+        q,
         p.valve,
         state.applied_v,
         state.blend,

@@ -128,7 +128,7 @@ class Session:
         console = self._start_console(ends, asking, [said for said, _ in words])
         stage = self._stage()
         plant, truths = self._start_plant(ends, stage) if o.virtual else (0, [None] * len(self.axes))
-        nodes = self._start_keeper(ends) if ready.config.bus.nodes else None
+        nodes = self._start_keeper(ends) if any(axis.config.bus.nodes for axis in self.axes) else None
         if ready.viewers is not None:
             self._start_viewers(ends, ready.viewers)
         if stage is not None and stage.scenario.orders:
@@ -268,7 +268,8 @@ class Session:
         from pneud.canopen.keeper import Readiness, fork_keeper  # noqa: PLC0415 - for rigs with nodes only
 
         readiness = Readiness()
-        keeper = fork_keeper(self.ready.link.name, plans_of_nodes(self.axes[0].ready.loaded), readiness)
+        plans = tuple(plan for axis in self.axes for plan in plans_of_nodes(axis.ready.loaded))
+        keeper = fork_keeper(self.ready.link.name, plans, readiness)
         ends.callback(crew.end, keeper, KEEPER_PATIENCE_S)
         return readiness
 

