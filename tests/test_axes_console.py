@@ -143,6 +143,7 @@ def test_a_named_axis_is_the_only_one_that_is_asked(desk: Bench) -> None:
     assert any(words.endswith("y: goto 300 mm → taken") for words in desk.said)
     assert desk.ask("status", axis="y")["order"]["words"] == "goto 300 mm"
     assert desk.ask("status", axis="x")["order"] is None
+    assert desk.ask("status", axis="x")["others"] == {"y": "holding"}
     found = desk.ask("status")["axes"]
     assert {name: one["name"] for name, one in found.items()} == {"x": "x", "y": "y"}
     assert desk.ask("goto", axis="z", x_mm=300)["error"]["message"] == "no axis 'z'; there is x, y"

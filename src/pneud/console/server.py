@@ -417,6 +417,9 @@ class Server:
         if message.axis is not None or len(self._desks) == 1:
             if (axis := self._one(client, message)) is not None:
                 fields = {**self._desks[axis].status(), "lease": lease, "order": self._order.get(axis)}
+                if len(self._desks) > 1:
+                    others = (desk for n, desk in enumerate(self._desks) if n != axis)
+                    fields["others"] = {desk.name: desk.status()["state"] for desk in others}
                 self._send(client, self._reply(message.id, (axis,), **fields))
             return
         each = {

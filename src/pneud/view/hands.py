@@ -107,6 +107,12 @@ class Hands:
         return self._operator.status.get("learnt") if self._operator is not None else None
 
     @property
+    def others(self) -> str:
+        """The other axes of the daemon, as the status has them; empty for none."""
+        found = self._operator.status.get("others") or {} if self._operator is not None else {}
+        return "".join(f" | {name} {state}" for name, state in found.items())
+
+    @property
     def message(self) -> str:
         """What the console has said lately."""
         return self._operator.message if self._operator is not None else ""

@@ -49,6 +49,7 @@ class ScreenInfo(NamedTuple):
     bitrate_bit_s: float = math.inf
     quota_bytes: float = 0.0  # of the logs; 0 for no bound
     elsewhere: str = ""  # the command that shows the same in another terminal
+    others: str = ""  # the other axes of the daemon, and how they are
 
 
 def info_of(

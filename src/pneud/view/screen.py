@@ -124,7 +124,7 @@ def _head(rows: Rows, snapshot: ScreenState, history: History, banner: Banner, l
     info, record = snapshot.info, snapshot.record
     rows.row()
     badge = "" if record is None else f" {name_of(State, record.tick.state)}{_standing(record)} "
-    rows.put(clean(f"pneud · {info.name}")[: max(rows.room - len(badge) - 1, 0)], BOLD)
+    rows.put(clean(f"pneud · {info.name}{info.others}")[: max(rows.room - len(badge) - 1, 0)], BOLD)
     rest = f" · {info.bus} · {info.rate_hz:g} Hz · {clock(history.elapsed_s)}"
     rows.put(clean(rest)[: max(rows.room - len(badge) - 1, 0)])
     if record is not None:
