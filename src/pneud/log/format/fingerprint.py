@@ -6,6 +6,8 @@ import hashlib
 import math
 import platform
 import struct
+from contextlib import suppress
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 _GOLDEN = 2_654_435_769  # 2³² divided by the golden ratio: multiples spread evenly
@@ -36,15 +38,20 @@ def versions() -> dict[str, str]:
 
     What is not installed is left out.
     """
-    found = {
+    return {
         "python": f"{platform.python_implementation()} {platform.python_version()}",
         "libc": " ".join(platform.libc_ver()).strip() or "unknown",
         "machine": platform.machine(),
         "system": f"{platform.system()} {platform.release()}",
+        **_installed(),
     }
+
+
+@cache
+def _installed() -> dict[str, str]:
+    """The packages' versions, which stay what they are as long as a process does."""
+    found = {}
     for package in ("pneud", "numpy", "python-can", "cantools", "mcap", "protobuf", "zstandard", "ruckig"):
-        try:
+        with suppress(PackageNotFoundError):
             found[package] = version(package)
-        except PackageNotFoundError:
-            continue
     return found
