@@ -1,7 +1,9 @@
 """How the axis of the running daemon is: state, faults with cures, position, pressures, timing, log."""
 
 import json as json_
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from pneud.console.client import Client
 from pneud.verbs import JsonOption, SocketOption
@@ -10,10 +12,21 @@ from pneud.view.learnt import in_brief
 _SILENT_S = 0.5
 
 
-def status(socket: SocketOption = None, json: JsonOption = False) -> int:
+def status(
+    socket: SocketOption = None,
+    json: JsonOption = False,
+    openmetrics: Annotated[
+        bool, typer.Option("--openmetrics", help="Print numbers as monitoring reads them.")
+    ] = False,
+) -> int:
     """How the axis is."""
     with Client(socket) as client:
         found = client.ask("status")
+    if openmetrics:
+        from pneud.web.metrics import text_of  # noqa: PLC0415 - for those who ask for it
+
+        print(text_of(found, openmetrics=True), end="")
+        return 0
     print(json_.dumps(found) if json else "\n".join(in_words(found)))
     return 0
 
