@@ -34,7 +34,7 @@ def filled(b: Bench) -> dict[str, Any]:
     for number, late_ns in enumerate(LATENESS_NS, 1):
         tick = tick_at(number)._replace(state=int(State.FAULT), latched=1 << F.TRAVEL)
         tick = tick._replace(command=tick.command._replace(saturated=1))
-        b.ring.put(Record(tick, Timing(late_ns, 0, 0, 250_000, 0), (), 0))
+        b.ring.put(Record(tick, Timing(late_ns, 0, 0, 0, 250_000, 0), (), 0, (), 0.0))
     for _ in range(2):
         b.watch.poll()
     return b.ask(b.connect(), "status")

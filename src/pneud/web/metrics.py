@@ -133,9 +133,7 @@ def _load(s: Mapping[str, Any]) -> Iterator[Family]:
 def _timing(s: Mapping[str, Any]) -> Iterator[Family]:
     yield _counter("ticks", "Ticks of the loop", _value(s["ticks"]))
     yield _counter("ticks_skipped", "Ticks that the loop came too late for", _value(s["skipped"]))
-    yield _counter(
-        "ticks_saturated", "Ticks in which the command was held back", _value(s.get("saturated"))
-    )
+    yield _counter("ticks_saturated", "Ticks in which the command was held back", _value(s.get("saturated")))
     yield _gauge("tick_period_seconds", "From one tick to the next", _value(1.0 / s["rate_hz"]))
     yield _gauge("silent_seconds", "Since the newest tick", _value(s["silent_s"]))
     for name, words in (
