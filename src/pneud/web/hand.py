@@ -32,6 +32,7 @@ _ALWAYS: dict[str, dict[str, Any]] = {
 }
 _ATTENDED = ("goto", "jog", "track")
 _LONGEST = 1 << 20  # of a reply
+_MOST = 1 << 14  # bytes that the console has not taken yet
 _HANG_UP_S = 1.0
 
 Tell = Callable[[dict[str, Any]], None]
@@ -88,9 +89,16 @@ class Hand:
         if why := await self.ready():
             self._refuse(number, f"nobody hears: {why}")
             return
-        request = {"v": VERSION, "id": number, "verb": verb, **given, **_ALWAYS.get(verb, {})}
+        try:
+            request = line({"v": VERSION, "id": number, "verb": verb, **given, **_ALWAYS.get(verb, {})})
+        except ValueError:
+            self._refuse(number, "numbers are finite")
+            return
         assert self._writer is not None
-        self._writer.write(line(request))
+        if self._writer.transport.get_write_buffer_size() > _MOST:
+            self._refuse(number, "too many requests wait")
+            return
+        self._writer.write(request)
         self.attends = verb in _ATTENDED or (self.attends and verb in ("mark", "tune_get", "tune_set"))
 
     def _refuse(self, number: int, why: str) -> None:

@@ -12,7 +12,7 @@ import contextlib
 import json
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
@@ -31,13 +31,21 @@ _NO_MORE = 1013  # codes of a WebSocket's end
 _MISTAKE = 1008
 
 
+class Picture(NamedTuple):
+    """What a page shows, once."""
+
+    number: int
+    newest: int  # bucket of its curves
+    text: str
+
+
 class Gallery:
     """All pages, and the pictures that are painted for them."""
 
     def __init__(self, axis: Axis) -> None:
         self._axis = axis
         self._pages: set[Page] = set()
-        self._painted: dict[int, str] = {}  # by the bucket behind which curves begin
+        self._painted: dict[int, Picture] = {}  # by the bucket behind which curves begin
         self._number = 0
 
     @property
@@ -63,7 +71,7 @@ class Gallery:
         while True:
             began_s = time.monotonic()
             if self._pages:
-                await asyncio.to_thread(self._axis.look, began_s)
+                await self._axis.look(began_s)
                 self._number += 1
                 self._painted = {}
                 for page in self._pages:
@@ -72,15 +80,15 @@ class Gallery:
                 self._axis.rest()
             await asyncio.sleep(max(0.005, began_s + PERIOD_S - time.monotonic()))
 
-    def picture(self, since: int) -> tuple[int, int, str]:
-        """The newest picture with the curves behind a bucket: its number, its newest bucket, and its text."""
-        strip = self._axis.strip
-        text = self._painted.get(since)
-        if text is None:
-            found = {"picture": self._number, **self._axis.picture(time.monotonic())}
-            text = json.dumps({**found, "curves": strip.since(since)}, separators=(",", ":"))
-            self._painted[since] = text
-        return self._number, strip.newest, text
+    def picture(self, since: int) -> Picture:
+        """The newest picture, with the curves behind a bucket."""
+        found = self._painted.get(since)
+        if found is None:
+            strip = self._axis.strip
+            shown = {"picture": self._number, **self._axis.picture(time.monotonic())}
+            text = json.dumps({**shown, "curves": strip.since(since)}, separators=(",", ":"))
+            found = self._painted[since] = Picture(self._number, strip.newest, text)
+        return found
 
 
 class Page:
@@ -140,11 +148,11 @@ class Page:
                 self._facts = facts
                 words.append(json.dumps({"status": facts}))
             if self._sent - self._seen < _UNSEEN:
-                number, self._bucket, text = self._gallery.picture(self._bucket)
-                if number > self._number:
-                    words.append(text)
+                picture = self._gallery.picture(self._bucket)
+                if picture.number > self._number:
+                    words.append(picture.text)
+                    self._number, self._bucket = picture.number, picture.newest
                     self._sent += 1
-                    self._number = number
             for text in words:
                 await self._socket.send_text(text)
             self._there.clear()
@@ -165,7 +173,7 @@ class Page:
         while True:
             try:
                 message = json.loads(await self._socket.receive_text())
-            except (WebSocketDisconnect, ValueError, KeyError, RecursionError):
+            except (WebSocketDisconnect, ValueError, TypeError, KeyError, RecursionError):
                 return
             if not isinstance(message, dict):
                 return
