@@ -23,11 +23,12 @@ def asked(host: str = "127.0.0.1:8770", **more: str) -> dict[str, list[str]]:
 @pytest.mark.parametrize(
     ("place", "host", "here"),
     [
-        *((LOCAL, host, True) for host in ("127.0.0.1:8770", "localhost:8770", "LOCALHOST:8770", "[::1]:8770")),
-        *((LOCAL, host, False) for host in ("evil.example:8770", "127.0.0.1", "127.0.0.1:8771", "10.0.0.1:8770")),
-        *((LOCAL, host, False) for host in ("", ":8770", "localhost.evil.example:8770", "[::1", "[]:8770")),
-        *((ELSEWHERE, host, True) for host in ("192.0.2.5:8443", "press.plant.example:8443", "10.0.0.1:8443")),
-        *((ELSEWHERE, host, False) for host in ("localhost:8443", "other.example:8443", "press.plant.example")),
+        *((LOCAL, name, True) for name in ("127.0.0.1:8770", "LOCALHOST:8770", "[::1]:8770")),
+        *((LOCAL, name, False) for name in ("evil.example:8770", "127.0.0.1", "127.0.0.1:8771")),
+        *((LOCAL, name, False) for name in ("", ":8770", "localhost.evil.example:8770", "[::1", "[]:8770")),
+        *((LOCAL, name, False) for name in ("10.0.0.1:8770", "0.0.0.0:8770")),
+        *((ELSEWHERE, name, True) for name in ("192.0.2.5:8443", "press.plant.example:8443")),
+        *((ELSEWHERE, name, False) for name in ("localhost:8443", "other.example:8443")),
         (Place("192.0.2.5", 443, tls=True), "192.0.2.5", True),
         (Place("::1", 80), "[::1]", True),
     ],
@@ -47,7 +48,10 @@ def test_one_host_is_said() -> None:
     ("origin", "passes"),
     [
         ("http://127.0.0.1:8770", True),
-        *((origin, False) for origin in ("http://localhost:8770", "https://127.0.0.1:8770", "http://127.0.0.1")),
+        *(
+            (origin, False)
+            for origin in ("http://localhost:8770", "https://127.0.0.1:8770", "http://127.0.0.1")
+        ),
         *((origin, False) for origin in ("http://127.0.0.1:9000", "null", "", "http://evil.example:8770")),
     ],
 )
@@ -68,7 +72,9 @@ def test_who_knows_the_token_commands_and_no_cookie_does() -> None:
     session = door.enter(SECRET, "a", 0.0)
     assert isinstance(session, Session)
     assert door.may_command(session.key)
-    assert not any(door.may_command(word) for word in (session.cookie, SECRET, "", 3, None, ["x"], session.key[:-1]))
+    assert not any(
+        door.may_command(word) for word in (session.cookie, SECRET, "", 3, None, ["x"], session.key[:-1])
+    )
 
 
 def test_without_operate_a_password_lets_one_look_alone() -> None:
@@ -110,7 +116,9 @@ def test_sessions_are_few() -> None:
 # where it may be
 
 
-@pytest.mark.parametrize("where", ["8770", ":8770", "127.0.0.1", "127.0.0.1:x", "127.0.0.1:70000", "", "no.such.name.:1"])
+@pytest.mark.parametrize(
+    "where", ["8770", ":8770", "127.0.0.1", "127.0.0.1:x", "127.0.0.1:70000", "", "no.such.name.:1"]
+)
 def test_an_address_is_one(where: str) -> None:
     with pytest.raises(ListenError, match="--listen"):
         listen(where, False, ())

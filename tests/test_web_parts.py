@@ -45,7 +45,16 @@ def test_a_spike_of_one_tick_is_in_the_curve() -> None:
 
 def test_extremes_keep_their_order_and_gaps_are_gaps() -> None:
     strip = Strip()
-    strip.add([record(0, 0.3), record(1, 0.1), record(20, math.nan), record(40, 0.1), record(41, 0.3), record(60, 0)])
+    strip.add(
+        [
+            record(0, 0.3),
+            record(1, 0.1),
+            record(20, math.nan),
+            record(40, 0.1),
+            record(41, 0.3),
+            record(60, 0),
+        ]
+    )
     assert strip.since(-1)["position_mm"] == [300.0, 100.0, None, None, 100.0, 300.0]
     assert strip.since(0)["position_mm"] == [None, None, 100.0, 300.0]
     assert strip.since(strip.newest)["t"] == []
@@ -110,7 +119,10 @@ def test_an_order_is_a_request_that_the_console_knows(verb: str) -> None:
 @pytest.mark.parametrize(
     ("verb", "given"),
     [
-        *((verb, {}) for verb in ("restart", "attach", "probe", "upload", "tune_reload", "observe", "status", "")),
+        *(
+            (verb, {})
+            for verb in ("restart", "attach", "probe", "upload", "tune_reload", "observe", "status", "")
+        ),
         ("goto", {"x_mm": 1.0, "attended": False}),
         ("jog", {"velocity_mm_s": 1.0, "lease_s": 1.0}),
         ("stop", {"id": 3}),
