@@ -38,7 +38,7 @@ GROUPS = {
     "A rig and its machine": ("new", "commission", "check", "design", "doctor", "install-service", "bench"),
     "Running daemon": (
         *("status", "arm", "disarm", "stop", "clear", "home", "hold", "restart"),
-        *("goto", "jog", "mark", "track", "top", "tune"),
+        *("goto", "jog", "mark", "track", "top", "tune", "web"),
     ),
 }
 ORDER = tuple(name for group in GROUPS.values() for name in group)
