@@ -444,6 +444,7 @@ MUTE = {
     "plant",
     "top",
     "view",
+    "web",
     "reproduce",
     "identify",
     "restart",
