@@ -27,11 +27,13 @@ virtual: $(RUNTIME) ## close the loop on the software rig
 install-service: $(if $(PNEUD),,$(RUNTIME)) ## the systemd units of the installed pneud; DESTDIR= writes them below a folder
 	@exec $(or $(PNEUD),$(BIN)/pneud) install-service $(if $(DESTDIR),--destdir '$(DESTDIR)') $(ARGS)
 
+# Each has tests that are neighbours, so that what those share is made once, until it takes some of the other's.
+WORKERS := -n 2 --dist worksteal
 # Tests start many processes: each would compile all over again where the environment forbids to keep that.
 test ci-tests coverage lowest: export PYTHONDONTWRITEBYTECODE :=
 
 test: $(DEV) ## the quick tests
-	@exec $(BIN)/python -m pytest -n 2 $(ARGS)
+	@exec $(BIN)/python -m pytest $(WORKERS) $(ARGS)
 
 lint: $(DEV) ## ruff: rules and layout
 	@$(BIN)/ruff check .; rules=$$?; $(BIN)/ruff format --check . && exit $$rules
@@ -43,11 +45,11 @@ contracts: $(DEV) ## who may import whom
 	@exec $(BIN)/lint-imports --no-logo
 
 ci-tests: $(DEV) ## the tests that take longer
-	@$(BIN)/python -m pytest -n 2 -m 'slow and not realtime' $(ARGS); others=$$?; \
+	@$(BIN)/python -m pytest $(WORKERS) -m 'slow and not realtime' $(ARGS); others=$$?; \
 	  $(BIN)/python -m pytest -m 'slow and realtime' $(ARGS) && exit $$others
 
 coverage: $(DEV) ## every branch of safety/ and control/ is taken by a test of theirs
-	@$(BIN)/python -m pytest -q -n 2 $(COVERING) --cov=src/pneud/safety --cov=src/pneud/control --cov-branch \
+	@$(BIN)/python -m pytest -q $(WORKERS) $(COVERING) --cov=src/pneud/safety --cov=src/pneud/control --cov-branch \
 	    --cov-report=term-missing:skip-covered --cov-fail-under=100 $(ARGS) || \
 	  { echo 'coverage: a test failed, or src/pneud/safety and src/pneud/control are not covered to the last branch' >&2; exit 1; }
 

@@ -24,9 +24,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+from pneud.config.toml import toml_text
 from pneud.console.client import Client, RefusedError
 from pneud.console.endpoint import PlaceError
-from pneud.loading import load, toml_text
+from pneud.loading import load
 from pneud.log.files.reader import LogReader
 from pneud.replay.lockstep import Simulation, backend_of
 from pneud.safety.faults import BLOCKS_ARM, names

@@ -11,11 +11,10 @@ import pytest
 
 from pneud.axis.cycle import Axis
 from pneud.bus.inbox import Inbox
-from pneud.compiled.backend import INTERPRETED, compiled
+from pneud.compiled.backend import INTERPRETED, Backend, compiled
 from pneud.config import conversions
 from pneud.control.reference import Bounds
 from pneud.loading import Loaded, load
-from pneud.rig.dynamics import PlantState
 from pneud.rig.node import PlantNode
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Frame, Measurement, Request, RequestKind, State, Tick
@@ -38,12 +37,12 @@ def loaded() -> Loaded:
 
 
 @cache
-def quick_plant() -> Callable[..., PlantState]:
-    """The plant compiled, which is the same to the last bit, where that can be had."""
+def quick() -> Backend:
+    """Axis and plant compiled, which are the same to the last bit, where that can be had."""
     try:
-        return compiled().advance
+        return compiled()
     except BuildError:
-        return INTERPRETED.advance
+        return INTERPRETED
 
 
 def same(frame: Frame) -> Frame | None:
@@ -58,7 +57,7 @@ class Rig:
         self.axis = Axis(conversions.axis_of(config, codecs.command_lsb_v))
         self.inbox = Inbox(codecs, config.bus)
         p = conversions.plant_of(config)._replace(pressure_noise_pa=0.0)
-        self.node = PlantNode(p, codecs, 0, advance=quick_plant())
+        self.node = PlantNode(p, codecs, 0, advance=quick().advance)
         self.frame: Callable[[Frame], Frame | None] = same
         self.measurement: Callable[[Measurement], Measurement] = lambda m: m
         self.host = 0
@@ -87,6 +86,12 @@ class Rig:
         self.node.on_frame(Frame(self.t_ns + 850_000, codecs.valve_command.can_id, data))
         self.count += 1
         return tick
+
+    def go_on(self, how: Backend) -> None:
+        """Compute the axis another way from now on."""
+        axis = how.axis(self.axis.parameters)
+        axis.thaw(self.axis.freeze())
+        self.axis = axis
 
     def ticks(self, n: int) -> list[Tick]:
         return [self.tick() for _ in range(n)]

@@ -1,7 +1,8 @@
-"""What all tests share: figures that stand at the end of the output."""
+"""What all tests share: what was collected is no garbage, and figures stand at the end of the output."""
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable
 from typing import Any
 
@@ -14,6 +15,16 @@ from commands import Figures
 def figures(record_property: Callable[[str, object], None]) -> Figures:
     """Takes a line about what a test has found."""
     return lambda words: record_property("figures", words)
+
+
+def pytest_collection_finish() -> None:
+    """Thousands of collected tests stay: whoever looks for garbage need not go through them each time.
+
+    Nor need anybody look often: cycles that tests leave behind are few.
+    """
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000, 10, 10)
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:

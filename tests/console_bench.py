@@ -26,6 +26,7 @@ CONFIG = resources.configs() / "virtual.toml"
 PIECE = [0.5, *[0.0] * 8]
 COMMANDS: dict[str, dict[str, Any]] = {  # fields of requests that have some
     "goto": {"x_mm": 100},
+    "goto_all": {"axes": {"virtual": 100}},
     "jog": {"velocity_mm_s": 10},
     "track": {"what": "reference"},
     "upload": {"first": True, "pieces": [PIECE]},

@@ -6,6 +6,7 @@ import random
 from collections.abc import Callable
 from pathlib import Path
 
+from axis_rig import quick
 from pneud.bus.inbox import Counts
 from pneud.loading import load
 from pneud.log.files.naming import create_log
@@ -69,7 +70,7 @@ def simulated(
 ) -> Counts:
     """Write a log, with an operator's remark in its 300th tick; what the axis's inbox counted comes back."""
     loaded = load(config)
-    run = Simulation(loaded, duration_s, seed)
+    run = Simulation(loaded, duration_s, seed, quick())
     rng = random.Random(seed)
     poll = run.node.poll
     run.node.poll = lambda t_ns, **how: [  # type: ignore[method-assign]

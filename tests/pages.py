@@ -21,7 +21,7 @@ PAGES = sorted(
 )
 PROGRAMS = (
     *("pneud", "python", "python3", "pip", "pipx", "marimo", "cantools", "candump", "cc", "git", "make"),
-    *("apt", "ip", "scp", "sudo", "systemctl", "adduser", "hil/vm/run"),
+    *("apt", "ip", "scp", "sudo", "systemctl", "adduser", "hil/vm/run", "hil/foreign/node"),
     *("/opt/pneud/bin/pneud", ".venv/bin/python", ".venv/bin/pneud", ".venv/bin/pip"),
 )
 SHELL = ("sh", "bash", "console")

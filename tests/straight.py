@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import cache
 from typing import NamedTuple
 
+from axis_rig import quick
 from pneud.axis.cycle import Axis
-from pneud.compiled.backend import INTERPRETED, Backend, compiled
 from pneud.config import conversions
 from pneud.loading import Loaded
 from pneud.physics.plant import PlantParameters
@@ -15,7 +14,6 @@ from pneud.rig.dynamics import PlantState, initial_state, stroke_position
 from pneud.rig.node import PRESSURE_RANGE_PA
 from pneud.rig.sensors import Noise, PressureSensor, dac_output, quantised, sensed
 from pneud.signals import ALL_SOURCES, EncoderStatus, Measurement, Request, Tick, ValveState
-from pure2c import BuildError
 
 COMMAND_S = 0.75e-3  # from sampling until the command acts
 
@@ -26,15 +24,6 @@ class Moment(NamedTuple):
     tick: Tick
     place_m: float
     speed_m_s: float
-
-
-@cache
-def how() -> Backend:
-    """Compiled, which is the same to the last bit, where that can be had."""
-    try:
-        return compiled()
-    except BuildError:
-        return INTERPRETED
 
 
 def played(
@@ -48,7 +37,7 @@ def played(
         most_s: how long at most.
         seed: of the sensors' noise.
     """
-    p, backend = conversions.plant_of(loaded.config), how()
+    p, backend = conversions.plant_of(loaded.config), quick()
     axis: Axis = backend.axis(conversions.axis_of(loaded.config, loaded.codecs.command_lsb_v))
     noise = Noise(seed)
     read = PressureSensor(noise, p.pressure_noise_pa, p.pressure_resolution_pa, PRESSURE_RANGE_PA).read

@@ -19,7 +19,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from commands import object_of, pneud
+from commands import object_of, pneud, pneud_here
 from pneud.bench import chart, contestants, rates
 from pneud.bench.contestants import AbsentError, TrackScript
 from pneud.bench.disturbances import DISTURBANCES, Disturb, cpus_busy
@@ -32,8 +32,6 @@ from pneud.log.files.reader import read_log
 from pneud.verbs.bench import Contestant, bench
 from pure2c import TranslationError
 from pure2c.to_c import Translator
-
-pytestmark = pytest.mark.realtime
 
 MACHINE = {"kernel": "Linux", "cpu_model": "A CPU", "cpus": [0, 1], "hypervisor": "", "load": 0.5}
 SETTING = {"rate_hz": 1000.0, "scheduling": "SCHED_FIFO 80", "bus": "unixcan", "pairs": 2, "turn_s": 1.0}
@@ -392,7 +390,7 @@ def test_the_header_names_where_it_comes_from() -> None:
 
 def test_a_log_yields_the_durations_of_its_ticks(tmp_path: Path) -> None:
     log = tmp_path / "x.mcap"
-    assert pneud("sim", "virtual.toml", "--duration", "0.3", "-o", log).returncode in (0, 1)
+    assert pneud_here("sim", "virtual.toml", "--duration", "0.3", "-o", log).returncode in (0, 1)
     found = contestants.sample_of_log(log, 100, 200)
     assert found.ticks == 200
     assert len(found.durations_ns["lateness"]) == 200
@@ -431,6 +429,7 @@ def test_another_database_is_not_for_the_c_program(track: TrackScript, tmp_path:
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 @pytest.mark.parametrize("name", ["empty", "notifier", "c_program", "pneud"])
 def test_every_contestant_yields_a_sample(name: str, track: TrackScript) -> None:
     found = getattr(contestants, name)(track, 200.0, 0.5)
@@ -538,6 +537,7 @@ def test_disturbances_are_compared_with_quiet_turns(
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 @pytest.mark.parametrize("name", DISTURBANCES)
 def test_the_loop_misses_no_command_however_it_is_disturbed(name: str, track: TrackScript) -> None:
     found = contestants.pneud(track, 200.0, 0.8, DISTURBANCES[name])
@@ -546,12 +546,13 @@ def test_the_loop_misses_no_command_however_it_is_disturbed(name: str, track: Tr
 
 
 def test_a_usage_error_is_one_line() -> None:
-    done = pneud("bench", "--pairs", "0")
+    done = pneud_here("bench", "--pairs", "0")
     assert (done.returncode, done.stdout) == (2, "")
     assert len(done.stderr.splitlines()) == 1
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 def test_bench_as_its_user_runs_it(tmp_path: Path) -> None:
     page = tmp_path / "bench.html"
     done = pneud("bench", "--pairs", 1, "--rate-seconds", 0, "--json", "-o", page)

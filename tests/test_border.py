@@ -309,7 +309,6 @@ DAEMON += [Taken("--virtual --duration 0.3 --headless", "", "STATE_DIRECTORY")]
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 @pytest.mark.parametrize("taken", DAEMON, ids=ids)
 def test_a_daemon_takes_a_name_or_refuses_it(
     taken: Taken, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, short_runtime: None
@@ -431,7 +430,7 @@ NEW = "new x -o OUT.toml --cylinder 25/10 --stroke 200 --mass 3 --valve 350 --ye
 WORKING = [*SAYING, "sim --duration 0.01 --json", "sim --help", "doctor", "doctor --json", "check SCENARIO"]
 WORKING += ["replay LOG --json", "replay LOG --against LOG", "replay LOG --set control.k1=9e4"]
 WORKING += ["export LOG -o OUT.csv", "export LOG -o OUT.log", "import RECORDING --dbc DBC -o OUT.mcap"]
-WORKING += ["scenarios", "scenarios --json", "logs .", "logs . --json"]
+WORKING += ["scenarios", "scenarios --json", "logs .", "logs . --json", "nodes explain canopen.toml"]
 WORKING += ["commission --virtual --movement-test", "commission --virtual --movement-test --json"]
 WORKING += ["recover LOG -o OUT.mcap", "report LOG -o OUT.html", "install-service --destdir OUT"]
 WORKING += [f"learnt {GOLDEN}", f"learnt {GOLDEN} --json", NEW, f"{NEW} --json"]
@@ -499,7 +498,6 @@ def test_closed_standard_streams(words: str, closed: str, good: dict[str, str]) 
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 @pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
 def test_a_run_with_closed_streams_has_its_log(closed: str, tmp_path: Path, short_runtime: None) -> None:
     log = tmp_path / "x.mcap"
@@ -512,7 +510,6 @@ def test_a_run_with_closed_streams_has_its_log(closed: str, tmp_path: Path, shor
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 def test_a_run_whose_log_is_removed_meanwhile_says_so(tmp_path: Path, short_runtime: None) -> None:
     log = tmp_path / "gone" / "x.mcap"
     log.parent.mkdir()
@@ -525,7 +522,6 @@ def test_a_run_whose_log_is_removed_meanwhile_says_so(tmp_path: Path, short_runt
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 @pytest.mark.parametrize("words", ["--help", "check virtual.toml", "status"])
 def test_nobody_waits_for_the_end_of_a_start(words: str) -> None:
     """Ctrl-C while modules are loaded; before Python's own start is over, the signal ends the process."""
@@ -590,7 +586,6 @@ def test_what_the_disk_takes_no_more_of(taken: Taken, good: dict[str, str], tmp_
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 def test_a_run_that_cannot_begin_leaves_no_empty_log(tmp_path: Path, short_runtime: None) -> None:
     with no_file_longer_than(100_000):
         done = pneud("--virtual", "--headless", "--duration", "1", "--log", tmp_path / "x.mcap")

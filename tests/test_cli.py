@@ -195,13 +195,13 @@ def test_what_people_can_do_something_about_is_one_line_and_a_status(
     def fail(_: object) -> None:
         raise error
 
-    monkeypatch.setattr(check, "load", fail)
+    monkeypatch.setattr(check, "load_axes", fail)
     done = pneud_here("check", "virtual.toml")
     assert (done.returncode, done.stdout, done.stderr) == (status, "", says)
 
 
 def test_a_mistake_of_the_program_shows_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(check, "load", None)
+    monkeypatch.setattr(check, "load_axes", None)
     with pytest.raises(TypeError, match="not callable"):
         pneud_here("check", "virtual.toml")
 

@@ -9,15 +9,16 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from axis_rig import CLEAR, Rig, ready, same
+from axis_rig import CLEAR, Rig, quick, ready, same
 from pneud import resources
+from pneud.compiled.backend import INTERPRETED
 from pneud.config.proof import digest, keep, place
 from pneud.loading import Loaded, load
 from pneud.log.files.reader import LogReader
 from pneud.safety.faults import F, names
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Record, RequestKind, State, Tick
-from pneud.study.commissioning import procedure, testing
+from pneud.study.commissioning import procedure, steps, testing
 from pneud.study.commissioning.bench import Operator
 from pneud.study.commissioning.movement import Finding, Verdict
 from pneud.study.commissioning.steps import Step, dynamic, static
@@ -50,14 +51,14 @@ class Amid(NamedTuple):
             return [edges._replace(acts=edges.acts[at : at + 1])]
         return [step for step in static(p) + dynamic(p) if step.name == self.name][:1]
 
-    def is_under_way(self, rig: Rig) -> bool:
-        """As the axis is now."""
-        s = rig.axis.state
-        return s.supervisor.state == self.state and (not self.braking or s.probe.braked_ns != 0)
+    def is_under_way(self, rig: Rig, tick: Tick) -> bool:
+        """As the axis is since the last tick."""
+        return tick.state == self.state and (not self.braking or rig.axis.state.probe.braked_ns != 0)
 
 
 MOVEMENT = Amid("movement test", True, State.PROBING, after=1300)  # the valve's edge is passed
 BRAKING = Amid("braking", True, State.PROBING, after=3, braking=True)
+FIRST = Amid("first", False, State.PROBING, after=200)
 EDGES = Amid("edges", False, State.PROBING, after=1300)
 REST = Amid("rest", False, State.MOVING)
 MOVES = Amid("moves", False, State.MOVING)
@@ -71,7 +72,7 @@ FEW = (
     F.CONSOLE_LOST,
 )  # of the table, or all of it
 BRAKED = 4  # ticks, for which it lasts
-ALL = (MOVEMENT, BRAKING, EDGES, REST, MOVES, SINE, VERIFICATION)
+ALL = (MOVEMENT, BRAKING, FIRST, EDGES, REST, MOVES, SINE, VERIFICATION)
 
 
 CASES = [
@@ -90,7 +91,10 @@ class ReachedError(Exception):
 
 
 class Bench:
-    """The axis of a test's rig; its configuration and proof are kept as those of a daemon are."""
+    """The axis of a test's rig; its configuration and proof are kept as those of a daemon are.
+
+    The axis is compiled until something happens, which may be to its functions.
+    """
 
     tries, log_name = False, "run.mcap"
 
@@ -99,15 +103,17 @@ class Bench:
         self.happens: Callable[[], tuple[int, int]] | None = None  # kind of a request, ticks that are skipped
 
     def play(self, operator: Operator) -> None:
+        self.rig.go_on(quick())
         tick, under_way = self.rig.tick(), 0
         while operator.verdict is None:
             asked = operator.ask(tick.state, tick.present)
             kind, values = (0, ()) if asked is None else asked
             skipped = 0
-            under_way += under_way > 0 or self.amid.is_under_way(self.rig)
+            under_way += under_way > 0 or self.amid.is_under_way(self.rig, tick)
             if under_way == self.amid.after:
                 if self.happens is None:
                     raise ReachedError
+                self.rig.go_on(INTERPRETED)
                 other, skipped = self.happens()
                 kind, values = (other, ()) if other else (kind, values)
             tick = self.rig.tick(kind, *values, skipped=skipped)
@@ -153,6 +159,8 @@ def begun(loaded: Loaded, monkeypatch: pytest.MonkeyPatch) -> Callable[[Amid], B
     def bench(amid: Amid) -> Bench:
         monkeypatch.setattr(procedure, "_steps", lambda p, wishes: amid.steps(loaded))
         monkeypatch.setattr(procedure, "_learnt_edges", lambda *_: False)
+        if amid != FIRST:
+            monkeypatch.setattr(steps, "first", lambda p: [])
         if amid.braking:
             monkeypatch.setattr(testing, "touches", lambda *_: [])
         return Bench(amid, loaded, ready())

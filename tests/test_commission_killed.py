@@ -18,11 +18,11 @@ from pneud.config.proof import digest, keep, place
 from pneud.console.client import Client
 from pneud.loading import load
 from pneud.signals import State
-from pneud.study.commissioning import procedure
+from pneud.study.commissioning import procedure, steps
 from pneud.study.commissioning.steps import Step, dynamic, static
 from running import Running, running
 
-pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+pytestmark = pytest.mark.slow
 STEPS = {
     "movement test": State.PROBING,
     "edges": State.PROBING,
@@ -74,6 +74,8 @@ class Commissioning:
     def _commission(self, name: str) -> NoReturn:
         def one_step() -> None:
             procedure._steps = lambda p, wishes: steps_of(p, name)
+            procedure._learnt_edges = lambda *_: False
+            steps.first = lambda p: []
 
         words = ["commission", "--yes", "--json", "--socket", self._run.socket]
         become(words, self._said.fileno(), self._said.fileno(), one_step)

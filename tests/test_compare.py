@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from commands import pneud
+from commands import pneud_here as pneud
 from pneud.control.homogeneous import feedback
 from pneud.loading import load
 from pneud.rig.dynamics import advance, initial_state

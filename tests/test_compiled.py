@@ -10,7 +10,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from types import UnionType
@@ -253,12 +253,27 @@ def test_off_is_python() -> None:
 
 
 @pytest.fixture
+def made() -> Backend:
+    """From the usual cache; ask for it before `elsewhere`."""
+    return compiled()
+
+
+@pytest.fixture
 def elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     monkeypatch.delenv("CACHE_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     return tmp_path / "pneud" / "compiled"
 
 
+@pytest.fixture
+def unloaded() -> Iterator[None]:
+    """Nothing is loaded yet, and what a test loads does not stay."""
+    backend_module.built.cache_clear()
+    yield
+    backend_module.built.cache_clear()
+
+
+@pytest.mark.usefixtures("unloaded")
 def test_a_machine_without_compiler_computes_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "which", lambda _: None)
     found = backend("auto", PARAMETERS)
@@ -305,6 +320,7 @@ def test_a_law_that_was_cut_short_is_built_anew(elsewhere: Path) -> None:
     assert all(library.stat().st_size > 4096 for library in elsewhere.iterdir())
 
 
+@pytest.mark.usefixtures("unloaded")
 def test_a_law_that_computes_something_else_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     def off_by_one_bit(*arguments: Any) -> Any:
         state, tick = cycle(*arguments)
@@ -317,9 +333,9 @@ def test_a_law_that_computes_something_else_is_not_used(monkeypatch: pytest.Monk
 
 
 def test_what_has_been_compared_is_compared_again_only_where_something_differs(
-    monkeypatch: pytest.MonkeyPatch, elsewhere: Path
+    made: Backend, elsewhere: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made, compared = compiled(), []
+    compared = list[str]()
     monkeypatch.setattr(backend_module, "compiled", lambda: made)
     monkeypatch.setattr(backend_module, "sample", lambda one, _: compared.append(one.name))
     for _ in range(2):
@@ -336,9 +352,10 @@ def test_what_has_been_compared_is_compared_again_only_where_something_differs(
     assert len(compared) == 8, "a note that is not as it was written is none"
 
 
-def test_a_law_that_differs_is_not_noted(monkeypatch: pytest.MonkeyPatch, elsewhere: Path) -> None:
-    made = compiled()._replace(identity=b"another")
-    monkeypatch.setattr(backend_module, "compiled", lambda: made)
+def test_a_law_that_differs_is_not_noted(
+    made: Backend, elsewhere: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(backend_module, "compiled", lambda: made._replace(identity=b"another"))
     monkeypatch.setattr(backend_module, "sample", lambda one, _: one.name)
     for _ in range(2):
         assert backend("auto", PARAMETERS).reason == "the compiled law does not compute what Python does"

@@ -18,8 +18,6 @@ from pneud.safety.supervisor import is_engaged
 from pneud.signals import Answer, RequestKind, State
 from running import Running, patient_axis, running
 
-pytestmark = pytest.mark.realtime
-
 REST_S = 1.0
 ACTIVITIES = ("tracking", "jogging", "moving", "homing")
 QUICK = {("tracking", signal.SIGSTOP)}

@@ -18,6 +18,7 @@ from pneud import resources
 from pneud.config.conversions import axis_of, controller_of, model_of
 from pneud.config.models import Config
 from pneud.config.reading import parse, with_settings
+from pneud.config.toml import changed_text
 from pneud.console.protocol import ProtocolError
 from pneud.console.tuning import MODEL, Tuning, believing, keys, settings_of, values_of
 from pneud.control.adaptation import Learnt
@@ -26,7 +27,7 @@ from pneud.control.model import NAMES, Model, is_sound, remodelled
 from pneud.control.standstill import CLOSED
 from pneud.control.step import Controller, ControllerState, act, change
 from pneud.control.tunables import tunables, tuned
-from pneud.loading import changed_text, load
+from pneud.loading import load
 from pneud.log.files.naming import create_log
 from pneud.log.files.reader import read_log
 from pneud.log.files.writer import LogWriter

@@ -48,9 +48,10 @@ def test_it_is_what_cantools_says() -> None:
             assert signal.name == same.name
             assert (signal.start, signal.length, signal.signed) == (same.start, same.length, same.is_signed)
             # text tells 1 from 1.0, and the codecs make exact fractions of it
-            assert [repr(x) for x in signal[6:]] == [
+            assert [repr(x) for x in signal[6:11]] == [
                 repr(x) for x in (same.scale, same.offset, same.minimum, same.maximum, same.unit)
             ]
+            assert signal[11:] == (same.is_multiplexer, same.multiplexer_signal, ())
 
 
 def test_what_is_kept_is_the_same_to_the_last_digit(cache: Path, parses: list[bytes]) -> None:
@@ -95,6 +96,16 @@ def test_another_cantools_reads_anew(
         m.syspath_prepend(tmp_path)
         key = database._key(DBC)
     assert not (cache / f"{key}.json").exists()
+
+
+def test_a_process_whose_module_is_exchanged_keeps_nothing_for_the_other_one(
+    cache: Path, parses: list[bytes], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    messages(DBC, keep=True)
+    (tmp_path / "database.py").write_text("of another version")
+    monkeypatch.setattr(database, "__file__", str(tmp_path / "database.py"))
+    messages(DBC, keep=True)
+    assert len(list(cache.iterdir())) == len(parses) == 1
 
 
 def test_a_folder_that_others_may_write_to_is_not_used(cache: Path, parses: list[bytes]) -> None:

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from commands import object_of, pneud
+from commands import object_of
+from commands import pneud_here as pneud
 from pneud import resources
 from pneud.config.conversions import axis_of, plant_of
 from pneud.config.models import Config

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from axis_rig import Rig, ready, tracking, twin
+from axis_rig import Rig, quick, ready, tracking, twin
 from pneud.axis.doubt import DIGESTED, DIGESTING, LEAST_SHARE, hear_pressures, is_confirmed, listen
 from pneud.axis.state import AxisState, Doubt
 from pneud.safety.faults import F, names
@@ -72,6 +72,7 @@ BOTH = pytest.mark.parametrize("begun", [_at_peak, _at_rest], ids=["moving", "re
 def run(begun: Callable[[], Rig], change: Change, ticks: int) -> tuple[list[Tick], list[float]]:
     """The ticks, and where the load truly was."""
     rig = twin(begun())
+    rig.go_on(quick())
     began = rig.count
     rig.measurement = lambda m: change(m, rig.count - began)
     found, truth = [], []

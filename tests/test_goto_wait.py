@@ -195,7 +195,6 @@ def refusal_of(process: subprocess.Popen[str]) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 def test_over_a_running_daemon(tmp_path: Path) -> None:
     with daemon(tmp_path) as (process, path, log):
         at = ("--socket", path)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from axis_rig import ARM, CLEAR, DISARM, ENCODER, SHUTDOWN, Rig, loaded, twin
+from axis_rig import ARM, CLEAR, DISARM, ENCODER, SHUTDOWN, Rig, loaded, quick, twin
 from pneud import resources
 from pneud.axis.cycle import Axis
 from pneud.config import conversions
@@ -39,7 +39,7 @@ def unhomed(start_m: float = 0.05, plant: dict[str, Any] | None = None, **homing
     rig.axis = Axis(conversions.axis_of(c, loaded().codecs.command_lsb_v))
     x1 = start_m + c.cylinder.dead_length_1_m
     p = conversions.plant_of(c)._replace(initial_x1=x1, encoder_zero_m=start_m, **(plant or {}))
-    rig.node = PlantNode(p, loaded().codecs, 3)
+    rig.node = PlantNode(p, loaded().codecs, 3, advance=quick().advance)
     rig.until(State.DISARMED)
     while "unsettled" in names(rig.tick().present):
         assert rig.count < 200

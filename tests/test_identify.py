@@ -43,7 +43,7 @@ C = load("virtual.toml").config
 PLANT = plant_of(C)
 AIR = gas(1.4, 286.987, 293.0, 101_000.0, 600_000.0)
 FRICTION = forces.Slide(
-    *(np.array([x]) for x in (15.0, 3.0, 40.0, 0.4, 0.02, 60.0, 1e5, 300.0)),
+    *(np.array([x]) for x in (15.0, 3.0, 40.0, 0.4, 0.02, 60.0, 1e5, 300.0, 0.0)),
 )
 
 
@@ -64,6 +64,7 @@ def guess(**other: float) -> chambers.Guess:
         "play_v": 0.0,
         "exhaust": 1.0,
         "critical": 0.3,
+        "critical_out": 0.3,
         "wall_1_s": 0.0,
     }
     return chambers.Guess(**{name: np.asarray(x) for name, x in {**true, **other}.items()})
@@ -121,6 +122,8 @@ def test_chambers_are_those_of_the_plant() -> None:
     assert np.abs(found[1] - w.p2_pa).max() < 0.003 * moved
     leaking = chambers.simulate(w, guess(seep=0.01), rig(), False)[0]
     assert np.abs(leaking - found).max() > 100.0
+    apart = chambers.simulate(w, guess(critical_out=0.1), rig(), True)[0]
+    assert np.abs(apart - chambers.simulate(w, guess(), rig(), True)[0]).max() > 100.0
     assert (
         np.abs(chambers.spool(w, guess(play_v=0.05), rig()) - chambers.spool(w, guess(), rig())).max() > 0.01
     )
@@ -145,6 +148,15 @@ def test_steady_friction_is_stribecks(speed: float, sign: float, slips: bool) ->
     assert forces.friction(w, FRICTION, slips)[0, 0, -1] == pytest.approx(
         sign * (dry + 60.0 * speed), rel=1e-3
     )
+
+
+@pytest.mark.parametrize("slips", [False, True])
+def test_friction_may_differ_by_direction(slips: bool) -> None:
+    by_way = FRICTION._replace(forward=np.array([0.25]))
+    out, back = (
+        abs(forces.friction(windows_of(np.full(3000, v)), by_way, slips)[0, 0, -1]) for v in (0.5, -0.5)
+    )
+    assert out / back == pytest.approx(1.25 / 0.75, rel=1e-3)
 
 
 def test_forces_at_once_are_those_of_a_sliding_load() -> None:

@@ -66,10 +66,25 @@ def test_another_interface_gets_its_own_unit(interface: str, unit_name: str) -> 
     )
 
 
+def test_the_timer_starts_what_looks_for_wear(tmp_path: Path) -> None:
+    found = files(COMMAND, RIG)
+    timer, service = (found[UNITS / f"pneud-wear@.{kind}"] for kind in ("timer", "service"))
+    assert "OnCalendar=" in timer
+    (line,) = re.findall(r"^ExecStart=(.*)$", service, re.MULTILINE)
+    command, verb, *words = line.replace("%i", "rig").split()
+    assert (command, verb) == (str(COMMAND), "identify")
+    assert [word for word in words if word.startswith("/")] == [
+        "/var/lib/pneud/rig", "/var/lib/pneud/rig/wear.jsonl", "/var/lib/pneud/rig/wear.html",
+    ]  # fmt: skip
+    done = pneud_here(verb, *(word.replace("/var/lib/pneud/rig", str(tmp_path)) for word in words))
+    assert done.returncode == 2
+    assert f"{tmp_path}: holds no finished log" in done.stderr
+
+
 def test_every_unit_starts_the_command_of_this_installation() -> None:
     for path, text in files(Path("/srv/p/bin/pneud"), VCAN).items():
         assert "/opt/pneud" not in text
-        if path.name.startswith(("pneud@", "pneud-plant@")):
+        if path.name.startswith(("pneud@", "pneud-plant@", "pneud-wear@.service")):
             assert "ExecStart=/srv/p/bin/pneud " in text
 
 

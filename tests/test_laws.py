@@ -184,7 +184,7 @@ def test_a_log_with_changes_of_law_and_a_push_replays_from_anywhere(tmp_path: Pa
         here.dbc.read_bytes(), FAULT_NAMES, 0, {},
     )  # fmt: skip
     writer = LogWriter(create_log(tmp_path / "laws.mcap"), header)
-    run = Simulation(here, 2.2, requests=asked)
+    run = Simulation(here, 2.2, how=compiled(), requests=asked)
     answers = []
     for number, record in enumerate(run.records(), start=1):
         run.node.force_ext_n = 40.0 if 1000 <= number < 1600 else 0.0

@@ -47,7 +47,7 @@ def samples(text: str) -> dict[str, float]:
 
 @pytest.mark.parametrize("openmetrics", [False, True])
 def test_a_status_becomes_numbers_in_si(status: dict[str, Any], openmetrics: bool) -> None:
-    found = samples(text_of(status, openmetrics))
+    found = samples(text_of([status], openmetrics))
 
     def value(name: str, labels: str = "") -> float:
         return found[f'pneud_{name}{{axis="virtual"{labels}}}']
@@ -68,10 +68,10 @@ def test_a_status_becomes_numbers_in_si(status: dict[str, Any], openmetrics: boo
 
 def test_what_nobody_knows_has_no_sample(tmp_path: Path) -> None:
     with bench(tmp_path) as b:
-        text = text_of(b.ask(b.connect(), "status"))
+        text = text_of([b.ask(b.connect(), "status")])
     assert "nan" not in text.lower()
     assert "pneud_position_meters{" not in text
-    assert samples(text_of(None)) == {"pneud_up": 0.0}
+    assert samples(text_of([])) == {"pneud_up": 0.0}
 
 
 def test_names_follow_the_conventions(status: dict[str, Any]) -> None:
@@ -79,22 +79,28 @@ def test_names_follow_the_conventions(status: dict[str, Any]) -> None:
         assert re.fullmatch(r"[a-z0-9_]+", family.name)
         assert not re.search(r"_(total|us|ms|mm|bar|mb)$", family.name), "units of SI, and _total is added"
         assert not family.words.endswith(".")
-    text = text_of(status, openmetrics=True)
+    text = text_of([status], openmetrics=True)
     assert text.endswith("# EOF\n")
     assert text.count("# EOF") == 1
     for name, unit in re.findall(r"^# UNIT (\S+) (\S+)$", text, re.MULTILINE):
         assert name.endswith(f"_{unit}")
     assert "# TYPE pneud_ticks counter" in text
-    assert "# TYPE pneud_ticks_total counter" in text_of(status)
+    assert "# TYPE pneud_ticks_total counter" in text_of([status])
+
+
+def test_several_axes_are_told_apart_in_one_piece(status: dict[str, Any]) -> None:
+    text = text_of([status, {**status, "name": "second"}])
+    assert text.count('# TYPE pneud_up gauge\npneud_up{axis="virtual"} 1\npneud_up{axis="second"} 1\n') == 1
+    assert text.count("# TYPE pneud_lateness_seconds histogram") == 1
 
 
 def test_labels_are_escaped(status: dict[str, Any]) -> None:
-    assert 'bus="a\\"b\\\\c\\nd"' in text_of({**status, "bus": 'a"b\\c\nd'})
+    assert 'bus="a\\"b\\\\c\\nd"' in text_of([{**status, "bus": 'a"b\\c\nd'}])
 
 
 @pytest.mark.parametrize("name", ["alerts.yml", "dashboard.json"])
 def test_what_is_shipped_names_metrics_that_exist(status: dict[str, Any], name: str) -> None:
-    there = {line.partition("{")[0] for line in samples(text_of(status))}
+    there = {line.partition("{")[0] for line in samples(text_of([status]))}
     named = set(re.findall(r"\bpneud_[a-z_]+\b", (SHIPPED / name).read_text()))
     assert len(named) > 8
     assert named <= there
@@ -121,7 +127,7 @@ def promtool(*words: str, text: str = "") -> subprocess.CompletedProcess[str]:
 def test_prometheus_takes_rules_and_metrics(status: dict[str, Any]) -> None:
     rules = promtool("check", "rules", str(SHIPPED / "alerts.yml"))
     assert rules.returncode == 0, rules.stderr
-    metrics = promtool("check", "metrics", text=text_of(status))
+    metrics = promtool("check", "metrics", text=text_of([status]))
     assert (metrics.returncode, metrics.stdout + metrics.stderr) == (0, "")
 
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from axis_rig import quick
 from pneud import resources
 from pneud.config.conversions import axis_of, plant_of
 from pneud.config.flow import L_S_BAR, area_of, conductance_of
@@ -339,7 +340,7 @@ STANDS = ("moving_mass_kg = 15.0", "moving_mass_kg = 15.0\ninclination_deg = 90.
 )
 def test_an_axis_arms_and_holds(tmp_path: Path, plant: str, changes: tuple[tuple[str, str], ...]) -> None:
     file = written(tmp_path, plant, *changes, ("amplitude_m = 0.05", "amplitude_m = 0.0"))
-    run = Simulation(load(file), 3.0)
+    run = Simulation(load(file), 3.0, how=quick())
     tracked = [r for r in run.records() if r.tick.state == State.TRACKING]
     errors_m = [abs(r.tick.reference.position_m - r.truth_m) for r in tracked[2000:]]
     assert len(errors_m) > 500

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pneud.compiled.backend import INTERPRETED
+from axis_rig import quick
 from pneud.loading import load
 from pneud.log.files.naming import create_log
 from pneud.log.files.reader import read_log
@@ -48,7 +48,7 @@ def test_only_what_is_held_behind_it_can_settle(asked: list[Motion]) -> None:
 def test_a_move_is_judged_as_its_operator_and_its_plant_do(tmp_path: Path) -> None:
     loaded = load("virtual.toml")
     course = Course(moves_of("440"))
-    run = Simulation(loaded, 3.0, 1, INTERPRETED, operator=course.ask)
+    run = Simulation(loaded, 3.0, 1, quick(), operator=course.ask)
     writer = LogWriter(create_log(tmp_path / "move.mcap"), header_of(loaded))
     flow = []
     for record in run.records():
@@ -72,7 +72,7 @@ def test_a_move_is_judged_as_its_operator_and_its_plant_do(tmp_path: Path) -> No
 def test_a_log_that_was_never_engaged_has_no_motion(tmp_path: Path) -> None:
     loaded = load("virtual.toml")
     writer = LogWriter(create_log(tmp_path / "idle.mcap"), header_of(loaded))
-    for record in Simulation(loaded, 0.05, 1, INTERPRETED, requests={}).records():
+    for record in Simulation(loaded, 0.05, 1, quick(), requests={}).records():
         writer.write(record)
     assert writer.close()
     assert motions(read_log(tmp_path / "idle.mcap")) == []

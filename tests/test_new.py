@@ -8,12 +8,14 @@ import pty
 import re
 import subprocess
 import sys
+from contextlib import chdir
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from commands import pneud_here
 from pneud.config import library
 from pneud.config.conversions import cylinder_of
 from pneud.config.flow import conductance_of
@@ -32,15 +34,8 @@ MIDDLE = {"cylinder": "dsbc-32", "valve": "mpye-5-1-8-lf", "stroke_mm": "300", "
 
 
 def pneud(folder: Path, *args: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "pneud.cli", *args],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        stdin=subprocess.DEVNULL,
-        check=False,
-    )
+    with chdir(folder):
+        return pneud_here(*args)
 
 
 @pytest.mark.parametrize("name", library.names(library.VALVES))

@@ -22,6 +22,7 @@ NOT_HERE = {
     r"make (information|strange)\b.*": "minutes; tests/test_hil_commands.py runs a part of each",
     r"python -m hil\.second_rig .*": "the rig of another program; tests/test_second_rig.py runs it",
     r"pneud --config axis\.toml --bus unixcan:demo": "the axis of that rig; likewise",
+    r"make -C hil/foreign|hil/foreign/node .*": "SocketCAN; tests/vm builds and runs it",
     r"apt install .*": "root and a network",
     r"(ip|sudo) .*": "root",
     r"systemctl .*|python3 -m venv /opt/pneud|/opt/pneud/.*": "root, systemd; tests/vm/test_service.py",
@@ -35,6 +36,7 @@ NOT_HERE = {
     r"pneud identify ((monday|last|bus)\.mcap.*|.*--against .*)": "ten seconds each; tests/test_identify.py",
     r"pneud report .* --reference .*": "bench takes minutes; tests/test_reporting.py",
     r"pneud web .*--tls-cert .*": "a certificate; tests/test_web_page.py makes one",
+    r"pneud map --bus socketcan:can0 .*": "a rig; tests/test_map.py listens on unixcan",
     r"candump .*|pneud .*socketcan:vcan0.*": "SocketCAN; tests/vm runs daemon and rig over vcan0",
 }
 # Pages that take a rig from some command on
@@ -177,8 +179,7 @@ def done(desk: Desk, step: Step, names: dict[str, object], refused: dict[str, in
 def sections_exist(text: str) -> None:
     """A part of a configuration is one: put over that of the virtual axis, it can be read."""
     from pneud import resources  # noqa: PLC0415
-    from pneud.config.toml import tables_of  # noqa: PLC0415
-    from pneud.loading import changed_text  # noqa: PLC0415
+    from pneud.config.toml import changed_text, tables_of  # noqa: PLC0415
 
     base = (resources.configs() / "virtual.toml").read_text(encoding="utf-8")
     parse(changed_text(base, tables_of(text)), "the page")

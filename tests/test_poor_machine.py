@@ -9,8 +9,6 @@ import pytest
 
 from commands import PNEUD, background, children, eventually
 
-pytestmark = pytest.mark.realtime
-
 LIMIT_S = 60.0
 
 
@@ -47,6 +45,7 @@ def test_what_is_refused_is_said_in_lines(limits: tuple[str, str], tmp_path: Pat
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 @pytest.mark.parametrize("which", range(3), ids=["recorder", "console", "plant"])
 def test_a_process_of_the_crew_that_is_killed(which: int, tmp_path: Path) -> None:
     with background(*words(tmp_path / "x.mcap", 2.5)) as process:

@@ -26,7 +26,7 @@ from pneud.study.commissioning import procedure, written
 from pneud.study.commissioning.bench import Simulated
 from pneud.study.commissioning.live import Live
 from pneud.study.commissioning.playing import PATIENCE_S, Played, Player
-from pneud.study.commissioning.steps import Step, dynamic, ground_of, reach_m, static
+from pneud.study.commissioning.steps import Step, dynamic, first, ground_of, reach_m, static
 from pneud.study.identification import estimating
 from pneud.study.identification.motions import MOTIONS
 from pneud.study.identification.parameters import Estimate
@@ -84,7 +84,7 @@ def ended(
 @pytest.mark.parametrize("change", [{}, {"limits": {"travel_min_m": 0.4, "travel_max_m": 0.55}}])
 def test_all_steps_lie_within_the_limits(change: dict[str, Any]) -> None:
     p = procedure.axis_of(load("virtual.toml", change=change))
-    steps = static(p) + dynamic(p)
+    steps = first(p) + static(p) + dynamic(p)
     low_m, high_m = soft_limits(p)
     assert all(low_m <= at_m <= high_m for at_m in reach_m(steps))
     for request in (r for step in steps for act in step.acts for r in act.requests):
@@ -95,7 +95,7 @@ def test_all_steps_lie_within_the_limits(change: dict[str, Any]) -> None:
             assert request.values[3] <= MOST_SPEED_M_S
     assert {step.name for step in steps} == {"rest", "edges", "moves", "sine"}
     assert all(step.seconds > 0.0 and "mm" in step.words for step in steps)
-    assert len(steps) == len(MOTIONS)
+    assert len(steps) == 1 + len(MOTIONS)
 
 
 def test_what_is_slow_comes_first(virtual: Loaded) -> None:
@@ -292,7 +292,7 @@ def test_edges_that_are_of_no_use_do_not_stay_in_the_file(
 
     file = copied(tmp_path)
     before = file.read_text()
-    came_to = [Played("a fault", ("tracking_error",)), by]
+    came_to = [Played(), Played("a fault", ("tracking_error",)), by]
 
     def played(*_: object) -> Played:
         one = came_to.pop(0)
@@ -329,7 +329,6 @@ def live(folder: Path) -> Iterator[tuple[Live, Path]]:
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 def test_the_same_steps_on_a_daemon_which_begins_anew(tmp_path: Path) -> None:
     with live(tmp_path) as (rig, file):
         announced: list[str] = []
@@ -352,7 +351,6 @@ def test_the_same_steps_on_a_daemon_which_begins_anew(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 def test_somebody_elses_stop_ends_them_on_a_daemon(tmp_path: Path) -> None:
     with running(tmp_path) as run:
         rig = Live(lambda: Client(run.socket), load(tmp_path / "patient.toml"))

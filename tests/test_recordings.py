@@ -32,7 +32,7 @@ INFERRED = "requests were inferred from Enable: nothing tells what else was aske
 def run(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """The frames of a short run, in the order in which they were on the bus."""
     folder = tmp_path_factory.mktemp("run")
-    simulated(folder / "x.mcap", 0.5)
+    simulated(folder / "x.mcap", 0.3)
     assert pneud_here("export", folder / "x.mcap", "-o", folder / "x.log").returncode == 0
     found = [(p.frame, bool(p.sent)) for p in traffic.read(folder / "x.log")]
     return sorted(found, key=lambda pair: pair[0].stamp_ns)

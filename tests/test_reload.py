@@ -11,7 +11,7 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from axis_rig import ARM, PERIOD_NS, Rig, assert_smooth, loaded, ready, twin
+from axis_rig import ARM, PERIOD_NS, Rig, assert_smooth, loaded, quick, ready, twin
 from pneud.axis.cycle import Axis, AxisState
 from pneud.axis.requests import NOTHING, Asked, ask
 from pneud.config.conversions import axis_of
@@ -412,7 +412,7 @@ def parts(tmp_path_factory: pytest.TempPathFactory) -> Path:
         900: Request(GAINS, (*NOW, *OTHER._replace(amplitude_m=0.9))),
         1300: Request(GAINS, (*NOW[:1], 9e4, *NOW[2:], 0.46, 0.02, 3.0)),
     }
-    run = Simulation(loaded(), 1.6, 2, requests=requests)
+    run = Simulation(loaded(), 1.6, 2, quick(), requests)
     here = loaded()
     header = LogHeader(
         "virtual", "simulated", 1000.0, "full", here.path.name, here.text, here.dbc.name,

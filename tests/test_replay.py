@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from axis_rig import quick
 from commands import object_of
 from commands import pneud_here as pneud
 from pneud import resources
@@ -210,7 +211,7 @@ def test_a_log_with_requests_of_every_kind_replays_to_the_bit(tmp_path: Path) ->
     )  # fmt: skip
     writer = LogWriter(create_log(path), header)
     states, answers = set(), set()
-    for record in Simulation(here, 3.6, requests=asked).records():
+    for record in Simulation(here, 3.6, how=quick(), requests=asked).records():
         writer.write(record)
         states.add(record.tick.state)
         answers.add(record.tick.answer)

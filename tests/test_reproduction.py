@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from commands import no_json, pneud
+from commands import no_json, pneud, pneud_here
 from pneud.control.homogeneous import feedback
 from pneud.physics.cylinder import F1_FLOOR, F1_exhaust, F1_fill
 from pneud.rig.dynamics import initial_state
@@ -368,7 +368,7 @@ def test_without_matplotlib_it_says_what_to_install(tmp_path: Path, monkeypatch:
 
 def test_a_folder_that_cannot_be_made_is_said_before_the_work(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    done = pneud("reproduce", "-o", tmp_path / "file")
+    done = pneud_here("reproduce", "-o", tmp_path / "file")
     assert (done.returncode, done.stdout) == (2, "")
     assert len(done.stderr.splitlines()) == 1
     assert str(tmp_path / "file") in done.stderr

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from pneud import resources
-from pneud.config.reading import load_config
 from pneud.config.sections import ConfigError
+from pneud.loading import load
 
 ROOT = Path(__file__).parent.parent
 
@@ -24,8 +24,7 @@ def test_every_configuration_loads_by_its_bare_name(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    config = load_config(path.name)
-    assert resources.find(config.bus.dbc, beside=path.parent).is_file()
+    assert load(path.name).dbc.is_file()
 
 
 def test_the_working_directory_wins_over_what_comes_with_pneud(
@@ -75,7 +74,7 @@ def test_a_missing_file_is_named_in_one_line_with_the_places_searched(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError) as error:
-        load_config("nowhere.toml")
+        load("nowhere.toml")
     text = str(error.value)
     assert "nowhere.toml" in text and str(ROOT / "configs") in text
     assert "\n" not in text

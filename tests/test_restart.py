@@ -43,7 +43,6 @@ def test_words_behind_it_are_malformed() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 def test_a_daemon_begins_anew_with_what_its_file_says(tmp_path: Path) -> None:
     with running(tmp_path, log_name="logs") as run:
         file = tmp_path / "patient.toml"
@@ -87,7 +86,6 @@ def test_a_daemon_begins_anew_with_what_its_file_says(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 def test_scheduling_of_the_run_before_is_given_back(tmp_path: Path) -> None:
     with running(tmp_path, log_name="logs") as run:
         first = children(run.process.pid)
@@ -103,7 +101,6 @@ def children(pid: int) -> set[int]:
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 def test_a_log_that_is_named_is_not_written_again(tmp_path: Path) -> None:
     with running(tmp_path) as run, Client(run.socket) as client:
         with pytest.raises(RefusedError, match=r"run\.mcap is this run's log; give --log a folder"):
@@ -112,7 +109,6 @@ def test_a_log_that_is_named_is_not_written_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 def test_an_axis_that_failed_its_test_is_armed_for_this_run_by_whoever_insists(tmp_path: Path) -> None:
     with running(tmp_path, log_name="logs") as run:
         axis = load(tmp_path / "patient.toml")

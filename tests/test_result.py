@@ -43,11 +43,16 @@ def told(
     ready = SimpleNamespace(
         options=SimpleNamespace(json=False, virtual=virtual, arm=arm),
         scenario=scenario,
+        struck=0,
         link=SimpleNamespace(name="unixcan:x", tx=20, rx_dropped=0),
-        config=SimpleNamespace(loop=SimpleNamespace(rate_hz=1000.0)),
-        log_file=log,
     )
-    session = SimpleNamespace(ready=ready, ring=ring, reports=[], effects=None, recorded=recorded)
+    axis = SimpleNamespace(
+        config=SimpleNamespace(loop=SimpleNamespace(rate_hz=1000.0)),
+        ready=SimpleNamespace(log_file=log),
+        ring=ring,
+        recorded=recorded,
+    )
+    session = SimpleNamespace(ready=ready, axes=[axis], reports=[], effects=None)
     tally = Tally(truth=False, timed=True)
     tally.state = int(State.FAULT if latched else State.TRACKING)
     tally.ever_latched = latched
@@ -56,7 +61,7 @@ def told(
         axis=SimpleNamespace(failure=None),
     )
     lane = SimpleNamespace(tally=tally, turn=turn, operated=False)
-    return tell(cast(Any, session), cast(Any, lane))
+    return tell(cast(Any, session), [cast(Any, lane)])
 
 
 @pytest.fixture

@@ -18,7 +18,8 @@ from pneud.bus.wire import CAN_ERR_FLAG
 from pneud.config.models import BusConfig
 from pneud.config.reading import parse
 from pneud.config.sections import ConfigError
-from pneud.loading import load, toml_text
+from pneud.config.toml import toml_text
+from pneud.loading import load
 from pneud.replay.lockstep import Simulation, backend_of
 from pneud.rig.damage import UNDAMAGED, advance_damaged
 from pneud.rig.dynamics import PlantState, advance, initial_state

@@ -21,7 +21,7 @@ from pneud.log.format.records import LoggedTick
 from pneud.signals import Answer, RequestKind
 from running import patient_axis, serves
 
-pytestmark = [pytest.mark.slow, pytest.mark.realtime]
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture

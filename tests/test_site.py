@@ -85,13 +85,25 @@ def test_the_checksum_in_c_is_that_of_the_vectors(tmp_path: Path) -> None:
     if compiler is None:
         pytest.skip("no C compiler here")
     text = firmware.text()
-    (code,) = (step.text for step in steps(FOLDER / "firmware.md") if step.kind == "c")
+    code = "".join(step.text for step in steps(FOLDER / "firmware.md") if step.kind == "c")
     frames = re.findall(r"^\| `(\w{3})` \| `((?:\w\w ){7}\w\w)` \|", text, re.MULTILINE)
     assert len(frames) == 8
     lines = []
     for identifier, data in frames:
         values = ", ".join(f"0x{byte}" for byte in data.split())
         lines.append(f"{{ uint8_t f[] = {{ {values} }}; wrong += pneud_crc(0x{identifier}, f, 7) != f[7]; }}")
+    others = re.findall(r"^\| `(e2e-p0\d)` \| (?:both)? \| (.*) \|", text, re.MULTILINE)
+    assert len(others) == 3
+    ids = "static const uint8_t ids[] = { 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16 };"
+    of = {"e2e-p01": "0x123, ", "e2e-p02": "ids, ", "e2e-p05": "0x1234, "}
+    for name, shown in others:
+        for data in re.findall(r"`([^`]+)`", shown):
+            values = ", ".join(f"0x{byte}" for byte in data.split())
+            found = "(f[0] | f[1] << 8)" if name == "e2e-p05" else "f[0]"
+            call = f"{name.replace('-', '_')}({of[name]}f, 8)"
+            lines.append(f"{{ uint8_t f[] = {{ {values} }}; wrong += {call} != {found}; }}")
+    assert len(lines) == 17
+    lines.insert(0, ids)
     (tmp_path / "t.c").write_text(
         f"{code}int main(void) {{ int wrong = 0; {' '.join(lines)} return wrong; }}"
     )

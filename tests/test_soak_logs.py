@@ -22,7 +22,7 @@ BETWEEN_MB = 0.5  # what a part may have beyond its size: as much as comes betwe
 @pytest.mark.parametrize(
     ("duration_s", "quota_mb", "part_mb"),
     [
-        pytest.param(24, 1.6, 0.4, id="few", marks=pytest.mark.slow),
+        pytest.param(16, 1.6, 0.4, id="few", marks=pytest.mark.slow),
         pytest.param(600, 64.0, 2.0, id="all", marks=pytest.mark.soak),
     ],
 )

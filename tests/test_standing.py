@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import cache
 from typing import Any, NamedTuple
 
 import pytest
@@ -16,11 +15,10 @@ from pneud.config.conversions import axis_of, plant_of
 from pneud.control.adaptation import Adaptation
 from pneud.control.reference import Sine, rest, septic, sine, way
 from pneud.loading import load
-from pneud.rt.folders import cache_folder
 from pneud.signals import HUNTING_CURES, Hunting, RequestKind, State
 from pneud.study import trial
 from pneud.study.trial import Errand
-from pure2c import BuildError, compile_functions
+from test_standstill import ticks_of
 
 MS = 1_000_000
 P = Expected(
@@ -179,14 +177,6 @@ class Stood(NamedTuple):
     ticks: int
 
 
-@cache
-def one_tick() -> Any:
-    try:
-        return compile_functions([trial.tick], cache=cache_folder("compiled")).functions[0]
-    except (BuildError, OSError):
-        return trial.tick
-
-
 def rested(seconds: float, adapts: bool = True, **changes: Any) -> Stood:
     """A second of sine, then rest, with changes of virtual.toml and of its plant."""
     here = load("virtual.toml", None, changes)
@@ -199,11 +189,11 @@ def rested(seconds: float, adapts: bool = True, **changes: Any) -> Stood:
         way(septic(1.0, sine(1.0, motion), rest(centre_m))), Sine(centre_m, 0.0, motion.omega_rad_s)
     )
     for i in range(2_000):
-        pair = one_tick()(pair, i * c.h, i == 0, joining, c, plant, 10.0 / 4096)
+        pair = ticks_of()[1](pair, i * c.h, i == 0, joining, c, plant, 10.0 / 4096)
     s, found, inside = AT_WORK, set(), 0
     for i in range(1_000 + round(1e3 * seconds)):
         before_v = pair.last_v
-        pair = one_tick()(pair, i * c.h, False, leaving, c, plant, 10.0 / 4096)
+        pair = ticks_of()[1](pair, i * c.h, False, leaving, c, plant, 10.0 / 4096)
         if i < 1_000:
             continue
         m = pair.state.motion

@@ -6,8 +6,7 @@ from functools import cache
 
 import pytest
 
-from axis_rig import ARM, Rig
-from pneud.axis.cycle import Axis
+from axis_rig import ARM, Rig, quick
 from pneud.axis.state import INSIDE, AxisParameters
 from pneud.axis.stops import (
     BEYOND_M,
@@ -38,7 +37,7 @@ def on_stop(front: bool, p1_pa: float = 3e5, p2_pa: float = 3e5, load_n: float =
     """Disarmed, and lying on a stop."""
     rig = Rig()
     p = rig.axis.parameters
-    rig.axis = Axis(p._replace(limits=p.limits._replace(**limits)))  # type: ignore[arg-type]
+    rig.axis = quick().axis(p._replace(limits=p.limits._replace(**limits)))  # type: ignore[arg-type]
     k = p.controller.cylinder
     x1 = k.x_e1 + (k.stroke_m if front else 0.0)
     rig.node._state = rig.node._state._replace(x1=x1, p1=p1_pa, p2=p2_pa)

@@ -30,8 +30,6 @@ from pneud.log.format.schema import DERIVED, tick_fields, topics
 from pneud.resources import configs
 from pneud.view.viewers import Listener
 
-pytestmark = pytest.mark.realtime
-
 CLIENTS = Path(__file__).parent / "clients"
 VIEWERS = configs() / "viewers"
 
@@ -65,6 +63,7 @@ def free_port() -> int:
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 def test_a_viewers_client_plots_the_sine(tmp_path: Path) -> None:
     port = free_port()
     where = f"127.0.0.1:{port}"

@@ -6,23 +6,23 @@ import itertools
 import json
 import math
 import os
-import re
 import secrets
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import can
 import pytest
 
 from commands import background, children, eventually, kill, object_of, pneud
-from pneud import resources
 from pneud.bus.link import open_link
 from pneud.log.files.naming import open_log
 from pneud.log.files.reader import read_log
 from pneud.signals import Frame, State, ValveState
+from running import patient_axis
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 COMMAND, SYNC, ENCODER, PRESSURE, STATUS = 0x203, 0x080, 0x181, 0x182, 0x183
@@ -40,21 +40,31 @@ TIMEOUT_MS = 250
 @pytest.fixture
 def axis(tmp_path: Path) -> Path:
     """The virtual axis with time-outs that a stall of a shared machine does not reach."""
-    text = (resources.configs() / "virtual.toml").read_text()
-    text, count = re.subn(r"_timeout_ms = 50\.0", f"_timeout_ms = {TIMEOUT_MS}.0", text)
-    assert count == 3
-    file = tmp_path / "patient.toml"
-    file.write_text(text)
+    file = patient_axis(tmp_path)
+    assert file.read_text().count(f"_timeout_ms = {TIMEOUT_MS}.0") == 3
     return file
 
 
-def test_a_virtual_run_tracks_and_replays_to_the_bit(axis: Path, tmp_path: Path) -> None:
-    log = tmp_path / "run.mcap"
-    done = pneud("--virtual", "--config", axis, "--duration", 8, "--headless", "--json", "--log", log)
+class Ran(NamedTuple):
+    """A run that nothing has happened to."""
+
+    log: Path
+    summary: dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Ran:
+    folder = tmp_path_factory.mktemp("ran")
+    log, axis = folder / "run.mcap", patient_axis(folder)
+    done = pneud("--virtual", "--config", axis, "--duration", 5, "--headless", "--json", "--log", log)
     assert done.returncode == 0, done.stderr
-    s = object_of(done)
+    return Ran(log, object_of(done))
+
+
+def test_a_virtual_run_tracks_and_replays_to_the_bit(ran: Ran) -> None:
+    log, s = ran
     assert s["state"] == "tracking"
-    assert s["ticks"] + s["skipped"] == 8000
+    assert s["ticks"] + s["skipped"] == 5000
     assert s["frames"]["lost"] == s["frames"]["crc"] == s["frames"]["stale"] == 0
     assert s["log_dropped"] == 0
     assert s["faults"] == []
@@ -70,10 +80,8 @@ def test_a_virtual_run_tracks_and_replays_to_the_bit(axis: Path, tmp_path: Path)
     assert again["engaged_ticks"] > 0.9 * s["ticks"]
 
 
-def test_one_command_a_tick_answers_this_ticks_sync(axis: Path, tmp_path: Path) -> None:
-    log = tmp_path / "run.mcap"
-    assert pneud("--virtual", "--config", axis, "--duration", 2, "--headless", "--log", log).returncode == 0
-    ticks = list(read_log(log))
+def test_one_command_a_tick_answers_this_ticks_sync(ran: Ran) -> None:
+    ticks = list(read_log(ran.log))
     assert [t.state for t in ticks[:5]] == [State.STARTING] * 5
     for t in ticks:
         sync, command = t.sent
@@ -209,7 +217,7 @@ def test_the_daemon_killed_means_that_the_valve_node_centres_and_the_log_is_fini
 def test_the_recorder_killed_means_that_control_goes_on_and_says_so(axis: Path, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     with background(
-        "--virtual", "--config", axis, "--headless", "--json", "--duration", 5, "--log", log
+        "--virtual", "--config", axis, "--headless", "--json", "--duration", 3, "--log", log
     ) as daemon:
         eventually(lambda: log.exists() and log.stat().st_size > 100_000)
         kill(children(daemon.pid)[0])
@@ -217,7 +225,7 @@ def test_the_recorder_killed_means_that_control_goes_on_and_says_so(axis: Path, 
         assert daemon.returncode == 1, "the run went well, but its log is lost"
     s = json.loads(out)
     assert s["state"] == "tracking"
-    assert s["ticks"] + s["skipped"] == 5000
+    assert s["ticks"] + s["skipped"] == 3000
     assert s["log_dropped"] > 0
     assert f"the log lacks {s['log_dropped']} records: the recorder was lost" in err
     again = object_of(pneud("replay", log, "--json"))
@@ -274,7 +282,7 @@ def test_a_second_controller_centres_the_axis(axis: Path, tmp_path: Path, bus: s
 def test_ctrl_z_stops_nothing(axis: Path, tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     with background(
-        "--virtual", "--config", axis, "--headless", "--json", "--duration", 3, "--log", log
+        "--virtual", "--config", axis, "--headless", "--json", "--duration", 2, "--log", log
     ) as daemon:
         eventually(lambda: log.exists() and log.stat().st_size > 50_000)
         for pid in (daemon.pid, *children(daemon.pid)):
@@ -289,11 +297,8 @@ def test_two_runs_at_once_get_two_logs(tmp_path: Path) -> None:
     assert len(names) == 5
 
 
-def test_the_log_holds_what_the_valve_did(axis: Path, tmp_path: Path) -> None:
-    log = tmp_path / "run.mcap"
-    assert pneud("--virtual", "--config", axis, "--duration", 2, "--headless", "--log", log).returncode == 0
-    ticks = list(read_log(log))
-    tracking = [t for t in ticks if t.state == State.TRACKING]
+def test_the_log_holds_what_the_valve_did(ran: Ran) -> None:
+    tracking = [t for t in read_log(ran.log) if t.state == State.TRACKING]
     assert tracking[-1].measurement.valve_state == ValveState.ENABLED
     # what was applied is what was commanded one tick before, to the resolution of the DAC
     pairs = [
@@ -305,12 +310,10 @@ def test_the_log_holds_what_the_valve_did(axis: Path, tmp_path: Path) -> None:
     assert close > 0.95 * len(pairs)
 
 
-def test_flipping_one_bit_of_one_encoder_frame_is_found(axis: Path, tmp_path: Path) -> None:
+def test_flipping_one_bit_of_one_encoder_frame_is_found(ran: Ran, tmp_path: Path) -> None:
     from test_replay import rewritten  # noqa: PLC0415
 
-    log = tmp_path / "run.mcap"
-    assert pneud("--virtual", "--config", axis, "--duration", 2, "--headless", "--log", log).returncode == 0
-    flipped = rewritten(log, tmp_path / "flipped.mcap", tick=800)
+    flipped = rewritten(ran.log, tmp_path / "flipped.mcap", tick=800)
     done = pneud("replay", flipped)
     assert done.returncode == 1
     assert "first at tick 800:" in done.stdout

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from axis_rig import quick
 from commands import object_of
 from commands import pneud_here as pneud
 from log_samples import noisy, write_log
@@ -35,7 +36,7 @@ SNAPSHOT = 250
 def simulated(path: Path, seed: int = 3, duration_s: float = 1.2) -> None:
     """A simulated run in parts, with full detail."""
     loaded = load("virtual.toml")
-    run = Simulation(loaded, duration_s, seed)
+    run = Simulation(loaded, duration_s, seed, quick())
     header = LogHeader(
         "virtual", "simulated", 1000.0, "full", loaded.path.name, loaded.text, loaded.dbc.name,
         loaded.dbc.read_bytes(), FAULT_NAMES, 0, {},

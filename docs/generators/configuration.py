@@ -18,6 +18,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from pneud.config.mapping import MessageConfig, SignalConfig, SignalsConfig
 from pneud.config.models import Config, FrameConfig, FramesConfig
 from pneud.config.sections import Section
 
@@ -30,7 +31,15 @@ A configuration is one TOML file. Unknown keys are errors; `pneud check FILE` na
 of the names, all SI; pressures are absolute. A key that is required has to be given where its table is.
 """
 UNITS = (
-    *(("_n_s_m", "N s/m"), ("_n_s2", "N/s²"), ("_n_rs", "N/√s"), ("_j_kg_k", "J/(kg K)"), ("_n_m", "N/m")),
+    *(
+        ("_per_m", "1/m"),
+        ("m_per_count", "m"),
+        ("_n_s_m", "N s/m"),
+        ("_n_s2", "N/s²"),
+        ("_n_rs", "N/√s"),
+        ("_j_kg_k", "J/(kg K)"),
+        ("_n_m", "N/m"),
+    ),
     *(("_rad_s", "rad/s"), ("_bit_s", "bit/s"), ("_m_s3", "m/s³"), ("_m_s2", "m/s²"), ("_m_s", "m/s")),
     *(
         ("_v_s", "V/s"),
@@ -49,6 +58,7 @@ UNITS = (
     ),
     *(("_us", "µs"), ("_s", "s"), ("_n", "N"), ("_v", "V"), ("_k", "K"), ("_mb", "MB")),
 )
+APART = (SignalsConfig | None, dict[str, MessageConfig])  # in sections of their own
 SIGNS = {Gt: ">", Ge: "≥", Lt: "<", Le: "≤"}
 KEY = re.compile(r"    (\w+): .*?(?:  # (.+))?$")
 
@@ -95,10 +105,18 @@ def kind(annotation: Any, metadata: Any = ()) -> str:
         )
     if origin in (Union, UnionType):
         return " or ".join(kind(one, metadata) for one in get_args(annotation) if one is not NoneType)
+    if (
+        origin is tuple
+        and isinstance(first := get_args(annotation)[0], type)
+        and issubclass(first, BaseModel)
+    ):
+        return "list of tables"
     if origin is tuple:
         return f"list of: {kind(get_args(annotation)[0])}"
     if origin is dict:
-        return "table of texts"
+        return "table of whole numbers" if get_args(annotation)[1] is int else "table of texts"
+    if annotation is SignalConfig:
+        return "text, table or number"
     if annotation is bool:
         return "`true`, `false`"
     if annotation is str:
@@ -129,9 +147,11 @@ def default(field: FieldInfo) -> str:
 def tables(model: type[BaseModel], path: str = "") -> Iterator[str]:
     """A section for each table, in the order of the models."""
     said = meanings(model)
-    plain = [(n, f) for n, f in model.model_fields.items() if not is_table(f)]
+    plain = [(n, f) for n, f in model.model_fields.items() if not is_table(f) and f.annotation not in APART]
+    path, lists = path.strip("[]"), path.startswith("[")
     if plain:
-        yield f"\n## {f'`[{path}]`' if path else 'At the top'}\n"
+        shown = f"[[{path}]]" if lists else f"[{path}]"
+        yield f"\n## {f'`{shown}`' if path else 'At the top'}\n"
         yield f"{inspect.getdoc(model)}\n"
         yield "| key | value | unit | default | |\n|---|---|---|---|---|"
         for name, field in plain:
@@ -145,6 +165,11 @@ def tables(model: type[BaseModel], path: str = "") -> Iterator[str]:
             yield from tables(field.annotation, f"{path}.{name}" if path else name)
             if field.annotation is FramesConfig:
                 yield from frames()
+                yield from tables(SignalsConfig, "bus.signals")
+                yield from tables(SignalConfig, "bus.signals.VALUE")
+                yield from tables(MessageConfig, "bus.messages.MESSAGE")
+        elif (inner := listed(field)) is not None:
+            yield from tables(inner, f"[{path}.{name}]" if path else f"[{name}]")
 
 
 def frames() -> Iterator[str]:
@@ -156,9 +181,17 @@ def frames() -> Iterator[str]:
         yield f"| `{role}` | `{frame.message}` | {signals or '–'} |"
 
 
+def listed(field: FieldInfo) -> type[BaseModel] | None:
+    """The model of a key that is a list of tables."""
+    of = get_args(field.annotation)
+    found = of[0] if get_origin(field.annotation) is tuple and of else None
+    return found if isinstance(found, type) and issubclass(found, BaseModel) else None
+
+
 def is_table(field: FieldInfo) -> bool:
     """Whether a key has a table of its own."""
-    return isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)
+    kind = field.annotation
+    return isinstance(kind, type) and issubclass(kind, BaseModel) and kind is not SignalConfig
 
 
 def text() -> str:

@@ -9,7 +9,10 @@ from generators.tables import HEAD, table
 from pneud.bus.codec import Codec, Codecs, load_codecs
 from pneud.bus.crc8 import FINAL_XOR, POLYNOMIAL, START, crc8, identifier_state, update
 from pneud.bus.lag import AGREE, MOST
+from pneud.bus.protection import RULES as BITS
+from pneud.bus.protection import checksum
 from pneud.config.models import BusConfig
+from pneud.config.protection import DataIdMode, Protection
 from pneud.rig.valvenode import ValveNode
 from pneud.signals import ValveState
 
@@ -81,6 +84,8 @@ Whole frames, byte 0 first. A receiver has to accept each and, SYNC apart, nothi
 * `SYNC.Counter` is 1 … 240, as in CANopen, and `VALVE_COMMAND.Sequence` repeats that of the SYNC whose answers led to this command. Neither
   has to be looked at.
 
+[Another rule](#other-rules) may have the counter come round elsewhere: `counter_max` is its last value.
+
 What pneud makes of a node that does otherwise, in every tick, and for how long before it is [a fault](safety.md#faults):
 
 | frame | is | for longer than |
@@ -90,6 +95,89 @@ What pneud makes of a node that does otherwise, in every tick, and for how long 
 | with the counter of the frame before | frozen, and not used | the same |
 | that answers an earlier SYNC, by its stamp, its age or its counter | late, and not used | the same |
 | more than SYNC asked for | a second device with the same identifier: `identifier_clash` | 8 frames |
+
+## Other rules
+
+A node that protects its frames by a rule of its own keeps it: [`protection`](configuration.md#busframesrole) names it, `crc` and
+`counter` the signals, which may lie anywhere in the frame. The checksum goes over all bytes but its own; of one that is no whole
+bytes, its bits count as zeros. What is no CRC notices less: two errors in one column of bits make an XOR right again.
+
+{rules}
+
+The counter is as wide as its signal and wraps from its last value, or from `counter_max`, to 0. AUTOSAR's rules demand theirs:
+
+| `protection` | counter | `data_id`, which is not in the frame |
+|---|---|---|
+| `e2e-p01` | 4 bits, 0 … 14 | 16 bits; `data_id_mode`: `both` bytes, the lower one first; `alternating`, the lower one with an even counter, else the higher one; `low`, the lower one only; `nibble`, the lower one and a zero byte, and bits 8 … 11 are in the frame, in the signal `data_id_nibble` |
+| `e2e-p02` | 4 bits, 0 … 15 | sixteen of 8 bits, one for each value of the counter |
+| `e2e-p05` | 8 bits, 0 … 255 | 16 bits, the lower byte first |
+
+```toml
+[bus.frames.encoder]
+message = "X25_POSITION"
+signals = {{ position_m = "Pos" }}
+counter = "Alive"
+crc = "Checksum"
+protection = "e2e-p01"
+data_id = 0x123
+```
+
+Frames of eight bytes: the checksum in front, the lower byte first where it has two; behind it the counter in the lower half of a
+byte, and with `nibble` 1 in the upper one. `data_id` is 0x123 of profile 1, 1 … 16 of profile 2, 0x1234 of profile 5. Those of
+zeros are also what other programs have: the second one of profile 2 is table 6.28 of AUTOSAR's *E2E Protocol Specification* R20-11, and
+the Python library [`autosar-e2e`](https://pypi.org/project/autosar-e2e/) tests itself with those of profiles 1 and 5.
+
+{others}
+
+A node that goes by another rule than the configuration, or by other identifiers, takes no command and stays centred: the axis stops with
+`valve_rebooted`. What it sends is `corrupt`.
+
+In C, none of it with a table:
+
+```c
+uint8_t crc8(uint8_t polynomial, uint8_t crc, const uint8_t *data, unsigned bytes)
+{{
+    while (bytes--) {{
+        crc ^= *data++;
+        for (unsigned bit = 0; bit < 8; bit++)
+            crc = crc & 0x80 ? (uint8_t)(crc << 1) ^ polynomial : (uint8_t)(crc << 1);
+    }}
+    return crc;
+}}
+
+uint16_t crc16(uint16_t polynomial, uint16_t crc, const uint8_t *data, unsigned bytes)
+{{
+    while (bytes--) {{
+        crc ^= (uint16_t)(*data++ << 8);
+        for (unsigned bit = 0; bit < 8; bit++)
+            crc = crc & 0x8000 ? (uint16_t)(crc << 1) ^ polynomial : (uint16_t)(crc << 1);
+    }}
+    return crc;
+}}
+
+/* The checksum of profile 1 in byte 0, both bytes of the identifier taken in. */
+uint8_t e2e_p01(uint16_t data_id, const uint8_t *frame, unsigned bytes)
+{{
+    const uint8_t id[] = {{ data_id & 0xFF, data_id >> 8 }};
+    return crc8(0x1D, crc8(0x1D, 0, id, 2), frame + 1, bytes - 1);
+}}
+
+/* Of profile 2 in byte 0, the counter in byte 1. */
+uint8_t e2e_p02(const uint8_t data_id[16], const uint8_t *frame, unsigned bytes)
+{{
+    return crc8(0x2F, crc8(0x2F, 0xFF, frame + 1, bytes - 1), data_id + (frame[1] & 15), 1) ^ 0xFF;
+}}
+
+/* Of profile 5 in bytes 0 and 1. */
+uint16_t e2e_p05(uint16_t data_id, const uint8_t *frame, unsigned bytes)
+{{
+    const uint8_t id[] = {{ data_id & 0xFF, data_id >> 8 }};
+    return crc16(0x1021, crc16(0x1021, 0xFFFF, frame + 2, bytes - 2), id, 2);
+}}
+```
+
+`pneud map` tells by the frames of a node that is on the bus, or was when it was recorded, which rule it has, and which `data_id`
+([connect a device](device.md)).
 
 ## Encoder and pressure node
 
@@ -164,6 +252,38 @@ def _vectors(codecs: Codecs) -> Iterator[tuple[str, str, str]]:
     yield row(codecs.valve_command, "−5 V, enabled, SYNC 240, counter 239", -5.0, 1, 240, counter=239)
 
 
+RULES: tuple[tuple[Protection, str, str], ...] = (
+    (
+        "pneud",
+        "CRC-8, polynomial 0x1D, start 0xFF, final xor 0xFF",
+        "identifier, low byte first (two bytes; four of 29 bits), and data",
+    ),
+    ("sae-j1850", "the same", "data"),
+    ("crc8-h2f", "CRC-8, polynomial 0x2F, start 0xFF, final xor 0xFF", "data"),
+    ("crc16-ccitt", "CRC-16, polynomial 0x1021, start 0xFFFF, no final xor", "data"),
+    ("xor8", "exclusive or", "data"),
+    ("sum8", "sum, its lower 8 bits", "data"),
+    ("e2e-p01", "CRC-8, polynomial 0x1D, start 0, no final xor", "`data_id`, and data"),
+    ("e2e-p02", "as `crc8-h2f`", "data, and `data_id` of the counter"),
+    ("e2e-p05", "as `crc16-ccitt`", "data, and `data_id`"),
+)
+IDS = {"e2e-p01": (0x123,), "e2e-p02": tuple(range(1, 17)), "e2e-p05": (0x1234,)}
+MODES: tuple[DataIdMode, ...] = ("both", "alternating", "low", "nibble")
+ZEROS, OTHER = bytes(6), bytes.fromhex("11 22 33 44 55 66")
+
+
+def _others() -> Iterator[tuple[str, str, str]]:
+    """Frames by each rule: of zeros with the counters 0 and 1, and another one."""
+    for name, _, _ in RULES:
+        for mode in MODES if name == "e2e-p01" else MODES[:1]:
+            sums, bits = checksum(name, 0x181, IDS.get(name, ()), mode), BITS[name].bits
+            frames = []
+            for counter, data in ((0, ZEROS), (1, ZEROS), (14, OTHER)):
+                rest = bytes((counter | (0x10 if mode == "nibble" else 0),)) + data[: 7 - bits // 8]
+                frames.append(f"`{_hex(sums(rest, counter).to_bytes(bits // 8, 'little') + rest)}`")
+            yield f"`{name}`", mode if name == "e2e-p01" else "", "<br>".join(frames)
+
+
 def _trace(codec: Codec) -> Iterator[tuple[str, str, str, str]]:
     """What a valve node does, step by step."""
     node = ValveNode(codec, _TIMEOUT_S, 16, _U_MAX_V)
@@ -203,6 +323,10 @@ def text() -> str:
         vectors=table(("identifier", "data", "says"), list(_vectors(codecs))),
         agree=AGREE,
         most=MOST,
+        rules=table(
+            ("`protection`", "checksum", "over"), [(f"`{name}`", how, over) for name, how, over in RULES]
+        ),
+        others=table(("`protection`", "`data_id_mode`", "frames"), list(_others())),
         older=round(codecs.older_s / 1e-5),
         timeout_ms=_TIMEOUT_S * 1e3,
         trace=table(("ms", "what", "state", "puts out"), list(_trace(codecs.valve_command))),

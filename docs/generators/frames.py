@@ -33,7 +33,7 @@ brings a DBC of its own and names messages and signals under [`[bus.frames]`](co
 3. When the set is complete, or a part of the period is over (`loop.set_deadline`, 0.8 of it), the controller computes and sends
    `VALVE_COMMAND`: in every tick and every state, with 0 V and `Enable` 0 unless the axis is engaged.
 
-With `bus.sync = false` sensors run free: no SYNC has to be answered, and the newest frames count.
+With `bus.sync = false` sensors run free: no SYNC has to be answered, none is sent, and the newest frames count.
 
 Positive voltage fills chamber 1, at the cap end, and moves the piston to larger positions. Position 0 is at the rear end stop.
 Pressures are absolute.

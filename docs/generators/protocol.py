@@ -25,6 +25,10 @@ command the axis: [who may](console.md#who-commands). One JSON object a line, at
 number of the client's, which the reply repeats. Replies come in the order in which requests are done. Lengths are millimetres in
 the stroke coordinate, times seconds. Unknown fields are refused.
 
+Where a daemon has [several axes](axes.md), every request may have `axis`, a name. `stop` and `restart` are for all, whatever they
+name; `arm`, `disarm`, `clear`, `hold`, `mark` and `status` are for all where they name none; all others have to name one. What is
+asked of several is asked in one tick, and the reply names them in `axes`; to arm and to `goto_all` either all do, or none.
+
 [`pneud.Client`](python.md#a-running-axis) does all of this from Python.
 
 ## Requests
@@ -80,6 +84,8 @@ _CONVERSATION = """\
 < {"v": 1, "id": 2, "ok": true, "order": 2, "state": "holding"}
 > {"v": 1, "id": 3, "verb": "goto", "x_mm": 1200.0}
 < {"v": 1, "id": 3, "ok": false, "error": {"type": "out_of_travel", "message": "1200 mm lies outside the travel 21 … 979 mm; the nearest allowed is 979 mm", "nearest_mm": 979.0}}
+> {"v": 1, "id": 3, "verb": "goto_all", "axes": {"virtual": 120.0}}
+< {"v": 1, "id": 3, "ok": false, "error": {"type": "wrong_state", "message": "goto: virtual is starting; axes set out together from where they hold"}}
 > {"v": 1, "id": 4, "verb": "jog", "velocity_mm_s": -20.0, "lease_s": 0.3}
 < {"v": 1, "id": 4, "ok": true, "state": "holding"}
 > {"v": 1, "id": 5, "verb": "hold"}
@@ -129,6 +135,7 @@ _SAYS_IT_ALL = {"stop": "whoever commands; then hold or centre, as configured"} 
 _BY_LENGTH = {  # how to say what has a length; bounds are those of the models
     "pieces": "list of {least} to {most} pieces, nine numbers each",
     "gains": "table of {least} to {most} names with their values",
+    "axes": "table of {least} to {most} axes with their positions",
     "text": "{least} to {most} characters",
 }
 

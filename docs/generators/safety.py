@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pneud.axis.stops import AWAY, GENTLE, SLIP_M
+from pneud.canopen.words import Status, valve_state
 from pneud.safety.checks import (
     LEAVING_TICKS,
     MOVING_M_S,
@@ -15,7 +16,7 @@ from pneud.safety.faults import TABLE, Fault, Reaction
 from pneud.safety.output import CEILING_V
 from pneud.safety.supervisor import START_TICKS
 from pneud.safety.watch import CHAMBER_PA
-from pneud.signals import ENGAGED, State
+from pneud.signals import ENGAGED, State, ValveState
 
 _STATES = {
     State.STARTING: f"the valve node is told to centre for {START_TICKS} ticks, whatever else is known",
@@ -75,6 +76,17 @@ _TIMEOUTS = (
         "centre at once; `valve_rebooted`",
     ),
 )
+
+_VALVES = {
+    Status.NOT_READY: "the spool is where the valve as ordered goes without power: the load may move, or fall",
+    Status.INIT: "as in NOT_READY",
+    Status.DISABLED: "as in NOT_READY; so it is no centre, and a fault where the axis is engaged",
+    Status.HOLD: "the spool is held on the hold setpoint, to which pneud gives 0: the chambers are shut",
+    Status.ACTIVE: "the spool follows the setpoint",
+    Status.FAULT_DISABLED: "as in NOT_READY, until the fault is reset",
+    Status.FAULT_HOLD: "as in HOLD, until the fault is reset; a valve goes here for want of commands",
+    Status.FAULT_REACTION: "on its way into one of the two above, as the valve is set up",
+}
 
 _TEXT = """\
 # Safety
@@ -177,6 +189,14 @@ after the axis has let go, is active. `encoder_jump` allows, over a gap between 
 {chamber_kpa:g} kPa, and what the open valve and the piston at `limits.speed_m_s` could do to the chamber
 since its last reading. Any exception in a tick is `internal`.
 
+## What a CANopen valve does in its states
+
+A valve of profile CiA 408 ([canopen.md](canopen.md)) says in its status word what state it is in. *Disabled is
+not centre*: where the spool goes then depends on how the valve was ordered, and what the load does then only
+you know. Under local control (bit 4) it counts as a fault, whatever else it says.
+
+{valves}
+
 ## The way of a command
 
 law → finite? → slew limit (`limits.slew_v_s`) → ±`valve.u_max_v`, never above {ceiling:g} V → step of the
@@ -205,6 +225,13 @@ def text() -> str:
         table=_table(
             ("bit", "fault", "when", "for longer than", "reaction", "latched", "gone", "what to do"),
             [_row(fault) for fault in TABLE],
+        ),
+        valves=_table(
+            ("status word, bits 0 … 3", "state of CiA 408", "counts as", "what the load has of it"),
+            [
+                (f"`{s:04b}`", s.name, ValveState(valve_state(s)).name.lower(), _VALVES[s])
+                for s in sorted(Status)
+            ],
         ),
         timeouts=_table(("time-out", "who watches", "what follows"), list(_TIMEOUTS)),
         moving=MOVING_M_S,

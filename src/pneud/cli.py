@@ -35,7 +35,10 @@ FOLDER = Path(__file__).parent / "verbs"
 GROUPS = {
     "Software rig": ("plant", "sim", "scenarios", "reproduce"),
     "Logs": ("logs", "replay", "report", "view", "export", "import", "recover", "learnt", "identify"),
-    "A rig and its machine": ("new", "commission", "check", "design", "doctor", "install-service", "bench"),
+    "A rig and its machine": (
+        *("new", "map", "nodes", "commission", "check", "design"),
+        *("doctor", "install-service", "bench"),
+    ),
     "Running daemon": (
         *("status", "arm", "disarm", "stop", "clear", "home", "hold", "restart"),
         *("goto", "jog", "mark", "track", "top", "tune", "web"),

@@ -11,6 +11,7 @@ from pathlib import Path
 
 _PACKAGE = Path(__file__).resolve().parent
 _CHECKOUT = _PACKAGE.parent.parent
+AXES = "axes"  # the folder of those with several axes
 
 
 def _folder(packaged: str, checkout: str) -> Path:
@@ -56,7 +57,7 @@ def find(name: str | Path, beside: Path | None = None) -> Path:
     if beside is not None:
         tried.insert(0, beside / path)
     if not path.is_absolute() and len(path.parts) == 1:
-        tried += [configs() / path, scenarios() / path]
+        tried += [configs() / path, configs() / AXES / path, scenarios() / path]
     for candidate in tried:
         if candidate.is_file():
             return candidate

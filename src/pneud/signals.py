@@ -121,6 +121,7 @@ class RequestKind(IntEnum):
     GAINS = 13
     PROBE = 14  # (voltage, rate, travel, speed, force, lease in ticks): a bounded opening without a loop
     RESTART = 15  # centre for good, and let the daemon begin anew with what its file says; not while engaged
+    CENTRE = 16  # at once, and disarmed: of the loop, where a fault takes another axis
 
 
 class Hunting(IntEnum):

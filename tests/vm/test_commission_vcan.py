@@ -15,7 +15,8 @@ from typing import Any
 import pytest
 
 from pneud import resources
-from pneud.loading import changed_text, load
+from pneud.config.toml import changed_text
+from pneud.loading import load
 from pneud.study.commissioning.truths import drawn
 
 pytestmark = pytest.mark.vm

@@ -145,13 +145,25 @@ def healthy(installed: None) -> Iterator[None]:
 
 
 def test_units_are_correct_and_closed() -> None:
-    units = [AXIS, "pneud@rig", PLANT, VCAN, "pneud-can@can0"]
-    done = tried("systemd-analyze", "verify", *(f"{unit}.service" for unit in units))
+    units = [AXIS, "pneud@rig", PLANT, VCAN, "pneud-can@can0", "pneud-wear@vcan"]
+    named = [*(f"{unit}.service" for unit in units), "pneud-wear@vcan.timer"]
+    done = tried("systemd-analyze", "verify", *named)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     for unit in sorted(Path("/usr/local/lib/systemd/system").glob("pneud*.service")):
         told = run("systemd-analyze", "security", "--offline=true", "--no-pager", str(unit))
         level = re.search(r"exposure level for \S+: ([\d.]+)", told)
         assert level is not None and float(level[1]) <= 2.0, told
+
+
+def test_the_timer_has_the_logs_looked_at_each_night() -> None:
+    run("systemctl", "start", "pneud-wear@vcan.timer")
+    assert (
+        run("systemctl", "list-timers", "--no-pager", "pneud-wear@vcan.timer").count(
+            "pneud-wear@vcan.service"
+        )
+        == 1
+    )
+    run("systemctl", "stop", "pneud-wear@vcan.timer")
 
 
 def test_the_unit_of_another_interface_differs_in_nothing_else() -> None:

@@ -57,6 +57,7 @@ ARM, DISARM, CLEAR = int(RequestKind.ARM), int(RequestKind.DISARM), int(RequestK
 SHUTDOWN, MARK, STOP = int(RequestKind.SHUTDOWN), int(RequestKind.MARK), int(RequestKind.STOP)
 HOLD, GOTO, JOG = int(RequestKind.HOLD), int(RequestKind.GOTO), int(RequestKind.JOG)
 HOME, PROBE, RESTART = int(RequestKind.HOME), int(RequestKind.PROBE), int(RequestKind.RESTART)
+CENTRE = int(RequestKind.CENTRE)
 TRACK, PIECE, GAINS = int(RequestKind.TRACK), int(RequestKind.PIECE), int(RequestKind.GAINS)
 STEERED = (int(State.TRACKING), int(State.MOVING), int(State.HOLDING))  # may be asked to go elsewhere
 
@@ -85,6 +86,7 @@ COUNTS = {
     HOME: (0,),
     PROBE: (6,),
     RESTART: (0,),
+    CENTRE: (0,),
 }
 
 
@@ -153,10 +155,10 @@ def ask(
         if s.state != State.FAULT:
             return Asked(WRONG_STATE)
         return Asked(BLOCKED) if present & (CENTRES | STOPS) else Asked(TAKEN, CLEAR)
-    if kind in (DISARM, STOP):
+    if kind in (DISARM, STOP, CENTRE):
         if not is_engaged(s.state):
             return Asked(WRONG_STATE)
-        return Asked(TAKEN, DISARM if p.stop_centres else kind)
+        return Asked(TAKEN, DISARM if p.stop_centres and kind == STOP else kind)
     if kind == GAINS:
         return _tune(values, plan, now, now_ns, law, p)
     if kind == PIECE:

@@ -7,7 +7,8 @@ from pathlib import Path
 from pneud.bench.contestants import AbsentError, TrackScript, Turn
 from pneud.bench.sample import Sample
 from pneud.config.models import Config
-from pneud.loading import at_rate, load, toml_text
+from pneud.config.toml import toml_text
+from pneud.loading import at_rate, load
 
 RATES_HZ = (250.0, 500.0, 1000.0, 1500.0, 2000.0, 2500.0, 3000.0, 3500.0, 4000.0, 4500.0, 5000.0)
 MOST_SKIPPED = 0.002  # part of the ticks; hosts take CPUs away even from those who do nothing

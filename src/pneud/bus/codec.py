@@ -10,17 +10,19 @@ from dataclasses import dataclass
 from fractions import Fraction
 from math import ceil, floor, isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pneud.bus import database
 from pneud.bus.database import MessageSpec, Signal
 from pneud.bus.dbc_layout import Guard, SignalField, bit_range, compile_functions
 from pneud.bus.protection import RULES, checksum
-from pneud.config.models import BusConfig, FrameConfig
+from pneud.bus.wire import CAN_EFF_FLAG
+from pneud.config.mapping import MessageConfig
+from pneud.config.models import BusConfig, FrameConfig, GasConfig
 from pneud.rt.inputs import read_whole
 
 _KILO, _MILLI, _MICRO = Fraction(1000), Fraction(1, 1000), Fraction(1, 1_000_000)
-_UNITS: dict[str, dict[str, Fraction]] = {
+UNITS: dict[str, dict[str, Fraction]] = {
     "m": {"m": Fraction(1), "mm": _MILLI, "um": _MICRO, "µm": _MICRO, "μm": _MICRO},
     "pa": {
         "Pa": Fraction(1),
@@ -45,11 +47,20 @@ ROLES: dict[str, dict[str, float | None]] = {
 }
 
 
+SOURCES: dict[str, tuple[str, ...]] = {
+    "encoder": ("position_m", "status", "age_s", "second_position_m"),
+    "pressure": ("p1_pa", "p2_pa", "difference_pa", "supply_pa"),
+    "valve": ("applied_v", "state"),
+}
+"""What each source tells, where signals are mapped."""
+ROW = tuple(key for keys in SOURCES.values() for key in keys)
+
 _LEAST, _MOST = Fraction(1, 10**100), Fraction(10**100)  # factors and offsets in SI units
+FLOAT_STEP_V = 1e-6  # of a command that is a floating-point number
 _BEYOND = Fraction(10**400)  # instead of infinity
 
 
-def _exact(value: float) -> Fraction:
+def exact(value: float) -> Fraction:
     """The number as the database has it; for infinity, as which 1E999 is read, one beyond all floats."""
     return Fraction(str(value)) if isfinite(value) else (_BEYOND if value > 0 else -_BEYOND)
 
@@ -64,6 +75,7 @@ class DatabaseError(Exception):
 class Codec:
     """One message in one role.
 
+    `can_id` is as in `struct can_frame`: a 29-bit identifier has its flag.
     `decode`, `counter`, `valid`, `check` take the frame's bytes. `decode` and `counter` expect bytes that are
     `valid`: the message's length and, where it has one, the right checksum. `decode` yields floats in SI
     units, and ints for numbers without a dimension. `encode` takes the values in the order of the role, those
@@ -86,28 +98,69 @@ class Codec:
     guard: Guard
 
 
+class Answer(NamedTuple):
+    """A message that a node sends, or one of its kinds where it is multiplexed."""
+
+    name: str  # its role, or its name in the DBC
+    codec: Codec
+    keys: tuple[str, ...]  # the values that the codec takes and yields, in order
+    filled: tuple[str, ...]  # those of them that the frame tells
+    kind: int | None = None  # the multiplexer's value
+
+
+class Row(NamedTuple):
+    """How mapped messages fill the values of the axis, `ROW`."""
+
+    values: tuple[float, ...]  # before anything is heard, and constants
+    kind_of: dict[int, Callable[[bytes], int]]  # multiplexers, by identifier
+
+
 @dataclass(frozen=True, slots=True)
 class Codecs:
     """All frames of an axis.
 
-    Values in order: `encoder` (position_m, status, age_s), `pressure` (p1_pa, p2_pa, supply_pa),
-    `valve_status` (applied_v, state), `valve_command` (voltage_v, enable, sequence); `sync` has its counter
-    only.
+    Values in order: `valve_command` (voltage_v, enable, sequence); `sync` has its counter only. Those of
+    `answers` are with each: as in `ROLES` where three messages play the roles, and `ROW` where signals are
+    mapped, which is where there is a `row`.
     """
 
     sync: Codec
-    encoder: Codec
-    pressure: Codec
-    valve_status: Codec
     valve_command: Codec
+    answers: tuple[Answer, ...]
     command_lsb_v: float  # one step of the command's voltage
     command_min_v: float
     command_max_v: float
     older_s: float  # an age of this or more means "older than can be told"; infinite without an age
+    row: Row | None = None
+
+    def telling(self, *keys: str) -> tuple[Answer, ...]:
+        """The answers that tell any of these values."""
+        return tuple(answer for answer in self.answers if not set(keys).isdisjoint(answer.filled))
+
+    @property
+    def encoder(self) -> Codec:
+        """The message with the position."""
+        return self.telling("position_m")[0].codec
+
+    @property
+    def pressure(self) -> Codec:
+        """The first message with a chamber's pressure."""
+        return self.telling("p1_pa", "p2_pa")[0].codec
+
+    @property
+    def valve_status(self) -> Codec:
+        """The first message of the valve.
+
+        Raises:
+            IndexError: it sends none.
+        """
+        return self.telling("applied_v", "state")[0].codec
 
 
-def load_codecs(bus: BusConfig, dbc_path: Path, *, keep: bool = False) -> Codecs:
-    """The codecs for the messages named in `bus.frames`.
+def load_codecs(
+    bus: BusConfig, dbc_path: Path, gas: GasConfig | None = None, *, keep: bool = False
+) -> Codecs:
+    """The codecs for the messages named in `bus.frames` or `bus.signals`.
 
     Raises:
         DatabaseError: the file, a message or a signal is missing or cannot be used; names it and the cure.
@@ -116,32 +169,63 @@ def load_codecs(bus: BusConfig, dbc_path: Path, *, keep: bool = False) -> Codecs
         dbc = read_whole(dbc_path)
     except OSError as e:
         raise DatabaseError(f"{dbc_path}: cannot be read: {e.strerror or e}; see bus.dbc") from None
-    return codecs_from(bus, dbc_path, dbc, keep=keep)
+    return codecs_from(bus, dbc_path, dbc, gas, keep=keep)
 
 
-def codecs_from(bus: BusConfig, path: Path, dbc: bytes, *, keep: bool = False) -> Codecs:
+def codecs_from(
+    bus: BusConfig, path: Path, dbc: bytes, gas: GasConfig | None = None, *, keep: bool = False
+) -> Codecs:
     """As `load_codecs`, of a DBC that need not be in a file of its own.
 
     Args:
-        bus: which messages play which roles.
+        bus: which messages play which roles, or which signals fill which values.
         path: what to call the DBC in errors.
         dbc: its bytes.
+        gas: what mapped pressures count from, and the supply that nobody measures.
         keep: keep in the user's cache what the DBC says.
 
     Raises:
         DatabaseError: a message or a signal is missing or cannot be used; names it and the cure.
     """
-    loader = _Loader(path, _messages(path, dbc, keep))
+    messages = _messages(path, dbc, keep)
+    if bus.signals is not None:
+        from pneud.bus import mapping  # noqa: PLC0415 - for axes with a mapping alone
+
+        return mapping.mapped(bus, path, messages, gas)
+    loader = Loader(path, messages)
     codecs = {role: loader.codec(role, getattr(bus.frames, role)) for role in ROLES}
-    voltage = loader.fields["valve_command"]["voltage_v"]
-    age = loader.fields["encoder"].get("age_s")
+    fields = loader.fields
+    return assembled(
+        codecs["sync"],
+        codecs["valve_command"],
+        tuple(
+            Answer(role, codecs[role], tuple(ROLES[role]), tuple(fields[role]))
+            for role in ("encoder", "pressure", "valve_status")
+        ),
+        fields["valve_command"]["voltage_v"],
+        fields["encoder"].get("age_s"),
+    )
+
+
+def assembled(
+    sync: Codec,
+    valve_command: Codec,
+    answers: tuple[Answer, ...],
+    voltage: SignalField,
+    age: SignalField | None,
+    row: Row | None = None,
+) -> Codecs:
+    """Codecs, with what the command's voltage and the position's age can say."""
     low, high = sorted((voltage.si(voltage.low), voltage.si(voltage.high)))
     return Codecs(
-        **codecs,
-        command_lsb_v=abs(voltage.scale),
+        sync,
+        valve_command,
+        answers,
+        command_lsb_v=FLOAT_STEP_V if voltage.floating else abs(voltage.scale),
         command_min_v=low,
         command_max_v=high,
         older_s=float("inf") if age is None else age.si(bit_range(age.length, age.signed)[1]),
+        row=row,
     )
 
 
@@ -155,7 +239,12 @@ def _messages(path: Path, dbc: bytes, keep: bool) -> list[MessageSpec]:
         raise DatabaseError(f"{path}: not a usable DBC: {' '.join(str(e).split())}") from None
 
 
-class _Loader:
+def can_id_of(message: MessageSpec) -> int:
+    """The identifier, with its flag where it has 29 bits."""
+    return message.can_id | (CAN_EFF_FLAG if message.extended else 0)
+
+
+class Loader:
     """Takes messages from one database, each for one role only."""
 
     def __init__(self, path: Path, messages: list[MessageSpec]) -> None:
@@ -244,7 +333,7 @@ class _Loader:
 
     def _field(self, message: MessageSpec, key: str, signal: Signal) -> SignalField:
         _, _, dimension = key.rpartition("_")
-        units = _UNITS.get(dimension)
+        units = UNITS.get(dimension)
         plain = signal.scale == 1 and signal.offset == 0
         if units is None:
             if not plain:
@@ -262,12 +351,12 @@ class _Loader:
     def _placed(self, message: MessageSpec, signal: Signal, unit: Fraction, *, integer: bool) -> SignalField:
         # the database's decimals are taken exactly, so that −2147.483648 / 1e-6 is the last raw value and
         # not beyond it
-        scale, offset = _exact(signal.scale), _exact(signal.offset)
+        scale, offset = exact(signal.scale), exact(signal.offset)
         for name, value in (("a factor", scale * unit), ("an offset", offset * unit)):
             if value and not _LEAST <= abs(value) <= _MOST:
                 raise self._error(message.name, signal.name, f"has {name} that cannot be meant; mend it")
         low, high = bit_range(signal.length, signal.signed)
-        bounds = [_exact(b) for b in (signal.minimum, signal.maximum) if b is not None]
+        bounds = [exact(b) for b in (signal.minimum, signal.maximum) if b is not None]
         if len(bounds) == 2 and any(bounds):  # [0|0] says that there is no range
             first, last = sorted((bound - offset) / scale for bound in bounds)
             low, high = max(low, ceil(first)), min(high, floor(last))
@@ -295,7 +384,7 @@ class _Loader:
         return self._placed(message, signal, Fraction(1), integer=True)
 
     def _guard(
-        self, table: str, message: MessageSpec, frame: FrameConfig, counter: SignalField | None
+        self, table: str, message: MessageSpec, frame: MessageConfig, counter: SignalField | None
     ) -> Guard:
         """How the frames of a message are protected."""
         name, rule = frame.protection, RULES[frame.protection]
@@ -319,7 +408,7 @@ class _Loader:
         trailing = crc.start == 8 * message.length - (1 if crc.big_endian else 8)
         return Guard(
             crc,
-            checksum(name, message.can_id, frame.data_ids, frame.data_id_mode),
+            checksum(name, can_id_of(message), frame.data_ids, frame.data_id_mode),
             last + 1,
             nibble or None,
             frame.data_ids[0] >> 8 if nibble else 0,

@@ -29,5 +29,9 @@ def crc8(data: bytes) -> int:
 
 
 def identifier_state(can_id: int) -> int:
-    """The shift register after an identifier's low and high byte: where the checksum of a frame begins."""
-    return update(bytes((can_id & 0xFF, can_id >> 8)))
+    """The shift register after an identifier's low and high byte: where the checksum of a frame begins.
+
+    Of a 29-bit one, which has its flag, all four bytes count, the lowest first.
+    """
+    extended = can_id >> 31
+    return update((can_id & 0x1FFF_FFFF).to_bytes(4 if extended else 2, "little"))

@@ -21,6 +21,7 @@ from pure2c.cache import Cache
 
 _KEPT = 32  # databases that stay
 _SILENCE = logging.NullHandler()
+_OWN = Path(__file__).read_bytes()  # of what runs, whatever becomes of the file
 
 
 class Signal(NamedTuple):
@@ -37,6 +38,9 @@ class Signal(NamedTuple):
     minimum: float | None
     maximum: float | None
     unit: str | None
+    selects: bool = False  # it is the multiplexer of others
+    selector: str | None = None  # the multiplexer that it depends on
+    selected_by: tuple[int, ...] = ()  # values of that with which it is there
 
 
 class MessageSpec(NamedTuple):
@@ -98,6 +102,9 @@ def _parsed(dbc: bytes) -> list[MessageSpec]:
                     s.minimum,
                     s.maximum,
                     s.unit,
+                    s.is_multiplexer,
+                    s.multiplexer_signal,
+                    tuple(s.multiplexer_ids or ()),
                 )
                 for s in m.signals
             ),
@@ -117,7 +124,7 @@ def _encoding(dbc: bytes) -> str:
 
 def _key(dbc: bytes) -> str:
     digest = hashlib.sha256(dbc)
-    digest.update(Path(__file__).read_bytes())
+    digest.update(_OWN)
     spec = find_spec("cantools")
     if spec is not None and spec.origin is not None:
         found = Path(spec.origin).stat()
@@ -127,6 +134,6 @@ def _key(dbc: bytes) -> str:
 
 def _unpacked(packed: bytes) -> list[MessageSpec]:
     return [
-        MessageSpec._make((*fields, tuple(Signal._make(signal) for signal in signals)))
+        MessageSpec._make((*fields, tuple(Signal._make((*s, tuple(by))) for *s, by in signals)))
         for *fields, signals in json.loads(packed)
     ]

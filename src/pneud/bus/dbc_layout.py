@@ -16,14 +16,24 @@ from pneud.bus import crc8
 from pneud.bus.protection import Checksum
 
 _CODES = {8: "b", 16: "h", 32: "i", 64: "q"}
+_FLOATS = {32: struct.Struct(">f"), 64: struct.Struct(">d")}
 _CRC_BYTES = tuple(bytes((state ^ crc8.FINAL_XOR,)) for state in range(256))
+
+
+class Code(NamedTuple):
+    """What an integer's bits are for the axis, where they are not that themselves."""
+
+    mask: int  # of the bits that say it
+    read: dict[int, int]  # number on the wire → number of the axis; empty: they are the same
+    unknown: int  # what any other number on the wire is
+    write: dict[int, int]  # number of the axis → number on the wire
 
 
 class SignalField(NamedTuple):
     """Where one number lies in a frame, and what it means.
 
     `low` and `high` bound the raw value. `scale` and `offset` lead to SI units; they are unused where
-    `integer` holds.
+    `integer` holds. `floating` says that the raw value is an IEEE 754 number of 32 or 64 bits.
     """
 
     label: str
@@ -34,10 +44,12 @@ class SignalField(NamedTuple):
     integer: bool
     scale: float
     offset: float
-    low: int
-    high: int
+    low: float
+    high: float
+    floating: bool = False
+    code: Code | None = None
 
-    def si(self, raw: int) -> float:
+    def si(self, raw: float) -> float:
         """The value in SI units that a raw value stands for."""
         return raw * self.scale + self.offset
 
@@ -74,6 +86,7 @@ def compile_functions(
     defaults: Sequence[float | None],
     counter: SignalField | None,
     guard: Guard,
+    fixed: tuple[SignalField, int] | None = None,
 ) -> Functions:
     """The functions of one message.
 
@@ -85,11 +98,13 @@ def compile_functions(
             given; None for a value that has to be there.
         counter: the running counter, if there is one.
         guard: how it is protected.
+        fixed: what else encoding puts into the frame, such as a multiplexer's value.
     """
     inline = guard.judged == "inline"
     body = length - 1 if inline else length
     present = [(f"v{i}", f) for i, f in enumerate(fields) if f is not None]
     placed = present + ([("counter", counter)] if counter is not None else [])
+    placed += [("fixed_", fixed[0])] if fixed is not None else []
     placed += [("NIBBLE", guard.nibble)] if guard.nibble is not None else []
     aligned = _struct(placed, body)
     scope: dict[str, Any] = {
@@ -102,6 +117,13 @@ def compile_functions(
     }
     for i, default in enumerate(defaults):
         scope[f"D{i}"] = default
+    for bits, packing in _FLOATS.items():
+        scope[f"from_float{bits}"], scope[f"to_float{bits}"] = packing.pack, packing.unpack
+    for name, f in present:
+        if f.code is not None:
+            scope[f"R{name}"], scope[f"W{name}"] = f.code.read, f.code.write
+    if fixed is not None:
+        scope["fixed_"] = fixed[1]
     if aligned is not None:
         scope["pack"] = aligned[0].pack
         scope["unpack"] = struct.Struct(aligned[0].format + ("x" if inline else "")).unpack
@@ -109,7 +131,7 @@ def compile_functions(
     byte = _counter_byte(counter)
     counted = f"b{byte}" if inline and byte is not None else "counter_of(data)"
     if guard.crc is not None and not inline:
-        scope["rest"], scope["put"] = _around(guard.crc, length)
+        scope["rest"], scope["put"] = around(guard.crc, length)
     source = "\n".join(
         (
             *_encode_source(fields, defaults, counter, aligned, placed, body, chain, guard, scope),
@@ -121,6 +143,14 @@ def compile_functions(
     )
     exec(compile(source, f"<codec of 0x{can_id:03X}>", "exec"), scope)
     return Functions(*(scope[name] for name in ("encode", "decode", "counter_of", "valid", "check")))
+
+
+def reader(field: SignalField, length: int) -> Callable[[bytes], int]:
+    """What reads one integer from the bytes of a message of this length."""
+    scope: dict[str, Any] = {"from_bytes": int.from_bytes}
+    exec("\n".join(_counter_source(field, length)), scope)
+    read: Callable[[bytes], int] = scope["counter_of"]
+    return read
 
 
 def bit_range(length: int, signed: bool) -> tuple[int, int]:
@@ -151,7 +181,11 @@ def _struct(placed: list[tuple[str, SignalField]], body: int) -> tuple[struct.St
         span = _byte_span(f)
         if span is None:
             return None
-        spans.append((*span, name, _CODES[f.length] if f.signed else _CODES[f.length].upper()))
+        if f.floating:
+            code = "f" if f.length == 32 else "d"
+        else:
+            code = _CODES[f.length] if f.signed else _CODES[f.length].upper()
+        spans.append((*span, name, code))
     text, at = (">" if orders == {True} else "<"), 0
     for first, size, _, code in sorted(spans):
         text += "x" * (first - at) + code
@@ -170,7 +204,9 @@ def shift(f: SignalField, length: int) -> int:
 def _extract(f: SignalField, length: int) -> str:
     word = "m" if f.big_endian else "n"
     text = f"({word} >> {shift(f, length)} & {(1 << f.length) - 1})"
-    if f.signed:
+    if f.floating:
+        text = f"to_float{f.length}({text}.to_bytes({f.length // 8}, 'big'))[0]"
+    elif f.signed:
         sign = 1 << (f.length - 1)
         text = f"(({text} ^ {sign}) - {sign})"
     return text
@@ -185,7 +221,10 @@ def _words(fields: Sequence[SignalField]) -> list[str]:
     return lines
 
 
-def _physical(f: SignalField, raw: str) -> str:
+def _physical(name: str, f: SignalField, raw: str) -> str:
+    if f.code is not None:
+        raw = f"{raw} & {f.code.mask}" if f.code.mask else raw
+        return f"R{name}.get({raw}, {f.code.unknown})" if f.code.read else raw
     if f.integer:
         return raw
     text = f"{raw} * {f.scale!r}"
@@ -206,7 +245,7 @@ def _decode_source(
     else:
         lines += _words([f for _, f in present])
         raw = {name: _extract(f, length) for name, f in present}
-    values = [f"D{i}" if f is None else _physical(f, raw[f"v{i}"]) for i, f in enumerate(fields)]
+    values = [f"D{i}" if f is None else _physical(f"v{i}", f, raw[f"v{i}"]) for i, f in enumerate(fields)]
     return [*lines, f"    return ({''.join(v + ', ' for v in values)})"]
 
 
@@ -228,13 +267,16 @@ def _encode_source(
     lines = [f"def encode({', '.join([*given, '*', 'counter' if counter is not None else 'counter=0'])}):"]
     raw, tests = {}, []
     for i, (name, f) in enumerate(placed):
-        if f.integer:
+        if f.code is not None and f.code.write:
+            raw[name] = f"W{name}[{name}]"
+            tests.append(f"{name} in W{name}")
+        elif f.integer:
             raw[name] = name
             tests.append(f"{f.low} <= {name} <= {f.high}")
         else:
-            raw[name] = f"round(r{i})"
+            raw[name] = f"r{i}" if f.floating else f"round(r{i})"
             lines.append(f"    r{i} = {f'({name} - {f.offset!r})' if f.offset else name} / {f.scale!r}")
-            scope[f"L{i}"], scope[f"H{i}"] = _rounding_to(f.low, f.high)
+            scope[f"L{i}"], scope[f"H{i}"] = _bounds(f)
             tests.append(f"L{i} <= r{i} <= H{i}")
     if tests:
         lines.append(f"    if not ({' and '.join(tests)}):")
@@ -244,7 +286,7 @@ def _encode_source(
     else:
         for word, big in (("n", False), ("m", True)):
             parts = [
-                f"({raw[name]} & {(1 << f.length) - 1}) << {shift(f, body)}"
+                f"({_bits(f, raw[name])} & {(1 << f.length) - 1}) << {shift(f, body)}"
                 for name, f in placed
                 if f.big_endian is big
             ]
@@ -258,6 +300,11 @@ def _encode_source(
     if body:
         lines.append(f"    {''.join(f'b{i}, ' for i in range(body))} = data")
     return [*lines, f"    return data + CRC[{chain}]"]
+
+
+def _bits(f: SignalField, raw: str) -> str:
+    """The bits of a raw value as an integer."""
+    return f"from_bytes(from_float{f.length}({raw}), 'big')" if f.floating else raw
 
 
 def _counter_source(counter: SignalField | None, length: int) -> list[str]:
@@ -303,7 +350,7 @@ def _guard_tests(guard: Guard, counter: SignalField | None, length: int) -> list
     return tests
 
 
-def _around(f: SignalField, length: int) -> tuple[Callable[[bytes], bytes], Callable[[bytes, int], bytes]]:
+def around(f: SignalField, length: int) -> tuple[Callable[[bytes], bytes], Callable[[bytes, int], bytes]]:
     """What is left of a frame without a field, and how its value is put into a frame that has zeros there.
 
     Whole bytes are left out; a part of a byte counts as zeros.
@@ -332,7 +379,12 @@ def _crc_chain(can_id: int, body: int) -> str:
     return text
 
 
-def _rounding_to(low: int, high: int) -> tuple[float, float]:
+def _bounds(f: SignalField) -> tuple[float, float]:
+    """Smallest and largest float that can be encoded, after `round` where it is no floating-point signal."""
+    return (f.low, f.high) if f.floating else _rounding_to(f.low, f.high)
+
+
+def _rounding_to(low: float, high: float) -> tuple[float, float]:
     """Smallest and largest float that `round` takes into [low, high]; ties go to even numbers."""
     least, most = low - 0.5, high + 0.5
     while round(least) < low:
@@ -349,7 +401,7 @@ def _refusal(
         for f, value in zip((*fields, counter), (*values, count), strict=True):
             if f is None:
                 continue
-            least, most = (f.low, f.high) if f.integer else _rounding_to(f.low, f.high)
+            least, most = (f.low, f.high) if f.integer else _bounds(f)
             if not least <= (value if f.integer else (value - f.offset) / f.scale) <= most:
                 bounds = sorted((f.low, f.high) if f.integer else (f.si(f.low), f.si(f.high)))
                 raise ValueError(f"{f.label} = {value!r} is outside {bounds[0]:.10g} … {bounds[1]:.10g}")

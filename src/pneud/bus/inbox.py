@@ -11,6 +11,7 @@ says when the commands were sent, gets the same measurements to the bit.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from pneud.bus.codec import Codec, Codecs
@@ -29,7 +30,7 @@ from pneud.signals import ALL_SOURCES, Defect, Frame, Host, Measurement, Source
 
 NEVER_NS = 1 << 62  # the age of a source that has not been heard of yet
 
-_CORRUPT, _FROZEN, _LATE = int(Defect.CORRUPT), int(Defect.FROZEN), int(Defect.LATE)
+CORRUPT, FROZEN, _LATE = int(Defect.CORRUPT), int(Defect.FROZEN), int(Defect.LATE)
 _EMCY_IDS = range(0x081, 0x100)
 _EMCY_BASE = 0x080
 _HEARTBEATS = range(0x701, 0x780)
@@ -79,10 +80,14 @@ class InboxState(NamedTuple):
     syncs: int = 0
     t_ns: int = 0
     readings: tuple[Reading, Reading, Reading] = UNREAD
+    parts: tuple[OriginState, ...] = ()  # of a `MappedInbox`, in place of the three sources
+    counters: tuple[int, ...] = ()  # of its multiplexed messages
+    awaited: int = 0  # what of its multiplexed messages has come and is not used
+    echo: tuple[float, int] = (0.0, 0)  # the last command: voltage [V], enable
 
 
-class _Origin:
-    """What is known of one source."""
+class Origin:
+    """What is known of one source, or of a part of one."""
 
     __slots__ = (
         *("bit", "codec", "corrupt", "counter", "counts", "defects", "doubted", "has_age", "lag", "lost"),
@@ -90,12 +95,20 @@ class _Origin:
     )
 
     def __init__(
-        self, bit: int, codec: Codec, unknown: tuple[float, ...], bus: BusConfig, *, has_age: bool = False
+        self,
+        bit: int,
+        codec: Codec,
+        unknown: tuple[float, ...],
+        bus: BusConfig,
+        *,
+        has_age: bool = False,
+        counted: bool = True,
     ) -> None:
         self.bit = bit
         self.codec = codec
         self.has_age = has_age
-        self.counts = codec.counter_values if codec.counter_values > 1 else 0  # how many values, if it counts
+        # how many values its counter has, if it counts
+        self.counts = codec.counter_values if counted and codec.counter_values > 1 else 0
         lags = bus.sync and self.counts
         self.lag = Lag(lags, round(bus.sensor_timeout_ms * 1e6)) if lags else None
         self.counter = -1  # the newest one seen
@@ -127,6 +140,7 @@ class _Origin:
             self.lost -= 1
 
     def freeze(self) -> OriginState:
+        """Between two ticks."""
         return OriginState(
             self.counter,
             self.corrupt,
@@ -137,11 +151,13 @@ class _Origin:
         )
 
     def thaw(self, state: OriginState) -> None:
+        """Go on from there."""
         self.counter, self.corrupt, self.defects, self.sample_ns, self.values, lag = state
         if self.lag is not None:
             self.lag.thaw(lag)
 
     def age_ns(self, t_ns: int, fresh: int) -> int:
+        """How old the newest value is at a SYNC, by the bits of what is fresh there [ns]."""
         if fresh & self.bit:
             return 0
         if self.sample_ns == -NEVER_NS:
@@ -158,44 +174,54 @@ class Inbox:
     """
 
     def __init__(self, codecs: Codecs, bus: BusConfig) -> None:
-        nan = math.nan
-        self._encoder = _Origin(int(Source.ENCODER), codecs.encoder, (nan, 0, 0.0), bus, has_age=True)
-        self._pressure = _Origin(int(Source.PRESSURE), codecs.pressure, (nan, nan, nan), bus)
-        self._valve = _Origin(int(Source.VALVE), codecs.valve_status, (nan, 0), bus)
-        self._sources = (self._encoder, self._pressure, self._valve)
+        self._sources = self._listened(codecs, bus)
+        self._encoder = self._sources[0]
+        self._whole = sum(o.bit for o in self._sources)
         self._origins = {o.codec.can_id: o for o in self._sources}
-        self._own = frozenset((codecs.sync.can_id, codecs.valve_command.can_id))
+        own = (codecs.sync, codecs.valve_command) if bus.sync else (codecs.valve_command,)
+        self._own = frozenset(codec.can_id for codec in own)
         self._older_s = codecs.older_s
         self.sync = bus.sync  # whether frames answer SYNC
-        self._sync_wire_ns = wire_time_ns(codecs.sync.length, bus.bitrate_bit_s)
-        self._command_wire_ns = wire_time_ns(codecs.valve_command.length, bus.bitrate_bit_s)
-        self._encoder_wire_ns = wire_time_ns(codecs.encoder.length, bus.bitrate_bit_s)
+        self._sync_wire_ns, self._command_wire_ns, self._encoder_wire_ns = (
+            wire_time_ns(codec.length, bus.bitrate_bit_s, codec.can_id)
+            for codec in (codecs.sync, codecs.valve_command, codecs.encoder)
+        )
         # what was sampled before this is late; between ticks everything is
         self._not_before_ns = NEVER_NS if bus.sync else -NEVER_NS
         self._t_ns = 0
         self._sync_delay_ns = 0  # for which the own last command kept the wire
         self.commanded_ns = -NEVER_NS
         """When the last command was sent, to be set after `measurement`; −1 where it could not be."""
+        self.echo = (0.0, 0)
+        """The last command that left: voltage [V], enable; to be set where no valve tells."""
         self._syncs = 0
         self._before_ns = 0  # the last tick's SYNC
         self._readings = UNREAD  # the last three positions that were fresh
         self._fresh = 0
         self._rx = self._crc = self._stale = self._late = self._foreign = self._errors = 0
         self._emcy: dict[int, int] = {}
-        frames = (bus.frames.encoder, bus.frames.pressure, bus.frames.valve_status)
-        self._nodes = frozenset(f.node for f in frames if f.node is not None)
+        self._nodes = frozenset(d.node for d in bus.devices if d.node is not None)
         self._patience_ns = {
             f.node: round(f.heartbeat_timeout_ms * 1e6)
-            for f in frames
+            for f in bus.devices
             if f.node is not None and f.heartbeat_timeout_ms is not None
         }
         self._due_ns: dict[int, int] = {}  # when the next heartbeat of each node is due
         self.conditions = 0  # bits of Host: what nodes and controller report of themselves
 
+    def _listened(self, codecs: Codecs, bus: BusConfig) -> Sequence[Origin]:
+        """What is listened to, the encoder first."""
+        nan = math.nan
+        return (
+            Origin(int(Source.ENCODER), codecs.encoder, (nan, 0, 0.0), bus, has_age=True),
+            Origin(int(Source.PRESSURE), codecs.pressure, (nan, nan, nan), bus),
+            Origin(int(Source.VALVE), codecs.valve_status, (nan, 0), bus),
+        )
+
     @property
     def complete(self) -> bool:
-        """All three sources are fresh in this tick."""
-        return self._fresh == ALL_SOURCES
+        """All that is awaited in this tick has come."""
+        return self._fresh == self._whole
 
     @property
     def foreign(self) -> int:
@@ -243,12 +269,12 @@ class Inbox:
         if counter < 0:
             self._crc += 1
             origin.corrupt += 1
-            origin.defects |= _CORRUPT
+            origin.defects |= CORRUPT
             return
         counts = origin.counts
         if counts and counter == origin.counter:
             self._stale += 1
-            origin.defects |= _FROZEN
+            origin.defects |= FROZEN
             return
         values = codec.decode(data)
         sample_ns = stamp_ns
@@ -283,7 +309,7 @@ class Inbox:
         origin.defects = 0
         self._fresh |= origin.bit
 
-    def _lags(self, origin: _Origin, lag: Lag, counter: int, value: Any, late: bool) -> bool:
+    def _lags(self, origin: Origin, lag: Lag, counter: int, value: Any, late: bool) -> bool:
         """Whether a frame whose counter is not the expected one answers an earlier SYNC."""
         behind = lag.behind(counter, self._syncs)
         if not behind:
@@ -298,17 +324,11 @@ class Inbox:
     def measurement(self, skipped: int, host: int) -> Measurement:
         """The newest valid values; ends this tick."""
         t_ns, fresh = self._t_ns, self._fresh
-        encoder, pressure, valve = self._encoder, self._pressure, self._valve
+        encoder, pressure, valve = self._sources
         position_m, status, _ = encoder.values
         p1_pa, p2_pa, supply_pa = pressure.values
         applied_v, valve_state = valve.values
-        if self.sync:
-            offset_ns = self._sync_delay_ns + self._sync_wire_ns
-            self._not_before_ns = NEVER_NS
-        elif encoder.sample_ns == -NEVER_NS:
-            offset_ns = 0
-        else:
-            offset_ns = encoder.sample_ns - self._encoder_wire_ns - t_ns
+        offset_ns = self._offset_ns()
         self._fresh = 0
         if fresh & encoder.bit and self.sync:
             readings = self._readings
@@ -337,12 +357,21 @@ class Inbox:
             host,
         )
 
+    def _offset_ns(self) -> int:
+        """When the newest position was sampled, after this tick's SYNC; nothing more answers that SYNC."""
+        if self.sync:
+            self._not_before_ns = NEVER_NS
+            return self._sync_delay_ns + self._sync_wire_ns
+        sample_ns = self._encoder.sample_ns
+        return 0 if sample_ns == -NEVER_NS else sample_ns - self._encoder_wire_ns - self._t_ns
+
     def freeze(self) -> InboxState:
         """The state after `measurement`, to be logged."""
+        encoder, pressure, valve = self._sources
         return InboxState(
-            self._encoder.freeze(),
-            self._pressure.freeze(),
-            self._valve.freeze(),
+            encoder.freeze(),
+            pressure.freeze(),
+            valve.freeze(),
             self.commanded_ns,
             self._syncs,
             self._t_ns,
@@ -351,8 +380,11 @@ class Inbox:
 
     def thaw(self, state: InboxState) -> None:
         """Go on from a frozen state."""
-        for origin, known in zip(self._sources, state[:3], strict=True):
+        for origin, known in zip(self._sources, (state.encoder, state.pressure, state.valve), strict=True):
             origin.thaw(known)
+        self._thaw_times(state)
+
+    def _thaw_times(self, state: InboxState) -> None:
         self.commanded_ns = state.commanded_ns
         self._syncs, self._t_ns, self._readings = state.syncs, state.t_ns, state.readings
 

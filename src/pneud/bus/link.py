@@ -165,12 +165,15 @@ class Link:
         self._carrier.close()
 
 
-def open_link(channel: str, *, virtual: bool = False, by: wire.Carriage = wire.CARRIAGE) -> Link:
+def open_link(
+    channel: str, *, virtual: bool = False, listens: bool = False, by: wire.Carriage = wire.CARRIAGE
+) -> Link:
     """Open a bus.
 
     Args:
         channel: "socketcan:IF", "unixcan:NAME", or "auto": vcan0 if it is up and idle, else a new unixcan.
         virtual: refuse what might lead to real devices.
+        listens: it will send nothing.
         by: how frames are taken and given.
 
     Raises:
@@ -183,7 +186,7 @@ def open_link(channel: str, *, virtual: bool = False, by: wire.Carriage = wire.C
         if kind == "socketcan" and name:
             return Link(channel, SocketCan(name, virtual=virtual, by=by))
         if kind == "unixcan" and name:
-            return Link(channel, Party(name, answers=True, by=by))
+            return Link(channel, Party(name, answers=not listens, by=by))
     except NotVirtualError as e:
         raise LinkError(str(e), USAGE) from None
     except (SocketCanError, UnixCanError) as e:

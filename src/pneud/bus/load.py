@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from pneud.bus.codec import Codecs
+from pneud.bus.codec import Codec, Codecs
+from pneud.bus.wire import CAN_EFF_FLAG, EXTENDED_BITS
 from pneud.config.conversions import COMPUTING_S
 from pneud.config.models import Config
 
@@ -21,22 +22,53 @@ class Load(NamedTuple):
     tick_s: float  # to the last bit of the command
 
 
-def longest_s(data_bytes: int, bitrate_bit_s: float) -> float:
-    """How long a standard frame is on the wire at worst: a stuffed bit after every four but the first [s]."""
-    stuffed = CONTROL_BITS + 8 * data_bytes
+def longest_s(data_bytes: int, bitrate_bit_s: float, can_id: int = 0) -> float:
+    """How long a frame is on the wire at worst: a stuffed bit after every four but the first [s]."""
+    stuffed = CONTROL_BITS + 8 * data_bytes + (EXTENDED_BITS if can_id & CAN_EFF_FLAG else 0)
     return (stuffed + (stuffed - 1) // 4 + FIXED_BITS) / bitrate_bit_s
 
 
-def load_of(config: Config, codecs: Codecs) -> Load:
-    """What this axis's frames cost in every tick."""
+def load_of(config: Config, *axes: Codecs) -> Load:
+    """What the frames of axes on one bus cost in every tick.
+
+    Args:
+        config: of any of them.
+        axes: the frames of each; all answer one SYNC.
+    """
     rate = config.bus.bitrate_bit_s
-    answers = (codecs.encoder, codecs.pressure, codecs.valve_status)
-    asked_s = longest_s(codecs.sync.length, rate) + NODE_S if config.bus.sync else 0.0
-    answers_s = asked_s + sum(longest_s(codec.length, rate) for codec in answers)
-    return Load(answers_s, answers_s + COMPUTING_S + longest_s(codecs.valve_command.length, rate))
+
+    def taken_s(codec: Codec) -> float:
+        return longest_s(codec.length, rate, codec.can_id)
+
+    answers_s = taken_s(axes[0].sync) + NODE_S if config.bus.sync else 0.0
+    for codecs in axes:
+        answers_s += sum(taken_s(answer.codec) for answer in codecs.answers)
+    # the next axis computes while a command is on the wire
+    commands = [taken_s(codecs.valve_command) for codecs in axes]
+    waits_s = sum(max(command_s, COMPUTING_S) for command_s in commands[:-1])
+    return Load(answers_s, answers_s + COMPUTING_S + waits_s + commands[-1])
 
 
-def overload(config: Config, codecs: Codecs) -> str:
+def most_hz(config: Config, load: Load) -> float:
+    """The highest rate at which the bus carries so much in every tick."""
+    return min(1.0 / load.tick_s, config.loop.set_deadline / load.answers_s)
+
+
+def most_axes(config: Config, codecs: Codecs) -> int:
+    """How many axes like one fit on its bus at its rate; 0 where not even that one does.
+
+    Raises:
+        ValueError: the bus is no wire, and carries any number.
+    """
+    if not math.isfinite(config.bus.bitrate_bit_s):
+        raise ValueError("a bus without a wire carries any number of axes")
+    axes = 0
+    while most_hz(config, load_of(config, *[codecs] * (axes + 1))) >= config.loop.rate_hz:
+        axes += 1
+    return axes
+
+
+def overload(config: Config, *axes: Codecs) -> str:
     """Why the bus cannot carry the configured rate, with the cure; empty where it can.
 
     An infinite bit rate, as of a bus without a wire, carries any.
@@ -44,21 +76,20 @@ def overload(config: Config, codecs: Codecs) -> str:
     period_s, bits = 1.0 / config.loop.rate_hz, config.bus.bitrate_bit_s
     if not math.isfinite(bits):
         return ""
-    load = load_of(config, codecs)
+    load = load_of(config, *axes)
     deadline_s = config.loop.set_deadline * period_s
+    several = f" of {len(axes)} axes" if len(axes) > 1 else ""
     if load.tick_s > period_s:
-        what = f"a tick's frames take up to {1e3 * load.tick_s:.2f} ms of {1e3 * period_s:.2f} ms"
-        most_hz = 1.0 / load.tick_s
+        what = f"a tick's frames{several} take up to {1e3 * load.tick_s:.2f} ms of {1e3 * period_s:.2f} ms"
     elif load.answers_s > deadline_s:
         what = (
-            f"the answers take up to {1e3 * load.answers_s:.2f} ms, beyond loop.set_deadline"
+            f"the answers{several} take up to {1e3 * load.answers_s:.2f} ms, beyond loop.set_deadline"
             f" ({1e3 * deadline_s:.2f} ms)"
         )
-        most_hz = config.loop.set_deadline / load.answers_s
     else:
         return ""
     return (
         f"loop.rate_hz = {config.loop.rate_hz:g} on {1e-3 * bits:g} kbit/s: {what};"
-        f" take at most {math.floor(most_hz):g} Hz, or a faster bus"
+        f" take at most {math.floor(most_hz(config, load)):g} Hz, or a faster bus"
         " (bus.bitrate_bit_s; inf where frames go over no wire)"
     )

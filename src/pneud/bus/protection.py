@@ -7,7 +7,7 @@ checksum and counter lie, the DBC says.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import reduce
+from functools import cached_property, reduce
 from operator import xor
 from typing import NamedTuple, TypeAlias
 
@@ -23,13 +23,16 @@ class Crc:
 
     def __init__(self, bits: int, polynomial: int, start: int, final_xor: int) -> None:
         self.bits, self.start, self.final_xor = bits, start, final_xor
-        self._mask = (1 << bits) - 1
-        self._table = tuple(self._remainder(byte << (bits - 8), polynomial) for byte in range(256))
+        self._polynomial, self._mask = polynomial, (1 << bits) - 1
 
-    def _remainder(self, state: int, polynomial: int) -> int:
+    @cached_property
+    def _table(self) -> tuple[int, ...]:
+        return tuple(self._remainder(byte << (self.bits - 8)) for byte in range(256))
+
+    def _remainder(self, state: int) -> int:
         top = 1 << (self.bits - 1)
         for _ in range(8):
-            state = (state << 1) ^ polynomial if state & top else state << 1
+            state = (state << 1) ^ self._polynomial if state & top else state << 1
         return state & self._mask
 
     def __call__(self, data: bytes) -> int:

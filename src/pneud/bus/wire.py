@@ -29,6 +29,7 @@ ERR_CONTROLLER, ERR_BUS_OFF, ERR_RESTARTED = 0x004, 0x040, 0x100
 ERR_PASSIVE, ERR_NOT_PASSIVE = 0x30, 0x4C  # passive; warning or active, so passive no longer
 
 FRAME_BITS = 47  # of a standard frame without data, interframe space included
+EXTENDED_BITS = 20  # more with a 29-bit identifier
 STUFFING = 1.1
 
 _SEND_FLAGS = socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL
@@ -49,9 +50,13 @@ def count_overflows(sock: socket.socket) -> None:
     sock.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
 
 
-def wire_time_ns(data_bytes: int, bitrate_bit_s: float) -> int:
-    """How long a frame is on the wire: 47 bits and its data, plus 10 % stuffing; 0 at infinite bit rate."""
-    return round((FRAME_BITS + 8 * data_bytes) * STUFFING / bitrate_bit_s * 1e9)
+def wire_time_ns(data_bytes: int, bitrate_bit_s: float, can_id: int = 0) -> int:
+    """How long a frame is on the wire: 47 bits and its data, plus 10 % stuffing; 0 at infinite bit rate.
+
+    An identifier of 29 bits, with its flag, takes 20 bits more.
+    """
+    bits = FRAME_BITS + 8 * data_bytes + (EXTENDED_BITS if can_id & CAN_EFF_FLAG else 0)
+    return round(bits * STUFFING / bitrate_bit_s * 1e9)
 
 
 def realtime_offset_ns(attempts: int = 5) -> int:

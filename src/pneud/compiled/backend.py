@@ -11,6 +11,8 @@ import os
 import random
 from collections.abc import Callable
 from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from pneud.axis.cycle import Axis, cycle
@@ -94,8 +96,14 @@ def compiled() -> Backend:
         cache = cache_folder("compiled")
     except OSError as e:
         raise BuildError(str(e)) from None
-    built = compile_functions(FUNCTIONS, cache=cache, holding=True)
-    kept, advance = built.functions
+    return built(cache)
+
+
+@lru_cache(maxsize=1)
+def built(cache: Path) -> Backend:
+    """In C, of a cache; what this process has loaded stays."""
+    made = compile_functions(FUNCTIONS, cache=cache, holding=True)
+    kept, advance = made.functions
     frames = load_source(wire.SOURCE, cache=cache)
     return Backend(
         type("CompiledAxis", (Axis,), {"_cycle": staticmethod(kept), "_whole": staticmethod(whole)}),
@@ -103,7 +111,7 @@ def compiled() -> Backend:
         wire.Carriage(frames.receive, frames.send),
         load_source(packing.SOURCE, cache=cache).pack,
         "compiled",
-        identity=built.identity,
+        identity=made.identity,
     )
 
 

@@ -159,6 +159,7 @@ def plant_of(c: Config) -> PlantParameters:
         encoder_referenced=not incremental,
         bitrate_bit_s=p.bitrate_bit_s,
         node_delay_s=p.node_delay_us * 1e-6,
+        free_s=0.0 if c.bus.sync else p.free_period_us * 1e-6 if p.free_period_us else 1.0 / c.loop.rate_hz,
         load_n=true.cylinder.resistance_n,
         detail=detail_of(c, valve.u_max_v, gas.R, gas.temperature_k),
         wiring=wiring_of(p.wiring),
@@ -179,12 +180,13 @@ def wiring_of(w: PlantWiringConfig) -> Wiring:
 def command_delay_s(bus: BusConfig) -> float:
     """Time from the sampling instant until the command of that sample acts [s].
 
-    Three answers of eight bytes, the computation, and the command of eight bytes, one after the other on
-    the wire.
+    The answers, three without `[bus.signals]`, of eight bytes each, the computation, and the command of
+    eight bytes, one after the other on the wire.
     """
     if bus.command_delay_us is not None:
         return bus.command_delay_us * 1e-6
-    return 4 * (FRAME_BITS + 64) * STUFFING / bus.bitrate_bit_s + COMPUTING_S
+    count = 3 if bus.signals is None else len(bus.signals.messages)
+    return (count + 1) * (FRAME_BITS + 64) * STUFFING / bus.bitrate_bit_s + COMPUTING_S
 
 
 def lead_s(delay_s: float, valve: Valve) -> float:

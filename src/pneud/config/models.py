@@ -6,15 +6,16 @@ Unknown keys are errors; units are part of the names. Nothing here is read insid
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from pneud.config.flow import RATINGS, given
 from pneud.config.learnt import start_of
+from pneud.config.mapping import MessageConfig, SignalsConfig
 from pneud.config.measured import Places, check_map, edges_of
+from pneud.config.nodes import GENERATED, NodeConfig, check_nodes, messages_of, signals_of
 from pneud.config.plant import FrictionConfig, PlantConfig
-from pneud.config.protection import ProtectionConfig
 from pneud.config.sections import (
     GRAVITY_M_S2,
     STOP_M,
@@ -151,7 +152,7 @@ class RealtimeConfig(Section):
     required: bool = False  # refuse to arm without real-time scheduling
 
 
-class FrameConfig(ProtectionConfig):
+class FrameConfig(MessageConfig):
     """One message of the DBC and its signals, by role.
 
     `node` is the CANopen identifier of the device that sends it: its EMCY stops the axis, and so does the
@@ -160,21 +161,8 @@ class FrameConfig(ProtectionConfig):
 
     message: str  # name in the DBC
     signals: dict[str, str] = Field(default_factory=dict)  # role = "name in the DBC"
-    counter: str | None = "Counter"  # signal that counts the frames; "": the device has none
-    crc: str | None = "Crc"  # signal with the checksum; "": the device has none
-    node: Annotated[int, Field(ge=1, le=127)] | None = None
-    heartbeat_timeout_ms: Annotated[float, Field(ge=1, le=60_000)] | None = None
-
-    @field_validator("counter", "crc")
-    @classmethod
-    def _none(cls, name: str | None) -> str | None:
-        return name or None
-
-    @model_validator(mode="after")
-    def _heartbeat_of_a_node(self) -> FrameConfig:
-        if self.heartbeat_timeout_ms is not None and self.node is None:
-            raise ValueError("heartbeat_timeout_ms needs node, the device's CANopen identifier")
-        return self
+    counter: str | None = "Counter"  # signal that counts the frames; "none": the device has none
+    crc: str | None = "Crc"  # signal with the checksum; "none": the device has none
 
 
 class FramesConfig(Section):
@@ -199,7 +187,7 @@ class BusConfig(Section):
     """The CAN bus and its time-outs."""
 
     channel: str = "auto"  # `auto`, `socketcan:IF` or `unixcan:NAME`
-    dbc: str = "pneud.dbc"  # beside this file, or one of pneud's
+    dbc: str = "pneud.dbc"  # beside this file, or one of pneud's; of nodes it is made
     sync: bool = True  # the sensors answer SYNC; else they run free
     bitrate_bit_s: MaybeInfinite = 1.0e6  # `inf` where frames go over no wire
     sensor_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0  # without a valid frame
@@ -207,12 +195,55 @@ class BusConfig(Section):
     deadline_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0  # without a complete set in time
     overload_timeout_ms: Annotated[float, Field(ge=1, le=10_000)] = 1000.0  # every tick after skipped ones
     command_delay_us: Annotated[float, Field(ge=0, le=10_000)] | None = None  # sampling → command acts
+    encoders_apart_m: Positive = 1e-3  # more between two encoders is an error of theirs
     frames: FramesConfig = FramesConfig()
+    signals: SignalsConfig | None = None
+    messages: dict[str, MessageConfig] = Field(default_factory=dict)
+    nodes: tuple[NodeConfig, ...] = ()  # CANopen nodes, which have to be configured
+
+    @model_validator(mode="before")
+    @classmethod
+    def _signals_of_nodes(cls, data: Any) -> Any:
+        """With nodes and without a DBC the signals follow from the nodes."""
+        if not isinstance(data, dict) or not data.get("nodes") or data.get("dbc", GENERATED) != GENERATED:
+            return data
+        try:
+            nodes = tuple(NodeConfig.model_validate(node) for node in data["nodes"])
+        except ValidationError:
+            return data  # which is said of the node itself
+        check_nodes(nodes)
+        signals = SignalsConfig.model_validate(signals_of(nodes))
+        if SignalsConfig.model_validate(data.get("signals", signals)) != signals:
+            raise ValueError("signals follow from nodes; leave them out, or name dbc")
+        own = {"nodes": nodes, "dbc": GENERATED, "signals": signals, "messages": messages_of(nodes)}
+        return {**data, **own}
+
+    @model_validator(mode="after")
+    def _nodes_answer_sync(self) -> BusConfig:
+        if self.nodes and not self.sync:
+            raise ValueError("nodes are configured to answer SYNC; sync has to be true")
+        return self
 
     @model_validator(mode="after")
     def _channel_form(self) -> BusConfig:
         check_channel(self.channel)
         return self
+
+    @model_validator(mode="after")
+    def _one_mapping(self) -> BusConfig:
+        if self.signals is not None and self.frames != FramesConfig():
+            raise ValueError("give either frames or signals")
+        if self.signals is None and self.messages:
+            raise ValueError("messages goes with signals; with frames, these keys stand in each frame")
+        return self
+
+    @property
+    def devices(self) -> tuple[MessageConfig, ...]:
+        """What is said of the messages that the nodes send."""
+        frames = self.frames
+        if self.signals is None:
+            return (frames.encoder, frames.pressure, frames.valve_status)
+        return tuple(self.messages.values())
 
 
 class ObserverConfig(Section):
@@ -487,6 +518,25 @@ class LogConfig(Section):
         return self
 
 
+Touch = Literal["stop", "centre", "go_on"]
+
+
+class OthersConfig(Section):
+    """What this axis does, engaged, where a fault takes another one of the same daemon.
+
+    A stop is a controlled one, then what `limits.stop_then` says; `centre` lets go of the load at once.
+    """
+
+    centre: Touch = "stop"  # one that is centred at once
+    stop: Touch = "stop"  # one that comes to a controlled stop
+
+
+class FaultsConfig(Section):
+    """What a fault does beyond its own axis."""
+
+    others: OthersConfig = OthersConfig()
+
+
 class Config(Section):
     """A whole axis."""
 
@@ -504,6 +554,7 @@ class Config(Section):
     limits: LimitsConfig
     in_position: InPositionConfig = InPositionConfig()
     hunting: HuntingConfig = HuntingConfig()
+    faults: FaultsConfig = FaultsConfig()
     log: LogConfig = LogConfig()
     plant: PlantConfig = PlantConfig()
 
@@ -555,6 +606,12 @@ class Config(Section):
                     f"bus.{key} = {getattr(self.bus, key):g} is shorter than two ticks ({2 * period_ms:g} ms)"
                 )
         start_of(self)
+        both = self.control.compensate_dead_zone and any(n.dead_band == "valve" for n in self.bus.nodes)
+        if both:
+            raise ValueError(
+                'the dead band is made up for twice: dead_band = "off" of the valve\'s node,'
+                " or control.compensate_dead_zone = false"
+            )
         return self
 
     def _plant_can_be(self) -> None:
@@ -566,6 +623,8 @@ class Config(Section):
             raise ValueError(
                 f"plant.polytropic_exponent = {p.polytropic_exponent:g} stands for heat: not with wall_time_s"
             )
+        if p.devices == "canopen" and not self.bus.nodes:
+            raise ValueError('plant.devices = "canopen" needs [[bus.nodes]]')
         true_stroke_m = p.cylinder.stroke_m or self.cylinder.stroke_m
         if not 0.0 <= p.initial_x1_m - self.cylinder.dead_length_1_m <= true_stroke_m:
             raise ValueError(f"plant.initial_x1_m = {p.initial_x1_m:g} lies outside the stroke")

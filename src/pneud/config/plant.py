@@ -97,6 +97,9 @@ class PlantSupplyConfig(Section):
     regulator_l_min_bar: Positive = 1000.0  # ANR, what flows after for each bar below `gas.supply_pa`
 
 
+FreePeriod = Annotated[float, Field(ge=100, le=100_000)]
+
+
 class PlantHosesConfig(Section):
     """Hoses that the controller does not know of, besides the dead lengths and the lag."""
 
@@ -209,6 +212,9 @@ class PlantConfig(Section):
     disturbance: Literal["none", "case1", "case2"] = "none"  # force of the paper's cases
     bitrate_bit_s: MaybeInfinite = 1.0e6  # of the wire that the frames keep busy
     node_delay_us: Annotated[float, Field(ge=0, le=500)] = 20.0  # from SYNC to an answer
+    free_period_us: FreePeriod | None = None  # of nodes that run free (bus.sync); none: as loop.rate_hz
+    devices: Literal["frames", "canopen"] | None = None  # what its nodes are; none: as bus.nodes
+    odd_nodes: Annotated[int, Field(ge=0)] | None = None  # seed of one that misbehaves while it is configured
     cylinder: PlantCylinderConfig = PlantCylinderConfig()
     gas: PlantGasConfig = PlantGasConfig()
     valve: PlantValveConfig = PlantValveConfig()

@@ -13,11 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from pneud.config.flow import RATINGS
-from pneud.config.models import Config
+from pneud.config.models import BusConfig, Config
+from pneud.config.protection import ProtectionConfig
 from pneud.rt.outputs import replacing
 
 _VALVE = {*RATINGS, "u_max_v"}  # the rest is tuned
 _BUS = {"channel", "dbc", "frames"}
+_FURTHER = ("signals", "messages", "nodes")  # where they are given
 _OWN = ("schema", "digest")
 
 
@@ -46,10 +48,20 @@ def digest(c: Config, dbc: bytes) -> str:
         "cylinder": c.cylinder.model_dump(mode="json"),
         "valve": c.valve.model_dump(mode="json", include=_VALVE),
         "encoder": c.encoder.kind,
-        "bus": c.bus.model_dump(mode="json", include=_BUS),
+        "bus": _connected(c.bus),
         "dbc": hashlib.sha256(dbc).hexdigest(),
     }
     return hashlib.sha256(json.dumps(tried, sort_keys=True).encode()).hexdigest()
+
+
+def _connected(bus: BusConfig) -> dict[str, Any]:
+    """How the devices are connected; what is left out is not in it, so that a proof outlives another key."""
+    found = bus.model_dump(mode="json", include=_BUS | {key for key in _FURTHER if getattr(bus, key)})
+    for frame in found["frames"].values():
+        for key, field in ProtectionConfig.model_fields.items():
+            if frame[key] == field.default:
+                del frame[key]
+    return found
 
 
 def keep(config_file: Path, of: str, verdict: dict[str, Any]) -> Path:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from pneud.config.sections import ConfigError
 from pneud.config.toml import TomlError, tables_of
 
 NONE = "none"  # in place of a value
+AXIS = "axis"  # the tables that a file of several axes has
 
 
 def parse(text: str, name: str) -> Config:
@@ -27,14 +28,23 @@ def parse(text: str, name: str) -> Config:
     Raises:
         ConfigError: names the file, the key, the value and the bound.
     """
-    try:
-        data = tables_of(text)
-    except TomlError as e:
-        raise ConfigError(f"{name}: {e}") from None
+    data = _tables(text, name)
     try:
         return Config.model_validate(data)
     except ValidationError as e:
         raise ConfigError(f"{name}: {explain(e, text, Config)}") from None
+
+
+def _tables(text: str, name: str) -> dict[str, Any]:
+    """Those of one axis."""
+    try:
+        data = tables_of(text)
+    except TomlError as e:
+        raise ConfigError(f"{name}: {e}") from None
+    if isinstance(several := data.get(AXIS), list):
+        found = ", ".join(str(one.get("name", "?")) for one in several if isinstance(one, dict))
+        raise ConfigError(f"{name}: has several axes ({found}); choose one, with --axis")
+    return data
 
 
 def with_settings(text: str, name: str, settings: Sequence[str]) -> Config:
@@ -49,10 +59,7 @@ def with_settings(text: str, name: str, settings: Sequence[str]) -> Config:
     Raises:
         ConfigError: as `parse`, or a setting has not this form.
     """
-    try:
-        data = tables_of(text)
-    except TomlError as e:
-        raise ConfigError(f"{name}: {e}") from None
+    data = _tables(text, name)
     for setting in settings:
         key, equals, value = setting.partition("=")
         *tables, last = key.strip().split(".")
@@ -87,30 +94,43 @@ def load_config(file: str | Path) -> Config:
 
 def load_with_text(file: str | Path) -> tuple[Config, str, Path]:
     """As `load_config`, with the file's text and where it was found."""
+    text, path = text_of(file)
+    return parse(text, str(path)), text, path
+
+
+def text_of(file: str | Path) -> tuple[str, Path]:
+    """The text of a file, or of one of those that come with pneud, and where it was found.
+
+    Raises:
+        ConfigError: it is missing or unreadable.
+    """
     try:
         path = resources.find(file)
-        text = path.read_text(encoding="utf-8-sig")
+        return path.read_text(encoding="utf-8-sig"), path
     except FileNotFoundError as e:
         raise ConfigError(str(e)) from None
     except (OSError, UnicodeDecodeError) as e:
         raise ConfigError(f"{file}: cannot be read: {getattr(e, 'strerror', e)}") from None
-    return parse(text, str(path)), text, path
 
 
-def explain(e: ValidationError, text: str = "", model: type[BaseModel] | None = None) -> str:
+Finder = Callable[[Sequence[str]], int]
+"""The line on which a key stands; 0 where it is not known."""
+
+
+def explain(e: ValidationError, text: str | Finder = "", model: type[BaseModel] | None = None) -> str:
     """What is wrong, in one line: where, key, value and bound of each error.
 
     Args:
         e: the errors.
-        text: of the file, to say on which line each is.
+        text: of the file, to say on which line each is; or what finds that.
         model: of the file, to say what an unknown key may have meant.
     """
     return "; ".join(_sentence(error, text, model) for error in e.errors())
 
 
-def _sentence(error: Any, text: str, model: type[BaseModel] | None) -> str:
+def _sentence(error: Any, text: str | Finder, model: type[BaseModel] | None) -> str:
     path = [str(part) for part in error["loc"]]
-    line, where = line_of(text, path), ".".join(path)
+    line, where = line_of(text, path) if isinstance(text, str) else text(path), ".".join(path)
     prefix = f"line {line}: " if line else ""
     if error["type"] == "extra_forbidden":
         near = meant(model, path) if model is not None else ""

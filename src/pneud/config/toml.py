@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Mapping
 from typing import Any
@@ -35,3 +36,39 @@ def flat(value: Any, prefix: str = "") -> dict[str, Any]:
     for key, inner in value.items():
         found |= flat(inner, f"{prefix}.{key}" if prefix else str(key))
     return found
+
+
+def changed_text(text: str, change: dict[str, Any]) -> str:
+    """A configuration's text, plain, with values put in place of its own; None takes a key out."""
+    return toml_text(merged(tables_of(text), change))
+
+
+def toml_text(data: dict[str, Any], prefix: str = "") -> str:
+    """Tables of plain values as TOML; None is left out."""
+    plain = {key: v for key, v in data.items() if not isinstance(v, dict) and v is not None}
+    tables = [
+        f"\n[{prefix}{key}]\n{toml_text(v, f'{prefix}{key}.')}"
+        for key, v in data.items()
+        if isinstance(v, dict)
+    ]
+    return "".join([f"{key} = {_value(v)}\n" for key, v in plain.items()] + tables)
+
+
+def _value(value: Any) -> str:
+    """A value in one line."""
+    if isinstance(value, float):  # JSON has TOML's strings and truths, but not its infinite numbers
+        return repr(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{k} = {_value(v)}' for k, v in value.items() if v is not None)}}}"
+    return json.dumps(value)
+
+
+def merged(data: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables with values put in place of theirs, table by table."""
+    result = dict(data)
+    for key, value in change.items():
+        below = result.get(key)
+        result[key] = merged(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
+    return result

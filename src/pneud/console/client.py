@@ -38,12 +38,17 @@ class Reply(dict[str, Any]):
 class Client:
     """A connection to a running daemon."""
 
-    def __init__(self, socket_path: str | None = None) -> None:
+    def __init__(self, socket_path: str | None = None, axis: str | None = None) -> None:
         """Connect to a socket, or to that of the daemon that runs.
+
+        Args:
+            socket_path: of the daemon.
+            axis: that all requests are for, where it has several.
 
         Raises:
             PlaceError: there is no daemon, or several, or it may not be talked to.
         """
+        self._axis = {"axis": axis} if axis is not None else {}
         self._connection = find(socket_path)
         self._connection.settimeout(_PATIENCE_S)
         self._received = b""
@@ -96,8 +101,11 @@ class Client:
             The number that the reply will have.
         """
         self._number += 1
+        fields = {"v": VERSION, "id": self._number, "verb": verb, **self._axis, **fields}
         with contextlib.suppress(OSError):  # a refusal may lie there to be read
-            self._connection.sendall(line({"v": VERSION, "id": self._number, "verb": verb, **fields}))
+            self._connection.sendall(
+                line({"v": VERSION, "id": self._number, "verb": verb, **self._axis, **fields})
+            )
         return self._number
 
     def replies(self) -> list[dict[str, Any]]:

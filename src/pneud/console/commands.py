@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from pneud.config.conversions import shunned_of
 from pneud.config.learnt import start_of, values_learnt
-from pneud.console import protocol
+from pneud.console import protocol, together
 from pneud.console.facts import RunFacts
 from pneud.console.handoff import RequestOutcome
 from pneud.console.memory import Memory
@@ -13,6 +14,7 @@ from pneud.console.orders import Orders
 from pneud.console.protocol import Error, ProtocolError
 from pneud.console.status_reply import StatusWatch, faults
 from pneud.console.tuning import Tuning
+from pneud.control.reference import Bounds, unhurried
 from pneud.log.live.ring import Ring
 from pneud.safety.faults import CENTRES, STOPS, F
 from pneud.safety.supervisor import BLOCKS
@@ -39,7 +41,7 @@ class AxisDesk:
         self._ring = ring
         self._watch = watch
         self._memory = memory
-        self._tuning = Tuning(run.config, run.path, run.text, memory)
+        self._tuning = Tuning(run.config, run.path, run.text, memory, run.own)
 
     def read(self) -> None:
         """Read the axis's file, for the next `status` or `tune_reload`."""
@@ -109,6 +111,8 @@ class AxisDesk:
                 return self._restart()
             case protocol.Goto():
                 return self._goto(message)
+            case protocol.GotoAll():
+                return together.goto([self], message)
             case protocol.Jog(velocity_mm_s=v, lease_s=lease_s):
                 self._check_speed(v)
                 ticks = max(1, round(lease_s * self._run.config.loop.rate_hz))
@@ -132,6 +136,26 @@ class AxisDesk:
                 shown = "".join(c if c.isprintable() else "?" for c in text)
                 return Orders(f"mark {shown}", (Request(RequestKind.MARK),), free=True)
         raise AssertionError(message)
+
+    def stands_m(self) -> float:
+        """Where the axis holds.
+
+        Raises:
+            ProtocolError: it does not hold.
+        """
+        last = self._ring.reader().latest()
+        if last is None or last.tick.state != State.HOLDING:
+            state = State.STARTING if last is None else State(last.tick.state)
+            words = f"goto: {self.name} is {state.label}; axes set out together from where they hold"
+            raise ProtocolError(Answer.WRONG_STATE.name.lower(), words, state=state.label)
+        return last.tick.reference.position_m
+
+    def bounds(self, distance_m: float) -> Bounds:
+        """What a move of so much from rest would keep to, if it went alone."""
+        limits, motion = self._run.config.limits, self._run.config.limits.motion
+        speed_m_s = min(motion.speed_m_s, limits.speed_m_s)
+        bounds = Bounds(speed_m_s, motion.acceleration_m_s2, motion.jerk_m_s3)
+        return unhurried(bounds, distance_m, shunned_of(self._run.config))
 
     def _restart(self) -> Orders:
         """A run that would not begin is not left for."""

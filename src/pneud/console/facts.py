@@ -22,6 +22,7 @@ class RunFacts(NamedTuple):
     log_path: str
     log_is_given: bool = False  # this very file, not a folder in which each run has its own
     hindrance: Callable[[], str] = str  # why no run could begin with what the files say now; "" for nothing
+    own: Callable[[str], str] = str  # what a text of the file says of this axis: all of it, where it is alone
 
     def page(self) -> dict[str, Any]:
         """What a screen has to know beside the records, as JSON has it."""

@@ -10,15 +10,17 @@ import select
 import socket
 import struct
 import time
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from pneud.signals import REQUEST_VALUES, Request, RequestKind, Tick
 
 LATE = 255  # in place of an `Answer`: the axis has not seen the request
 LATE_NS = 200_000_000
+MOST_AXES = 32
 
-_REQUEST = struct.Struct(f"<IBB2xq{REQUEST_VALUES}d")  # number, kind, values, sent at, values
-_ANSWER = struct.Struct("<IBB2xQQ")  # number, answer, state, present, latched
+_REQUEST = struct.Struct(f"<IBBBxq{REQUEST_VALUES}d")  # number, kind, values, axis, sent at, values
+_ANSWER = struct.Struct("<IBBBxQQ")  # number, answer, state, axis, present, latched
 _NEVER_LATE = (RequestKind.STOP, RequestKind.DISARM)
 _PADDING = (0.0,) * REQUEST_VALUES
 
@@ -62,20 +64,19 @@ class LoopEnd:
             if not data:  # the console is gone
                 self._epoll.unregister(self._end)
             return None
-        number, kind, count, sent_ns, *values = _REQUEST.unpack(data)
-        if kind not in _NEVER_LATE and time.monotonic_ns() - sent_ns > self._late_ns:
-            self._send(number, LATE, 0, 0, 0)
+        self._number, _, request, late = _unpacked(data, self._late_ns)
+        if late:
+            self._send(LATE, 0, 0, 0)
             return None
-        self._number = number
-        return Request(kind, tuple(values[:count]))
+        return request
 
     def answer(self, tick: Tick) -> None:
         """Tell what became of the request taken last; never waits."""
-        self._send(self._number, tick.answer, tick.state, tick.present, tick.latched)
+        self._send(tick.answer, tick.state, tick.present, tick.latched)
 
-    def _send(self, number: int, answer: int, state: int, present: int, latched: int) -> None:
+    def _send(self, answer: int, state: int, present: int, latched: int, axis: int = 0) -> None:
         try:
-            self._end.send(_ANSWER.pack(number, answer, state, present, latched))
+            self._end.send(_ANSWER.pack(self._number, answer, state, axis, present, latched))
         except OSError:
             return  # a console that does not read, or is gone, learns nothing
 
@@ -85,16 +86,64 @@ class LoopEnd:
         self._end.close()
 
 
+class SharedEnd(LoopEnd):
+    """The loop's end where there are several axes, of which a message may ask one or more."""
+
+    def take_all(self) -> dict[int, Request]:
+        """The next requests, by the places of the axes, none where there are none; never waits."""
+        if not self._look(0):
+            return {}
+        try:
+            data = self._end.recv(_REQUEST.size * MOST_AXES)
+        except OSError:
+            data = b""
+        if not data or len(data) % _REQUEST.size:
+            if not data:  # the console is gone
+                self._epoll.unregister(self._end)
+            return {}
+        parts = [data[i : i + _REQUEST.size] for i in range(0, len(data), _REQUEST.size)]
+        found = [_unpacked(part, self._late_ns) for part in parts]
+        self._number = found[0][0]
+        if any(late for *_, late in found):
+            self._send(LATE, 0, 0, 0)
+            return {}
+        return {axis: request for _, axis, request, _ in found}
+
+    def answer_of(self, axis: int, tick: Tick) -> None:
+        """Tell what became of the requests taken last, as one axis says; never waits."""
+        self._send(tick.answer, tick.state, tick.present, tick.latched, axis)
+
+
+def _unpacked(data: bytes, late_ns: int) -> tuple[int, int, Request, bool]:
+    """Number, axis, request, and whether it has been on its way for too long."""
+    number, kind, count, axis, sent_ns, *values = _REQUEST.unpack(data)
+    late = kind not in _NEVER_LATE and time.monotonic_ns() - sent_ns > late_ns
+    return number, axis, Request(kind, tuple(values[:count])), late
+
+
 def send(end: socket.socket, number: int, request: Request) -> bool:
-    """Hand a request over from the console's end.
+    """As `send_all`, to the only axis."""
+    return send_all(end, number, {0: request})
+
+
+def send_all(end: socket.socket, number: int, asked: Mapping[int, Request]) -> bool:
+    """Hand requests over from the console's end, to all axes at once.
+
+    Args:
+        end: the console's.
+        number: of the message.
+        asked: by the places of the axes, from 0.
 
     Returns:
         Whether there was room for it.
     """
-    kind, values = request
-    packed = _REQUEST.pack(number, kind, len(values), time.monotonic_ns(), *values, *_PADDING[len(values) :])
+    now_ns = time.monotonic_ns()
+    packed = [
+        _REQUEST.pack(number, kind, len(values), axis, now_ns, *values, *_PADDING[len(values) :])
+        for axis, (kind, values) in asked.items()
+    ]
     try:
-        end.send(packed)
+        end.send(b"".join(packed))
     except OSError:
         return False
     return True
@@ -106,6 +155,12 @@ def receive(end: socket.socket) -> RequestOutcome | None:
     Raises:
         EOFError: the loop is gone.
     """
+    found = receive_from(end)
+    return found[1] if found is not None else None
+
+
+def receive_from(end: socket.socket) -> tuple[int, RequestOutcome] | None:
+    """As `receive`, with the place of the axis that says so."""
     try:
         data = end.recv(_ANSWER.size)
     except BlockingIOError:
@@ -114,4 +169,5 @@ def receive(end: socket.socket) -> RequestOutcome | None:
         raise EOFError from None
     if len(data) != _ANSWER.size:
         raise EOFError
-    return RequestOutcome._make(_ANSWER.unpack(data))
+    number, answer, state, axis, present, latched = _ANSWER.unpack(data)
+    return axis, RequestOutcome(number, answer, state, present, latched)

@@ -14,9 +14,7 @@ from contextlib import suppress
 
 from pneud import crew
 from pneud.console.facts import RunFacts
-from pneud.console.memory import Memory
-from pneud.console.worker import Post, load, serve
-from pneud.log.live.notes import Teller
+from pneud.console.worker import Post, Seat, load, serve
 from pneud.log.live.ring import Ring
 
 _LOOK_S = 0.25  # how often a console that may stand still is looked at; an end is told by a signal
@@ -35,9 +33,20 @@ _WARNING, _ERROR = 3, 4  # levels of the log's events; their module is heavy to 
 def fork_console(
     listener: socket.socket, loop: socket.socket, words: socket.socket, run: RunFacts, ring: Ring
 ) -> int:
+    """As `fork_shared`, for one axis alone; its socket for words is the console's, too."""
+    return fork_shared(listener, loop, run.config.name, (Seat(words, run, ring),))
+
+
+def fork_shared(listener: socket.socket, loop: socket.socket, name: str, seats: tuple[Seat, ...]) -> int:
     """Fork the console's keeper, which forks the console; the sockets are theirs from here on.
 
     They finish by themselves when the ring is closed or this process dies, however it dies.
+
+    Args:
+        listener: bound and listening.
+        loop: the console's end of the hand-off.
+        name: of the daemon.
+        seats: one for each axis.
 
     Returns:
         The keeper's process id; a SIGHUP reaches the console through it.
@@ -45,9 +54,9 @@ def fork_console(
     Raises:
         OSError: no more processes.
     """
-    daemon, post = os.getpid(), Post(listener, loop, words, run, ring, Memory())
+    daemon, post = os.getpid(), Post(listener, loop, name, seats)
     child = crew.fork(lambda: _Keeper(post, daemon).run(), keep=post.descriptors, orphaned=None)
-    for end in (listener, loop, words):
+    for end in (listener, loop, *(seat.words for seat in seats)):
         end.close()
     return child
 
@@ -56,7 +65,6 @@ class _Keeper:
     def __init__(self, post: Post, daemon: int) -> None:
         self._post = post
         self._daemon = daemon
-        self._teller = Teller(post.words, "console")
         self._console = 0
         self._begun_ns = 0
         self._before = 0  # consoles that have been started
@@ -77,7 +85,7 @@ class _Keeper:
             except OSError as e:
                 why = f"cannot be started: {e.strerror}"
             lived_ns = self._post.ring.console_ns - self._begun_ns
-            self._post.ring.set_console_gone()
+            self._post.set_console_gone()
             time.sleep(_SOON_S)
             if not self._over():
                 self._mourn(why, lived_ns)
@@ -140,6 +148,6 @@ class _Keeper:
             self._say(_ERROR, words + (often if self._at_once == 2 else ""))
 
     def _say(self, level: int, words: str) -> None:
-        self._teller.say(level, words)
+        self._post.say(level, words)
         with suppress(OSError):  # standard error may be closed or full; what is not written must not stay
             os.write(2, f"pneud: {words}\n".encode())

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
 from pneud.console import handoff, protocol
 from pneud.console.protocol import ProtocolError
+from pneud.control.reference import Bounds
 from pneud.signals import Request
 
 
@@ -22,6 +23,12 @@ class Orders(NamedTuple):
     unfinished: bool = False  # another message of the same client is to follow
     follows: bool = False  # such an unfinished one, without which it is not done
     attended: bool = False  # the axis is to hold where its client goes
+    axes: tuple[int, ...] = (0,)  # places of those that are asked, all in one tick
+    each: Mapping[int, Request] | None = None  # what, where it is not the same of all
+
+    def step(self, number: int) -> Mapping[int, Request]:
+        """What to ask next of which axes."""
+        return self.each if self.each is not None else dict.fromkeys(self.axes, self.requests[number])
 
 
 class Desk(Protocol):
@@ -41,6 +48,16 @@ class Desk(Protocol):
 
     def gains(self) -> dict[str, Any]:
         """The fields of the reply to `tune_get`."""
+
+    def stands_m(self) -> float:
+        """Where the axis holds.
+
+        Raises:
+            ProtocolError: it does not hold.
+        """
+
+    def bounds(self, distance_m: float) -> Bounds:
+        """What a move of so much from rest would keep to, if it went alone."""
 
     def plan(self, message: protocol.Request) -> Orders:
         """What to ask of the loop.

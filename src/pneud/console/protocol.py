@@ -45,6 +45,7 @@ class ProtocolError(Exception):
         self.message = message
         self.number = number
         self.more = more
+        self.axis = ""  # that says so, where there are several
 
 
 Number = Annotated[int, Field(ge=0, le=2**31 - 1)]
@@ -59,6 +60,7 @@ class RequestBase(BaseModel):
 
     v: Literal[1]
     id: Number
+    axis: Annotated[str, Field(min_length=1, max_length=64)] | None = None  # where there are several
 
 
 class Plain(RequestBase):
@@ -105,6 +107,13 @@ class Goto(RequestBase):
     acceleration_mm_s2: Rate | None = None
     jerk_mm_s3: Rate | None = None
     attended: bool = False  # ends, held, where its client goes
+
+
+class GotoAll(RequestBase):
+    """Go to positions with several axes, all at once: they set out together and arrive together."""
+
+    verb: Literal["goto_all"]
+    axes: Annotated[dict[str, Millimetres], Field(min_length=1, max_length=32)]
 
 
 class Jog(RequestBase):
@@ -164,7 +173,7 @@ class Mark(RequestBase):
     text: Annotated[str, Field(min_length=1, max_length=200)]
 
 
-Request = Plain | Arm | Goto | Jog | Probe | Track | Upload | TuneGet | TuneSet | TuneReload | Mark
+Request = Plain | Arm | Goto | GotoAll | Jog | Probe | Track | Upload | TuneGet | TuneSet | TuneReload | Mark
 VERBS: dict[str, type[Request]] = {
     verb: kind for kind in Request.__args__ for verb in kind.model_fields["verb"].annotation.__args__
 }
@@ -209,6 +218,7 @@ def reply(number: int | None, axis: str, **fields: Any) -> bytes:
 
 def refusal(error: ProtocolError, axis: str) -> bytes:
     """The line that says that a request was not done by an axis, and why."""
+    axis = error.axis or axis
     told = {"type": error.kind, "message": error.message, **error.more}
     return line({"v": VERSION, "id": error.number, "ok": False, "axis": axis, "error": told})
 

@@ -15,6 +15,7 @@ def ask(
     json: bool,
     verb: str,
     words: Callable[[dict[str, Any]], str] = lambda reply: str(reply.get("state", "done")),
+    axis: str | None = None,
     **fields: Any,
 ) -> int:
     """Ask for one thing and print what came of it: for people `words`, as the state that the axis is in then.
@@ -25,7 +26,7 @@ def ask(
     Raises:
         PlaceError: no daemon to talk to.
     """
-    with Client(socket) as client:
+    with Client(socket, axis) as client:
         try:
             reply = client.ask(verb, **fields)
         except RefusedError as e:
@@ -36,7 +37,13 @@ def ask(
 
 def show(reply: dict[str, Any], json: bool, words: str) -> None:
     """Print a result, with the axis that it is of."""
-    axis = f"{reply['axis']}: " if "axis" in reply else ""
+    axis = (
+        f"{', '.join(reply['axes'])}: "
+        if "axes" in reply
+        else f"{reply['axis']}: "
+        if "axis" in reply
+        else ""
+    )
     print(json_.dumps({"schema": 1, "ok": True, **reply}) if json else f"{axis}{words}")
 
 

@@ -12,10 +12,10 @@ import selectors
 import socket
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from pneud.console import handoff, protocol
+from pneud.console import handoff, protocol, together
 from pneud.console.beside import Beside, Then
 from pneud.console.lease import LEASE_S, Lease
 from pneud.console.line_stream import MAX_LINE
@@ -113,29 +113,32 @@ class Server:
         self,
         listener: socket.socket,
         loop: socket.socket,
-        desk: Desk,
+        desk: Desk | Sequence[Desk],
         say: Callable[[int, str], None],
         bounds: ClientBounds = BOUNDS,
         clock: Callable[[], float] = time.monotonic,
         first: int = 0,
         files: Beside | None = None,
+        name: str = "",
     ) -> None:
         """A server that is ready to take its turns.
 
         Args:
             listener: bound and listening; closed by `close`.
             loop: the console's end of the hand-off; closed by `close`.
-            desk: knows the axis.
+            desk: knows the axis; or one for each of several.
             say: level and words for the log.
             bounds: what clients may use up.
             clock: seconds.
             first: its requests' numbers begin after it.
             files: has the desk read its files, in a thread unless it is given.
+            name: of the daemon, where it has several axes.
         """
         self.over = False  # the loop is gone
         self._listener = listener
         self._loop = loop
-        self._desk = desk
+        self._desks: tuple[Desk, ...] = tuple(desk) if isinstance(desk, Sequence) else (desk,)
+        self._name = name or self._desks[0].name
         self._say = say
         self._bounds = bounds
         self._clock = clock
@@ -145,20 +148,25 @@ class Server:
         self._jobs: deque[_Job] = deque()
         self._flight: tuple[int, _Job, float] | None = None  # number, whose, given up at
         self._number = first
-        self._attending: _Client | None = None  # to a motion that ends with him
-        self._files = files or Beside(desk.read, clock)
+        self._attending: dict[int, _Client] = {}  # to a motion of an axis that ends with him
+        self._files = files or Beside(self._read, clock)
         self._unfinished: tuple[_Client | None, Orders] | None = None
-        self._renewed = ""
-        self._order: dict[str, Any] | None = None  # of motion, the last one that was taken
+        self._renewed: dict[int, str] = {}  # by axis
+        self._order: dict[int, dict[str, Any]] = {}  # of motion of an axis, the last one that was taken
         self._selector = selectors.DefaultSelector()
         listener.setblocking(False)
         loop.setblocking(False)
         self._selector.register(listener, selectors.EVENT_READ)
         self._selector.register(loop, selectors.EVENT_READ)
         self._selector.register(self._files.descriptor, selectors.EVENT_READ)
-        left = desk.left_half_done()
-        if left is not None:
-            self._undo(left, "the console")
+        for axis, one in enumerate(self._desks):
+            left = one.left_half_done()
+            if left is not None:
+                self._undo(left._replace(axes=(axis,)), "the console")
+
+    def _read(self) -> None:
+        for desk in self._desks:
+            desk.read()
 
     def step(self, timeout_s: float) -> None:
         """Wait for something to do, for so long at most, and do it."""
@@ -259,8 +267,8 @@ class Server:
         self._jobs = deque(j for j in self._jobs if j.client is not None or j.plan.urgent or j.number is None)
         if self._unfinished is not None and self._unfinished[0] is client:
             self._undo(self._unfinished[1], client.peer.label)
-        if self._attending is client:
-            self._unattended(client.peer.label)
+        for axis in [axis for axis, who in self._attending.items() if who is client]:
+            self._unattended(axis, client.peer.label)
 
     def _receive(self, client: _Client) -> None:
         try:
@@ -356,11 +364,20 @@ class Server:
             self._say(WARNING, f"{client.peer.label}: refused {client.mistakes} more")
             client.mistakes = 0
 
-    def _reply(self, number: int | None, **fields: Any) -> bytes:
-        return protocol.reply(number, self._desk.name, **fields)
+    def _reply(self, number: int | None, whose: tuple[int, ...] = (), **fields: Any) -> bytes:
+        if len(whose) > 1:
+            fields["axes"] = [self._desks[axis].name for axis in whose]
+        name = self._desks[whose[0]].name if len(whose) == 1 else self._name
+        return protocol.reply(number, name, **fields)
 
     def _refusal(self, error: ProtocolError) -> bytes:
-        return protocol.refusal(error, self._desk.name)
+        return protocol.refusal(error, self._name)
+
+    def _of(self, plan: Orders) -> str:
+        """Whose it is, for the log, where there are several axes."""
+        if len(self._desks) == 1:
+            return ""
+        return f"{', '.join(self._desks[axis].name for axis in plan.axes)}: "
 
     # requests
 
@@ -373,21 +390,40 @@ class Server:
         number = message.id
         match message.verb:
             case "status":
-                self._files.do(self._bounds.look_s, lambda _: self._tell_status(client, number))
+                self._files.do(self._bounds.look_s, lambda _: self._tell_status(client, message))
             case "tune_get":
-                self._send(client, self._reply(number, **self._desk.gains()))
+                if (axis := self._one(client, message)) is not None:
+                    self._send(client, self._reply(number, (axis,), **self._desks[axis].gains()))
             case "observe":
                 client.read_only = True
                 self._send(client, self._reply(number))
             case "attach":
-                self._attach(client, number)
+                if (axis := self._one(client, message)) is not None:
+                    self._attach(client, axis, number)
             case _:
                 self._read_first(message, lambda read: self._command(client, message, read))
 
-    def _tell_status(self, client: _Client, number: int) -> None:
+    def _one(self, client: _Client, message: protocol.Request) -> int | None:
+        """The one axis that is meant; None where none is, which the client has been told."""
+        try:
+            return together.meant(self._desks, message)[0]
+        except ProtocolError as e:
+            e.number = message.id
+            self._refuse(client, e)
+            return None
+
+    def _tell_status(self, client: _Client, message: protocol.Request) -> None:
         lease = self._lease_fields()
-        fields = {**self._desk.status(), "lease": lease, "order": self._order}
-        self._send(client, self._reply(number, **fields))
+        if message.axis is not None or len(self._desks) == 1:
+            if (axis := self._one(client, message)) is not None:
+                fields = {**self._desks[axis].status(), "lease": lease, "order": self._order.get(axis)}
+                self._send(client, self._reply(message.id, (axis,), **fields))
+            return
+        each = {
+            desk.name: {**desk.status(), "order": self._order.get(axis)}
+            for axis, desk in enumerate(self._desks)
+        }
+        self._send(client, self._reply(message.id, schema=1, name=self._name, axes=each, lease=lease))
 
     def _lease_fields(self) -> dict[str, Any] | None:
         now_s = self._clock()
@@ -397,15 +433,15 @@ class Server:
         left_s = round(self._lease.left_s(now_s), 3)
         return {"uid": holder.peer.uid, "pid": holder.peer.pid, "left_s": left_s}
 
-    def _attach(self, client: _Client, number: int) -> None:
+    def _attach(self, client: _Client, axis: int, number: int) -> None:
         """Reply with a descriptor, which goes with the first byte of the line."""
         try:
-            fields, descriptor = self._desk.attach()
+            fields, descriptor = self._desks[axis].attach()
         except OSError as e:
             error = ProtocolError(Error.FULL, f"no descriptor to give: {e.strerror}", number)
             self._refuse(client, error)
             return
-        line = self._reply(number, **fields)
+        line = self._reply(number, (axis,), **fields)
         try:
             sent = socket.send_fds(client.connection, [line], [descriptor])
         except OSError:
@@ -429,7 +465,7 @@ class Server:
                 Error.CONFIGURATION,
                 f"the file cannot be read within {self._bounds.read_s:g} s; nothing has been taken",
             )
-        return self._desk.plan(message)
+        return together.plan(self._desks, message)
 
     def _command(self, client: _Client, message: protocol.Request, read: bool) -> None:
         if client not in self._clients:  # has gone meanwhile
@@ -454,7 +490,8 @@ class Server:
             if plan.urgent:
                 self._displace_jobs()
             if not plan.requests:  # nothing changes
-                self._send(client, self._reply(number, **(plan.done() if plan.done is not None else {})))
+                more = plan.done() if plan.done is not None else {}
+                self._send(client, self._reply(number, plan.axes, **more))
                 return
             if len(self._jobs) >= self._bounds.jobs:
                 raise ProtocolError(Error.FULL, "too many requests wait for the loop")
@@ -486,7 +523,7 @@ class Server:
             return
 
         def undone() -> dict[str, Any]:
-            self._desk.half_done(False)
+            self._desks[plan.axes[0]].half_done(False)
             return {}
 
         def refused(error: ProtocolError) -> None:
@@ -495,16 +532,17 @@ class Server:
             else:
                 undone()
 
-        orders = Orders(f"undo {plan.words}", (plan.undo,), done=undone)
+        orders = Orders(f"undo {plan.words}", (plan.undo,), done=undone, axes=plan.axes)
         # before what the client has sent behind it
         self._jobs.appendleft(_Job(None, None, orders, label, refused))
 
-    def _unattended(self, label: str) -> None:
-        """Have the axis hold: whose motion it was has gone."""
-        why = f"{label} has gone while {'jogging' if self._renewed else 'moving'}"
-        self._attending = None
-        self._renewed = ""
-        self._jobs.append(_Job(None, None, Orders("hold", (Request(RequestKind.HOLD),)), why))
+    def _unattended(self, axis: int, label: str) -> None:
+        """Have an axis hold: whose motion it was has gone."""
+        why = f"{label} has gone while {'jogging' if self._renewed.get(axis) else 'moving'}"
+        self._attending.pop(axis, None)
+        self._renewed.pop(axis, None)
+        hold = Orders("hold", (Request(RequestKind.HOLD),), axes=(axis,))
+        self._jobs.append(_Job(None, None, hold, why))
 
     # the loop
 
@@ -519,19 +557,20 @@ class Server:
             self._number = (self._number + 1) & 0xFFFF_FFFF
             self._flight = (self._number, job, self._clock() + self._bounds.silent_s)
             if job.plan.undo is not None:
-                self._desk.half_done(True)
-            if not handoff.send(self._loop, self._number, job.plan.requests[job.next]):
+                self._desks[job.plan.axes[0]].half_done(True)
+            if not handoff.send_all(self._loop, self._number, job.plan.step(job.next)):
                 self._give_up(job)
 
     def _hear(self) -> None:
         try:
-            outcome = handoff.receive(self._loop)
+            found = handoff.receive_from(self._loop)
         except EOFError:
             self.over = True
             self._selector.unregister(self._loop)
             return
-        if outcome is None or self._flight is None or self._flight[0] != outcome.number:
+        if found is None or self._flight is None or self._flight[0] != found[1].number:
             return  # the answer to a request that was given up
+        axis, outcome = found
         job = self._flight[1]
         self._flight = None
         if job.ended:
@@ -546,7 +585,9 @@ class Server:
         if outcome.answer == handoff.LATE:
             self._end(job, ProtocolError(Error.LATE, "the loop came to it too late; it has not been done"))
         else:
-            self._end(job, self._desk.refused(outcome.answer, job.plan.words, outcome))
+            error = self._desks[axis].refused(outcome.answer, job.plan.words, outcome)
+            error.axis = self._desks[axis].name if len(self._desks) > 1 else ""
+            self._end(job, error)
 
     def _give_up(self, job: _Job) -> None:
         self._flight = None
@@ -560,23 +601,32 @@ class Server:
     def _done(self, job: _Job, outcome: handoff.RequestOutcome) -> None:
         more = job.plan.done() if job.plan.done is not None else {}
         kind = job.plan.requests[0].kind
-        if kind in _MOTION or kind in _RENEWED:
-            self._order = {"number": outcome.number, "words": job.plan.words}
+        moves = kind in _MOTION or kind in _RENEWED
+        if moves:
+            order = {"number": outcome.number, "words": job.plan.words}
+            self._order |= dict.fromkeys(job.plan.axes, order)
             more["order"] = outcome.number
         if job.plan.undo is not None:
             self._unfinished = (job.client, job.plan) if job.plan.unfinished else None
             if not job.plan.unfinished:
-                self._desk.half_done(False)
+                self._desks[job.plan.axes[0]].half_done(False)
             if job.plan.unfinished and job.client is None:
                 self._undo(job.plan, job.label)
-        if kind not in _RENEWED or job.plan.words != self._renewed:
-            self._say(INFO, f"{job.label}: {job.plan.words} → taken")
-        if kind in _MOTION or kind in _RENEWED:
-            self._renewed = job.plan.words if kind in _RENEWED else ""
-            self._attending = job.client if job.plan.attended else None
-            if job.plan.attended and job.client is None:
-                self._unattended(job.label)
-        self._send(job.client, self._reply(job.number, **more, state=State(outcome.state).label))
+        if kind not in _RENEWED or job.plan.words != self._renewed.get(job.plan.axes[0]):
+            self._say(INFO, f"{job.label}: {self._of(job.plan)}{job.plan.words} → taken")
+        for axis in job.plan.axes if moves else ():
+            self._attend(axis, job, renewed=job.plan.words if kind in _RENEWED else "")
+        state = State(outcome.state).label
+        self._send(job.client, self._reply(job.number, job.plan.axes, **more, state=state))
+
+    def _attend(self, axis: int, job: _Job, renewed: str) -> None:
+        """See whether the motion that an axis has begun ends with a client."""
+        self._renewed[axis] = renewed
+        self._attending.pop(axis, None)
+        if job.plan.attended and job.client is not None:
+            self._attending[axis] = job.client
+        elif job.plan.attended:
+            self._unattended(axis, job.label)
 
     def _end(self, job: _Job, error: ProtocolError) -> None:
         job.ended = True
@@ -585,7 +635,7 @@ class Server:
 
     def _tell(self, job: _Job, error: ProtocolError) -> None:
         error.number = job.number
-        self._say(WARNING, f"{job.label}: {job.plan.words} → {error.kind}")
+        self._say(WARNING, f"{job.label}: {self._of(job.plan)}{job.plan.words} → {error.kind}")
         self._send(job.client, self._refusal(error))
         if job.refused is not None:
             job.refused(error)

@@ -5,6 +5,7 @@ Gains and reference, and what is believed of valve and friction, and the filters
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -116,8 +117,16 @@ def difference(old: Values, new: Values) -> str:
 class Tuning:
     """What runs on one axis of all that may be tuned."""
 
-    def __init__(self, config: Config, path: Path, text: str, memory: Memory | None = None) -> None:
-        """As they were loaded, or are remembered."""
+    def __init__(
+        self,
+        config: Config,
+        path: Path,
+        text: str,
+        memory: Memory | None = None,
+        own: Callable[[str], str] = str,
+    ) -> None:
+        """As they were loaded, or are remembered; `own` finds what is of this axis in the file's text."""
+        self._own = own
         self._values = values_of(config)
         self._config = config
         self._path = path
@@ -141,7 +150,9 @@ class Tuning:
     def read(self) -> None:
         """See what is in the file, for the next two; this takes as long as the disk does."""
         try:
-            self._in_file = self._path.read_text(encoding="utf-8-sig")
+            self._in_file = self._own(self._path.read_text(encoding="utf-8-sig"))
+        except ConfigError as e:
+            self._in_file = e
         except (OSError, UnicodeDecodeError) as e:
             self._in_file = ConfigError(f"{self._path}: cannot be read: {getattr(e, 'strerror', e)}")
 

@@ -22,20 +22,51 @@ _STEP_S = 0.1  # a fraction of the silence that `loop.console_watch` bears; the 
 _NUMBERS = 1 << 24  # requests that one console may number before it comes to the next one's
 
 
+class Seat:
+    """What the console has of one axis.
+
+    Attributes:
+        words: the teller's end to the recorder.
+        run: what runs.
+        ring: where its records are.
+        memory: what the console before has left.
+        teller: speaks through `words`.
+    """
+
+    def __init__(self, words: socket.socket, run: RunFacts, ring: Ring) -> None:
+        self.words, self.run, self.ring = words, run, ring
+        self.memory = Memory()
+        self.teller = Teller(words, "console")
+
+
 class Post(NamedTuple):
     """What every console of a run works with, one after the other."""
 
     listener: socket.socket  # bound and listening
     loop: socket.socket  # the console's end of the hand-off
-    words: socket.socket  # the teller's end to the recorder
-    run: RunFacts  # what runs
-    ring: Ring  # where its records are
-    memory: Memory  # what the one before has left
+    name: str  # of the daemon
+    seats: tuple[Seat, ...]  # one for each axis
 
     @property
     def descriptors(self) -> tuple[int, ...]:
         """Those that a console needs."""
-        return self.listener.fileno(), self.loop.fileno(), self.words.fileno(), self.ring.descriptor
+        own = [end for seat in self.seats for end in (seat.words.fileno(), seat.ring.descriptor)]
+        return self.listener.fileno(), self.loop.fileno(), *own
+
+    @property
+    def ring(self) -> Ring:
+        """Of the first axis: all begin and end together."""
+        return self.seats[0].ring
+
+    def set_console_gone(self) -> None:
+        """Say that the console does not live any longer."""
+        for seat in self.seats:
+            seat.ring.set_console_gone()
+
+    def say(self, level: int, words: str) -> None:
+        """Say something in the log of each axis."""
+        for seat in self.seats:
+            seat.teller.say(level, words)
 
 
 def load() -> None:
@@ -62,18 +93,25 @@ def serve(post: Post, keeper: int, place: int) -> None:
     def refused(error: ProtocolError) -> None:
         print(f"pneud: {error}", file=sys.stderr, flush=True)
 
-    teller, ring = Teller(post.words, "console"), post.ring
-    watch = StatusWatch(ring, post.run.config.bus.sync)
-    desk = AxisDesk(post.run, ring, watch, post.memory)
-    server = Server(post.listener, post.loop, desk, teller.say, first=place * _NUMBERS)
+    seats, ring = post.seats, post.ring
+    watches = [StatusWatch(seat.ring, seat.run.config.bus.sync) for seat in seats]
+    desks = [
+        AxisDesk(seat.run, seat.ring, watch, seat.memory) for seat, watch in zip(seats, watches, strict=True)
+    ]
+    first = place * _NUMBERS
+    server = Server(post.listener, post.loop, desks, post.say, first=first, name=post.name)
     if place:
         _pass_over(post.loop)
     while not (ring.closed or server.over):
-        ring.set_console(time.monotonic_ns())
-        watch.poll()
+        for seat, watch in zip(seats, watches, strict=True):
+            seat.ring.set_console(time.monotonic_ns())
+            watch.poll()
         if reload:
             reload = False
-            server.ask(protocol.TuneReload(v=1, id=0, verb="tune_reload"), "SIGHUP", refused)
+            for desk in desks:
+                server.ask(
+                    protocol.TuneReload(v=1, id=0, axis=desk.name, verb="tune_reload"), "SIGHUP", refused
+                )
         server.step(_STEP_S)
     server.close()
 

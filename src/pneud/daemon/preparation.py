@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,10 +18,11 @@ from pneud.config.models import Config
 from pneud.config.proof import Proof, digest, proven
 from pneud.config.sections import ConfigError
 from pneud.console import endpoint
-from pneud.loading import Loaded, bus_name, listening_s
-from pneud.log.files.naming import open_log
+from pneud.loading import Loaded, Together, bus_name, listening_s, plans_of_nodes
+from pneud.log.files.naming import LogError, open_log
 from pneud.scenario import verdict
-from pneud.scenario.files import load_axis, load_scenario
+from pneud.scenario.files import load_all, load_scenario, place_of
+from pure2c import BuildError
 
 if TYPE_CHECKING:
     from pneud.daemon.places import ViewersPlace
@@ -49,25 +50,33 @@ class RunOptions:
     unproven: bool = False  # arm without a movement test
 
 
+class AxisReady(NamedTuple):
+    """What one axis begins with."""
+
+    loaded: Loaded
+    how: Backend
+    axis: Axis
+    log_file: Path
+    descriptor: int  # of the log file
+    unproven: bool  # it has to pass its movement test before it is armed
+
+
 class Ready(NamedTuple):
     """All that a run begins with."""
 
     options: RunOptions
-    loaded: Loaded
+    name: str  # of the daemon
+    axes: tuple[AxisReady, ...]
     scenario: Scenario | None
-    how: Backend
-    axis: Axis
+    struck: int  # place of the axis that the scenario happens to
     link: Link
     socket: endpoint.Endpoint
-    log_file: Path
-    descriptor: int  # of the log file
     viewers: ViewersPlace | None
-    unproven: bool = False  # it has to pass its movement test before it is armed
 
     @property
     def config(self) -> Config:
-        """The axis's."""
-        return self.loaded.config
+        """The first axis's; what concerns the bus, the tick and the machine is the same in all."""
+        return self.axes[0].loaded.config
 
 
 @contextmanager
@@ -79,6 +88,8 @@ def prepared(o: RunOptions) -> Iterator[Ready]:
         DatabaseError: the DBC cannot be used.
         LinkError: the bus cannot be used.
         LogError: the log cannot be written.
+        EdsError: the EDS of a node cannot be used.
+        MissingLibraryError: there are nodes, and nothing installed that configures them.
         BuildError: the compiled law is required and cannot be had.
         PlaceError: the console's socket cannot be made.
     """
@@ -97,41 +108,57 @@ def prepared(o: RunOptions) -> Iterator[Ready]:
 def _prepared(o: RunOptions, viewers: ViewersPlace | None) -> Iterator[Ready]:
     if o.arm and ("INVOCATION_ID" in os.environ or "NOTIFY_SOCKET" in os.environ):
         raise ConfigError("--arm is for benches and tests; a service is armed by an operator: pneud arm")
-    scenario, loaded, channel = _named(o)
-    config = loaded.config
-    p = conversions.axis_of(config, loaded.codecs.command_lsb_v)
-    how = backend(config.loop.compiled, p)
-    if how.reason:
-        print(f"pneud: the law runs in Python: {how.reason}", file=sys.stderr)
-    lacks = lacks_proof(o, loaded, channel)
-    log_file, descriptor = open_log(o.log, config.name)
+    scenario, axes, channel = _named(o)
+    several = len(axes) > 1
+    if several and (o.log or "").endswith(".mcap"):
+        raise ConfigError(f"--log {o.log}: each of {len(axes)} axes has a log of its own; give a folder")
+    ready: list[AxisReady] = []
     try:
-        link = _join(channel, loaded, how, o.virtual)
-        socket = endpoint.bind(config.name, o.socket, virtual=o.virtual)
-    except (LinkError, endpoint.PlaceError):
-        os.close(descriptor)
-        log_file.unlink(missing_ok=True)
+        for axis in axes:
+            ready.append(_axis(o, axis, channel, f"{axis.config.name}: " if several else ""))
+        link = _join(channel, axes, ready[0].how, o.virtual)
+        socket = endpoint.bind(axes.name, o.socket, virtual=o.virtual)
+    except (LinkError, endpoint.PlaceError, LogError, BuildError):
+        for one in ready:
+            os.close(one.descriptor)
+            one.log_file.unlink(missing_ok=True)
         raise
     with link:
         if link.note:
             print(f"pneud: {link.note}", file=sys.stderr)
         if viewers is not None:
             link_too = f", or open {viewers.link}" if viewers.link else ""
-            print(f"pneud: {viewers.note}{link_too}", file=sys.stderr)
+            whose = f" (axis {axes[0].config.name})" if several else ""
+            print(f"pneud: {viewers.note}{whose}{link_too}", file=sys.stderr)
+        struck = place_of(scenario, axes)
         try:
-            yield Ready(
-                o, loaded, scenario, how, how.axis(p), link, socket, log_file, descriptor, viewers, lacks
-            )
+            yield Ready(o, axes.name, tuple(ready), scenario, struck, link, socket, viewers)
         except BaseException:
-            with suppress(OSError):
-                if log_file.stat().st_size == 0:  # nothing had begun that could be looked up
-                    log_file.unlink()
+            for one in ready:
+                with suppress(OSError):
+                    if one.log_file.stat().st_size == 0:  # nothing had begun that could be looked up
+                        one.log_file.unlink()
             raise
         finally:
             socket.path.unlink(missing_ok=True)
 
 
-def lacks_proof(o: RunOptions, axis: Loaded, channel: str) -> bool:
+def _axis(o: RunOptions, axis: Loaded, channel: str, whose: str) -> AxisReady:
+    config = axis.config
+    p = conversions.axis_of(config, axis.codecs.command_lsb_v)
+    how = backend(config.loop.compiled, p)
+    if how.reason:
+        print(f"pneud: {whose}the law runs in Python: {how.reason}", file=sys.stderr)
+    if config.bus.nodes:
+        from pneud.canopen.keeper import check_library  # noqa: PLC0415 - for rigs with nodes only
+
+        check_library()
+        plans_of_nodes(axis)
+    lacks = lacks_proof(o, axis, channel, whose)
+    return AxisReady(axis, how, how.axis(p), *open_log(o.log, config.name), lacks)
+
+
+def lacks_proof(o: RunOptions, axis: Loaded, channel: str, whose: str = "") -> bool:
     """Whether the axis may not be armed for want of a movement test; on a virtual bus that is but said."""
     if o.virtual:
         return False
@@ -143,32 +170,34 @@ def lacks_proof(o: RunOptions, axis: Loaded, channel: str) -> bool:
     ]
     airless = found != Proof.FAILED and channel.startswith(("unixcan:", "socketcan:vcan"))
     if o.unproven or airless:
-        print(f"pneud: the movement test {words}; pneud commission makes it", file=sys.stderr)
+        print(f"pneud: {whose}the movement test {words}; pneud commission makes it", file=sys.stderr)
         return False
     return True
 
 
-def _named(o: RunOptions) -> tuple[Scenario | None, Loaded, str]:
-    """The scenario, the axis and the bus that were asked for.
+def _named(o: RunOptions) -> tuple[Scenario | None, Together, str]:
+    """The scenario, the axes and the bus that were asked for.
 
     Raises:
         ConfigError: one cannot be used, or they do not go together.
     """
     scenario = load_scenario(o.scenario) if o.scenario is not None else None
-    axis = load_axis(o.config, o.rate_hz, scenario)
-    channel = bus_name(o.bus, axis.config)
+    axes = load_all(o.config, o.rate_hz, scenario)
+    channel = bus_name(o.bus, axes[0].config)
     if scenario is not None:
         verdict.check_names(scenario)
         if scenario.needs_interface and not channel.startswith("socketcan:"):
             raise ConfigError(f"scenario {scenario.name}: takes a CAN interface; --bus socketcan:vcan0")
     if channel == "auto" and not o.virtual:
-        raise ConfigError(f"{axis.path}: bus auto is for virtual runs; name the rig's bus with --bus")
-    return scenario, axis, channel
+        raise ConfigError(f"{axes[0].path}: bus auto is for virtual runs; name the rig's bus with --bus")
+    return scenario, axes, channel
 
 
-def _join(channel: str, axis: Loaded, how: Backend, virtual: bool) -> Link:
+def _join(channel: str, axes: Sequence[Loaded], how: Backend, virtual: bool) -> Link:
     link = open_link(channel, virtual=virtual, by=how.carriage)
     if channel != "auto":
-        own = (axis.codecs.sync.can_id, axis.codecs.valve_command.can_id)
-        refuse_if_driven(link, own, listening_s(axis.config))
+        first = axes[0]
+        sync = [first.codecs.sync.can_id] if first.config.bus.sync else []  # without, it is anybody's
+        own = [*sync, *(axis.codecs.valve_command.can_id for axis in axes)]
+        refuse_if_driven(link, own, listening_s(first.config))
     return link

@@ -7,26 +7,33 @@ import shutil
 import signal
 import socket
 import sys
+from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pneud import crew
 from pneud.bus.codec import DatabaseError
-from pneud.bus.inbox import Inbox
+from pneud.bus.mapped_inbox import inbox_of
+from pneud.bus.shared import identifiers
 from pneud.config import conversions
+from pneud.config.axes import own_text
+from pneud.config.models import Config
 from pneud.config.sections import ConfigError
 from pneud.config.toml import flat
 from pneud.console import handoff
 from pneud.console.facts import RunFacts
-from pneud.console.keeper import fork_console
-from pneud.daemon.preparation import Ready
-from pneud.loading import load
+from pneud.console.keeper import fork_shared
+from pneud.console.worker import Seat
+from pneud.daemon.preparation import AxisReady, Ready, RunOptions
+from pneud.loading import devices_of, load_axes, plans_of_nodes, plans_of_plant
 from pneud.log.format.header import LogHeader, Rotation
 from pneud.log.live.recorder import start_recorder
 from pneud.log.live.ring import Ring
+from pneud.loop.company import Asking, Company
 from pneud.loop.lane import Lane
-from pneud.loop.loop import Loop
+from pneud.loop.loop import Loop, Nodes
 from pneud.loop.options import Options
 from pneud.loop.recorder_watch import RecorderWatch
 from pneud.loop.stopping import stop_on_signals
@@ -35,6 +42,7 @@ from pneud.rig.plant_process import Rig, fork_plant
 from pneud.rig.truth import TruthReader, truth_memory
 from pneud.rt import setup
 from pneud.safety.faults import FAULT_NAMES
+from pneud.safety.unnoticed import unnoticed
 from pneud.view.info import info_of
 from pneud.view.processes import fork_screen, fork_viewers
 
@@ -45,7 +53,36 @@ if TYPE_CHECKING:
 RECORDER_PATIENCE_S = 15.0
 CONSOLE_PATIENCE_S = 1.0
 PLANT_PATIENCE_S = VIEWERS_PATIENCE_S = 2.0
+KEEPER_PATIENCE_S = 1.0
 SCENARIO_PATIENCE_S = 20.0  # with processes that have a scenario to end
+
+
+class AxisRun:
+    """What a run has of one axis.
+
+    Attributes:
+        ready: what it began with.
+        ring: from the loop to those who write down, and look on.
+        header: of its log.
+        recorder: its process id.
+        recorded: whether the recorder has finished.
+    """
+
+    def __init__(self, ready: AxisReady, header: LogHeader) -> None:
+        self.ready = ready
+        self.ring = Ring.create(pack=ready.how.pack)
+        self.header = header
+        self.recorder = 0
+        self.recorded = True
+
+    @property
+    def config(self) -> Config:
+        """Its own."""
+        return self.ready.loaded.config
+
+    def end_recorder(self) -> None:
+        """Wait for the recorder to finish."""
+        self.recorded = crew.wait(self.recorder, RECORDER_PATIENCE_S)
 
 
 class Session:
@@ -53,56 +90,55 @@ class Session:
 
     Attributes:
         ready: what it began with.
-        ring: from the loop to those who write down, and look on.
+        axes: its axes.
         reports: what the machine has granted.
         effects: what plant and bus have shown of the scenario; None where they have told nothing.
-        recorded: whether the recorder has finished.
     """
 
     def __init__(self, ready: Ready) -> None:
         self.ready = ready
-        self.ring = Ring.create(pack=ready.how.pack)
+        self.axes = [AxisRun(axis, _header(ready, axis)) for axis in ready.axes]
         self.reports: list[setup.Report] = []
         self.effects: dict[str, Any] | None = None
-        self.recorded = True
-        self._header = _header(ready)
 
-    def run(self) -> Lane:
+    def run(self) -> Sequence[Lane]:
         """Run until told to stop.
 
         Returns:
-            The axis as it has run.
+            The axes as they have run.
         """
         with ExitStack() as ends:
             try:
                 loop = self._start(ends)
                 loop.run()
             finally:
-                self.ring.set_closed()
-        return loop.lanes[0]
+                for axis in self.axes:
+                    axis.ring.set_closed()
+        return loop.lanes
 
     def _start(self, ends: ExitStack) -> Loop:
         """Start the crew, and make the loop ready."""
         ready, o, wanted = self.ready, self.ready.options, self.ready.config.realtime
         cpu = setup.own_cpu(wanted.cpu)
-        words, heard = crew.pair()
+        words = [crew.pair() for _ in self.axes]
         asking, taking = crew.pair()
         self.reports = [setup.leave_to_the_loop(cpu, wanted.other_cpus)]
-        recorder = self._start_recorder(ends, heard)
-        console = self._start_console(ends, asking, words)
+        for axis, (_, heard) in zip(self.axes, words, strict=True):
+            self._start_recorder(ends, axis, heard)
+        console = self._start_console(ends, asking, [said for said, _ in words])
         stage = self._stage()
-        plant, truth = self._start_plant(ends, stage) if o.virtual else (0, None)
+        plant, truths = self._start_plant(ends, stage) if o.virtual else (0, [None] * len(self.axes))
+        nodes = self._start_keeper(ends) if ready.config.bus.nodes else None
         if ready.viewers is not None:
             self._start_viewers(ends, ready.viewers)
         if stage is not None and stage.scenario.orders:
-            self._start_saboteur(ends, stage, recorder, plant, console)
+            self._start_saboteur(ends, stage, plant, console)
         if self._is_shown:
             self._start_screen(ends)
         self.reports += setup.apply(wanted.priority, cpu, wanted.lock_memory)
-        self.ring.set_notes(setup.as_text(self.reports))
-        requests = handoff.LoopEnd(taking)
-        ends.callback(requests.close)  # by which the console sees at once that the run is over
-        loop = self._loop(recorder, truth, requests)
+        for axis in self.axes:
+            axis.ring.set_notes(setup.as_text(self.reports))
+        loop = self._loop(ends, truths, taking, nodes)
         stop_on_signals(loop.stop, console)
         return loop
 
@@ -112,9 +148,14 @@ class Session:
         o = self.ready.options
         return not o.headless and not o.json and sys.stdout.isatty()
 
-    def _loop(self, recorder: int, truth: TruthReader | None, requests: handoff.LoopEnd) -> Loop:
+    def _loop(
+        self,
+        ends: ExitStack,
+        truths: Sequence[TruthReader | None],
+        taking: socket.socket,
+        nodes: Nodes | None,
+    ) -> Loop:
         ready, config, o = self.ready, self.ready.config, self.ready.options
-        codecs = ready.loaded.codecs
         fifo = next(r for r in self.reports if r.name == "fifo")
         options = Options(
             rate_hz=config.loop.rate_hz,
@@ -125,41 +166,53 @@ class Session:
             # somebody who looks on wants to see it, and has keys to go on or to end it
             end_on_fault=o.virtual and not (self._is_shown and os.isatty(0)),
             no_realtime=config.realtime.required and not fifo.ok,
-            unproven=ready.unproven,
+            unproven=any(axis.unproven for axis in ready.axes),
         )
-        turn = Turn(ready.axis, Inbox(codecs, config.bus), codecs)
-        watch = RecorderWatch(self.ring, recorder)
-        lane = Lane(turn, ready.link, watch, options, truth, requests)
-        return Loop([lane], codecs, ready.link, options)
+        end = handoff.SharedEnd(taking)
+        ends.callback(end.close)  # by which the console sees at once that the run is over
+        asking = Asking(end, len(self.axes)) if len(self.axes) > 1 else None
+        lanes = []
+        for number, (axis, truth) in enumerate(zip(self.axes, truths, strict=True)):
+            codecs = axis.ready.loaded.codecs
+            turn = Turn(axis.ready.axis, inbox_of(codecs, axis.config.bus), codecs)
+            watch = RecorderWatch(axis.ring, axis.recorder)
+            known = truth if turn.inbox.sync else None  # which it is at SYNC
+            if asking is None:
+                lanes.append(Lane(turn, ready.link, watch, options, known, end))
+                continue
+            own = identifiers(axis.config, codecs)
+            lanes.append(Lane(turn, ready.link, watch, options, known, asking.ends[number], own))
+        company = Company(lanes, [axis.config for axis in self.axes], asking) if asking is not None else None
+        return Loop(lanes, ready.axes[0].loaded.codecs, ready.link, options, nodes, company)
 
-    def _start_recorder(self, ends: ExitStack, heard: socket.socket) -> int:
-        ready = self.ready
-        recorder = start_recorder(
-            self.ring,
-            ready.descriptor,
-            self._header,
-            (ready.loaded.path, ready.loaded.dbc),
+    def _start_recorder(self, ends: ExitStack, axis: AxisRun, heard: socket.socket) -> None:
+        loaded = axis.ready.loaded
+        axis.recorder = start_recorder(
+            axis.ring,
+            axis.ready.descriptor,
+            axis.header,
+            (loaded.path, loaded.dbc),
             heard,
-            _rotation(ready),
-            ready.config.realtime.recorder_nice,
+            _rotation(axis.ready, self.ready.options),
+            axis.config.realtime.recorder_nice,
         )
+        ends.callback(axis.end_recorder)
 
-        def end() -> None:
-            self.recorded = crew.wait(recorder, RECORDER_PATIENCE_S)
+    def _start_console(self, ends: ExitStack, asking: socket.socket, words: Sequence[socket.socket]) -> int:
+        config_file = self.ready.options.config or self.ready.axes[0].loaded.path
 
-        ends.callback(end)
-        return recorder
-
-    def _start_console(self, ends: ExitStack, asking: socket.socket, words: socket.socket) -> int:
         def hindrance() -> str:
             try:
-                load(self.ready.loaded.path, rate_hz=self.ready.options.rate_hz)
+                load_axes(config_file, rate_hz=self.ready.options.rate_hz)
             except (ConfigError, DatabaseError) as e:
                 return str(e)
             return ""
 
-        facts = self._facts()._replace(hindrance=hindrance)
-        console = fork_console(self.ready.socket.listener, asking, words, facts, self.ring)
+        seats = tuple(
+            Seat(end, self._facts(axis)._replace(hindrance=hindrance), axis.ring)
+            for axis, end in zip(self.axes, words, strict=True)
+        )
+        console = fork_shared(self.ready.socket.listener, asking, self.ready.name, seats)
 
         def end() -> None:
             if not crew.wait(console, CONSOLE_PATIENCE_S):
@@ -168,11 +221,15 @@ class Session:
         ends.callback(end)
         return console
 
-    def _facts(self) -> RunFacts:
+    def _facts(self, axis: AxisRun) -> RunFacts:
         """What screen and console are told."""
-        (config, path, text, *_), link = self.ready.loaded, self.ready.link
+        (config, path, text, *_), link = axis.ready.loaded, self.ready.link
         given = (self.ready.options.log or "").endswith(".mcap")
-        return RunFacts(config, path.absolute(), text, link.name, link.note, str(self.ready.log_file), given)
+        log, among = str(axis.ready.log_file), len(self.axes)
+        facts = RunFacts(config, path.absolute(), text, link.name, link.note, log, given)
+        if among == 1:
+            return facts
+        return facts._replace(own=partial(own_text, config.name, self.axes.index(axis), among))
 
     def _stage(self) -> Stage | None:
         scenario = self.ready.scenario
@@ -182,12 +239,23 @@ class Session:
 
         return Stage(scenario, self.ready.config.loop.rate_hz)
 
-    def _start_plant(self, ends: ExitStack, stage: Stage | None) -> tuple[int, TruthReader]:
-        config, how, codecs = self.ready.config, self.ready.how, self.ready.loaded.codecs
-        seed, priority = self.ready.options.seed, conversions.plant_priority(config.realtime)
-        rig = Rig(conversions.plant_of(config), codecs, seed, priority, how.advance, how.carriage)
-        memory = truth_memory()
-        plant = fork_plant(self.ready.link.name, rig, memory, stage)
+    def _start_plant(self, ends: ExitStack, stage: Stage | None) -> tuple[int, list[TruthReader | None]]:
+        seed, priority = self.ready.options.seed, conversions.plant_priority(self.ready.config.realtime)
+        rigs = [
+            Rig(
+                conversions.plant_of(axis.config),
+                axis.ready.loaded.codecs,
+                seed + number,
+                priority,
+                axis.ready.how.advance,
+                axis.ready.how.carriage,
+                plans_of_plant(axis.ready.loaded),
+                axis.config.plant.odd_nodes,
+            )
+            for number, axis in enumerate(self.axes)
+        ]
+        memories = [truth_memory() for _ in rigs]
+        plant = fork_plant(self.ready.link.name, rigs, memories, stage, to=self.ready.struck)
 
         def end() -> None:
             crew.end(plant, PLANT_PATIENCE_S if stage is None else SCENARIO_PATIENCE_S)
@@ -195,18 +263,29 @@ class Session:
                 self.effects = stage.effects()
 
         ends.callback(end)
-        return plant, TruthReader(memory)
+        return plant, [TruthReader(memory) for memory in memories]
+
+    def _start_keeper(self, ends: ExitStack) -> Nodes:
+        """Have the nodes configured; the loop runs meanwhile, and nothing is armed."""
+        from pneud.canopen.keeper import Readiness, fork_keeper  # noqa: PLC0415 - for rigs with nodes only
+
+        readiness = Readiness()
+        keeper = fork_keeper(self.ready.link.name, plans_of_nodes(self.axes[0].ready.loaded), readiness)
+        ends.callback(crew.end, keeper, KEEPER_PATIENCE_S)
+        return readiness
 
     def _start_viewers(self, ends: ExitStack, at: ViewersPlace) -> None:
-        parameters = flat(self.ready.config.model_dump(mode="json", by_alias=True))
-        viewers = fork_viewers(self.ring, self._header, parameters, at.listener, at.admission)
+        axis = self.axes[0]
+        parameters = flat(axis.config.model_dump(mode="json", by_alias=True))
+        viewers = fork_viewers(axis.ring, axis.header, parameters, at.listener, at.admission)
         ends.callback(crew.end, viewers, VIEWERS_PATIENCE_S)
 
-    def _start_saboteur(self, ends: ExitStack, stage: Stage, recorder: int, plant: int, console: int) -> None:
+    def _start_saboteur(self, ends: ExitStack, stage: Stage, plant: int, console: int) -> None:
         from pneud.scenario.sabotage import Victims, fork_saboteur  # noqa: PLC0415 - for a few runs only
 
         kind, _, name = self.ready.link.name.partition(":")
         interface, socket = name if kind == "socketcan" else "", str(self.ready.socket.path)
+        recorder = self.axes[self.ready.struck].recorder
         victims = Victims(os.getpid(), recorder, plant, console, socket, interface)
         saboteur = fork_saboteur(stage.scenario, stage.orders, victims)
         ends.callback(crew.end, saboteur, SCENARIO_PATIENCE_S)
@@ -218,13 +297,14 @@ class Session:
         from pneud.safety.cause import first_cause  # noqa: PLC0415
         from pneud.view.hands import Leaving  # noqa: PLC0415
 
-        ready = self.ready
+        ready, shown = self.ready, self.axes[0]
+        whose = shown.config.name if len(self.axes) > 1 else None
         viewers, socket = ready.viewers, str(ready.socket.path)
         note = " · ".join(filter(None, (ready.link.note, viewers.note if viewers is not None else "")))
-        info = info_of(self._facts()._replace(note=note).page(), first_cause, _elsewhere(ready))
+        info = info_of(self._facts(shown)._replace(note=note).page(), first_cause, _elsewhere(ready))
         daemon, asks = os.getpid(), "" if ready.options.virtual else "End the daemon, with a controlled stop?"
         leaving = Leaving("end", lambda: os.kill(daemon, signal.SIGINT), ends_view=False, asks=asks)
-        screen = fork_screen(self.ring, info, Operator(lambda: Client(socket)), leaving)
+        screen = fork_screen(shown.ring, info, Operator(lambda: Client(socket, whose)), leaving)
         ends.callback(screen.end)
 
 
@@ -239,9 +319,10 @@ def _elsewhere(ready: Ready) -> str:
     return f"{program} top" + (f" --socket {shlex.quote(given)}" if given else "")
 
 
-def _header(ready: Ready) -> LogHeader:
-    config, path, text, dbc, _ = ready.loaded
+def _header(ready: Ready, axis: AxisReady) -> LogHeader:
+    config, path, text, dbc, _ = axis.loaded
     o = ready.options
+    several = {"daemon": ready.name, "axes": ", ".join(one.loaded.config.name for one in ready.axes)}
     return LogHeader(
         name=config.name,
         bus=ready.link.name,
@@ -254,22 +335,24 @@ def _header(ready: Ready) -> LogHeader:
         fault_names=FAULT_NAMES,
         realtime_offset_ns=ready.link.realtime_offset_ns,
         extra={
-            "law": ready.how.name,
+            "law": axis.how.name,
+            "unnoticed": " ".join(one.name for one in unnoticed(devices_of(config, axis.loaded.codecs))),
             **({"seed": str(o.seed)} if o.virtual else {}),
             **({"scenario": ready.scenario.name} if ready.scenario is not None else {}),
             **({"movement_test": "not asked for: --unproven"} if o.unproven else {}),
+            **(several if len(ready.axes) > 1 else {}),
         },
     )
 
 
-def _rotation(ready: Ready) -> Rotation:
-    c = ready.config.log
+def _rotation(axis: AxisReady, o: RunOptions) -> Rotation:
+    c = axis.loaded.config.log
     return Rotation(
-        path=ready.log_file.absolute(),
+        path=axis.log_file.absolute(),
         part_bytes=round(c.part_mb * 1e6),
         part_ns=round(c.part_s * 1e9),
         quota_bytes=round(c.quota_mb * 1e6),
-        folder=not (ready.options.log or "").endswith(".mcap"),
+        folder=not (o.log or "").endswith(".mcap"),
         keep_before_ns=round(c.keep_before_s * 1e9),
         keep_after_ns=round(c.keep_after_s * 1e9),
     )

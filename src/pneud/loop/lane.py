@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Collection
+from typing import Protocol
 
 from pneud.bus.link import Link
-from pneud.console.handoff import LoopEnd
 from pneud.loop.conditions import Conditions
 from pneud.loop.console_watch import ConsoleWatch
 from pneud.loop.options import Options
@@ -16,13 +17,23 @@ from pneud.loop.turn import END_TICKS, Turn
 from pneud.rig.truth import TruthReader
 from pneud.safety.faults import BLOCKS_ARM, F
 from pneud.safety.supervisor import is_engaged
-from pneud.signals import Answer, Frame, Host, Request, RequestKind, State, Timing
+from pneud.signals import Answer, Frame, Host, Request, RequestKind, State, Tick, Timing
 
 FAULT_S = 0.1  # how long a run that ends on a fault goes on telling the valve to centre
 SNAPSHOT_PIECES = 128  # of a profile; the state with a longer one would take too long to hand over
 ARM, DISARMED, FAULT = int(RequestKind.ARM), int(State.DISARMED), int(State.FAULT)
 ARM_UNPROVEN, UNPROVEN = Request(ARM, (2.0,)), int(Host.UNPROVEN)
 RESTART, TAKEN = int(RequestKind.RESTART), int(Answer.TAKEN)
+
+
+class Operator(Protocol):
+    """The way to those who ask something of an axis."""
+
+    def take(self) -> Request | None:
+        """The next request, if there is one; never waits."""
+
+    def answer(self, tick: Tick) -> None:
+        """Tell what became of the request taken last; never waits."""
 
 
 class Lane:
@@ -34,8 +45,10 @@ class Lane:
         recorder: takes the records.
         tally: of the run.
         request: of this tick.
-        operated: an operator has asked something of the axis.
+        operated: an operator has asked something of the axis, or a fault of another has.
         again: an operator has asked the daemon to begin anew.
+        identifiers: of frames that are this axis's alone; none where it shares the bus with no other.
+        touched: a `RequestKind` that a fault of another axis makes of the next tick, 0 for none.
         decided_ns: when the axis had decided; like the next one, for the loop to set.
         done_ns: when its command had been sent.
     """
@@ -47,9 +60,12 @@ class Lane:
         recorder: RecorderWatch,
         options: Options,
         truth: TruthReader | None = None,
-        console: LoopEnd | None = None,
+        console: Operator | None = None,
+        identifiers: Collection[int] = (),
     ) -> None:
         self.turn = turn
+        self.identifiers = identifiers
+        self.touched = 0
         self.conditions = Conditions(turn.inbox, link)
         self.recorder = recorder
         self.tally = Tally(truth=truth is not None, timed=True, sync=turn.inbox.sync)
@@ -69,9 +85,19 @@ class Lane:
         self._idle = 0  # ticks since it was engaged
         self._record_ns = -1  # that the last record took to hand over
 
-    def ask(self, ending: bool) -> None:
-        """Find what is asked of the axis in this tick, by the run itself or else by an operator."""
-        request, self._asked = self._own_request(ending), False
+    @property
+    def waits(self) -> bool:
+        """Whether the run itself is still to arm the axis, and cannot yet."""
+        return not self._armed and not self._can_arm()
+
+    def ask(self, ending: bool, may_arm: bool = True) -> None:
+        """Find what is asked of the axis in this tick, by the run itself or else by an operator.
+
+        Args:
+            ending: the run is to end.
+            may_arm: the run itself may arm the axis, as far as others are concerned.
+        """
+        request, self._asked = self._own_request(ending, may_arm), False
         if request is None and self._console is not None:
             request = self._console.take()
             if request is not None:
@@ -79,16 +105,22 @@ class Lane:
                 self._trusted |= request == ARM_UNPROVEN
         self.request = request
 
-    def _own_request(self, ending: bool) -> Request | None:
+    def _own_request(self, ending: bool, may_arm: bool) -> Request | None:
         if ending and not self._shut:
             self._shut = True
             return Request(RequestKind.SHUTDOWN)
-        if self._armed or not self.tally.ticks:
-            return None
-        last = self.turn.tick
-        if last.state != DISARMED or last.present & BLOCKS_ARM or not self.recorder.begun:
+        if self.touched:
+            kind, self.touched, self.operated = self.touched, 0, True
+            return Request(kind)
+        if self._armed or not may_arm or not self._can_arm():
             return None
         return Request(RequestKind.ARM, (1.0,))
+
+    def _can_arm(self) -> bool:
+        if not self.tally.ticks:
+            return False
+        last = self.turn.tick
+        return last.state == DISARMED and not last.present & BLOCKS_ARM and self.recorder.begun
 
     def host(self, t_ns: int, others: int) -> int:
         """Bits of `signals.Host`, those from elsewhere among them."""

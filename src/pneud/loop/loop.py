@@ -8,22 +8,34 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from typing import Protocol
 
 from pneud.bus.codec import Codecs
 from pneud.bus.link import Link
 from pneud.loading import SYNC_COUNTERS
 from pneud.log.format.header import SNAPSHOT_S
 from pneud.loop.answers import Answers
+from pneud.loop.company import Company
 from pneud.loop.lane import Lane
 from pneud.loop.options import Options
 from pneud.loop.pacer import Pacer
+from pneud.loop.routes import Routes
 from pneud.loop.turn import END_TICKS
 from pneud.rt.notify import Service
 from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES, LOG_LOST, NO_SENSORS
+from pneud.safety.supervisor import is_engaged
 from pneud.signals import Frame, Host, State
 
 CHECKS_S = 0.5  # how often the recorder is looked at
 CLOCK_STEP = int(Host.CLOCK_STEP)  # a plain number costs a tenth of a flag
+UNREADY = int(Host.HEARTBEAT_LOST)  # nodes that have yet to be configured are not operational
+
+
+class Nodes(Protocol):
+    """What the loop and whoever configures the nodes of its bus tell each other."""
+
+    ready: bool  # they are configured; until then nothing is armed
+    quiet: bool  # no SYNC is sent, so that they can be
 
 
 class Loop:
@@ -32,10 +44,32 @@ class Loop:
     In every tick: wake, drain what is left, SYNC, wait for all answers, decide and send, record, account.
     """
 
-    def __init__(self, lanes: Sequence[Lane], codecs: Codecs, link: Link, options: Options) -> None:
+    def __init__(
+        self,
+        lanes: Sequence[Lane],
+        codecs: Codecs,
+        link: Link,
+        options: Options,
+        nodes: Nodes | None = None,
+        company: Company | None = None,
+    ) -> None:
+        """A loop that has not begun.
+
+        Args:
+            lanes: one for each axis.
+            codecs: of any of them; all have the same SYNC.
+            link: to the bus.
+            options: of the run.
+            nodes: whether they are ready; None where they just are.
+            company: what several axes are to each other; None for one alone.
+        """
         self.lanes = lanes
+        self._company = company
         self._turns = [lane.turn for lane in lanes]
+        self._routes = Routes(lanes)
         self._link = link
+        self._nodes = nodes
+        self._hushed = False  # no SYNC is sent
         self._period_ns = round(1e9 / options.rate_hz)
         self._pacer = Pacer(self._period_ns, round(options.spin_us * 1e3))
         self._wait_ns = round(self._period_ns * options.set_deadline)
@@ -80,18 +114,23 @@ class Loop:
         # wake
         _, late_ns, skipped = self._pacer.next()
         host = self._host if link.watch_clock() == 0 else self._host | CLOCK_STEP
+        if self._nodes is not None:
+            host |= self._lacks(self._nodes)
         # drain
         link.drain(self._came)
-        for turn in turns:
-            turn.open(self._came)
-        self._came.clear()
+        self._routes.open(self._came)
         # SYNC, and wait
         index = count % SYNC_COUNTERS
         sync_data = self._syncs[index]
         t_ns = clock()
         for turn in turns:
             turn.begin(t_ns)
-        sync = Frame(link.send(self._sync_id, sync_data), self._sync_id, sync_data)
+        sync_ns = t_ns
+        if self._hushed:
+            sync_ns = -1
+        elif self._answered:
+            sync_ns = link.send(self._sync_id, sync_data)
+        sync = Frame(sync_ns, self._sync_id, sync_data)
         set_ns = self._wait(t_ns, sync.stamp_ns)
         # decide and send
         if link.down and count % self._check_ticks == 0:
@@ -109,6 +148,15 @@ class Loop:
             lane.record(sync, lateness_ns, set_ns, freeze=freeze)
         # account
         return self._account(t_ns, skipped)
+
+    def _lacks(self, nodes: Nodes) -> int:
+        """What the host lacks while nodes have yet to be configured, which takes a bus without SYNC."""
+        ready = nodes.ready
+        engaged = self._count and any(is_engaged(turn.tick.state) for turn in self._turns)
+        self._hushed = not ready and not engaged
+        if nodes.quiet != self._hushed:
+            nodes.quiet = self._hushed
+        return 0 if ready else UNREADY
 
     def _wait(self, t_ns: int, sync_ns: int) -> int:
         """Wait until every axis has its set, or for as long as there is time.
@@ -134,9 +182,7 @@ class Loop:
             looks = now_ns < look_until_ns
             if link.drain(came, 0 if looks else limit_ns - now_ns):
                 newest_ns = came[-1].stamp_ns
-                for turn in self._turns:
-                    turn.feed(came)
-                came.clear()
+                self._routes.feed(came)
                 complete = self._complete()
             elif link.down and not looks:
                 # a dead interface is always readable: sleep, or this would spin at high priority
@@ -154,8 +200,10 @@ class Loop:
         if not self._ending and (self._stop or (self._total is not None and self._passed >= self._total)):
             self._ending = True
             self._service.stopping()
+        company = self._company
+        may_arm = company is None or company.look()
         for lane in self.lanes:
-            lane.ask(self._ending)
+            lane.ask(self._ending, may_arm)
 
     def _complete(self) -> bool:
         for turn in self._turns:  # noqa: SIM110 - a generator would take longer than all of it
@@ -180,6 +228,8 @@ class Loop:
             faults = (tick.latched or present) | tick.present & LOG_LOST
             service.report(t_ns, self._behind, tick.state, faults)
             self._behind = 0
+        if self._company is not None:
+            self._company.after()
         over = True
         for lane in self.lanes:
             over = lane.over() and over

@@ -34,7 +34,8 @@ class Turn:
     """
 
     __slots__ = (
-        *("_counts", "_cycle", "_encode", "_take", "axis", "before", "command_id", "data", "frames", "inbox"),
+        *("_counts", "_cycle", "_echoes", "_encode", "_take", "axis", "before", "command_id", "data"),
+        *("frames", "inbox"),
         *("sent_ns", "t_ns", "tick"),
     )
     tick: Tick
@@ -50,6 +51,7 @@ class Turn:
         self.command_id = codecs.valve_command.can_id
         self._counts = codecs.valve_command.counter_values
         self._encode = codecs.valve_command.encode
+        self._echoes = codecs.row is not None  # no valve may tell what it puts out
         self._take = inbox.feed
         self._cycle = axis.cycle
 
@@ -100,10 +102,13 @@ class Turn:
     def sent(self, stamp_ns: int) -> None:
         """The command was sent at `stamp_ns`; −1 where it could not be."""
         self.sent_ns = self.inbox.commanded_ns = stamp_ns
+        if self._echoes and stamp_ns >= 0:
+            self.inbox.echo = (self.tick.command.voltage_v, self.tick.command.enable)
 
     def record(self, timing: Timing, sync: Frame, truth_m: float) -> Record:
-        """The tick as it is recorded."""
-        sent = (sync, Frame(self.sent_ns, self.command_id, self.data))
+        """The tick as it is recorded, with its SYNC if there is one."""
+        command = Frame(self.sent_ns, self.command_id, self.data)
+        sent = (sync, command) if self.inbox.sync else (command,)
         return Record(self.tick, timing, tuple(self.frames), self.before, sent, truth_m)
 
     def freeze(self) -> dict[str, Any]:

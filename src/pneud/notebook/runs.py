@@ -13,8 +13,9 @@ from typing import Any
 from pneud.config.models import Config
 from pneud.config.reading import load_with_text, parse
 from pneud.config.sections import ConfigError
+from pneud.config.toml import changed_text, toml_text
 from pneud.console.tuning import NAMES, keys
-from pneud.loading import Loaded, changed_text, complete, toml_text
+from pneud.loading import Loaded, complete
 from pneud.log.files.naming import LogError, create_log
 from pneud.log.files.writer import LogWriter
 from pneud.loop.summary import summarise

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pneud.bus.inbox import Inbox
+from pneud.bus.mapped_inbox import inbox_of
 from pneud.config.reading import parse
 from pneud.loading import at_rate, codecs_of
 from pneud.log.files.reader import LogReader
@@ -50,8 +50,8 @@ def summary_of(log: LogReader) -> Summary:
         DatabaseError: nor its DBC.
     """
     config = at_rate(parse(log.config_text, f"{log.path}:{log.config_name}"), log.rate_hz)
-    codecs = codecs_of(config.bus, log.dbc_name, log.dbc)
-    inbox, bus = Inbox(codecs, config.bus), log.metadata.get("bus", "")
+    codecs = codecs_of(config.bus, log.dbc_name, log.dbc, config.gas)
+    inbox, bus = inbox_of(codecs, config.bus), log.metadata.get("bus", "")
     tally = Tally(truth=False, timed=bus != SIMULATED, sync=inbox.sync)
     command_id = codecs.valve_command.can_id
     tx, ending, leaving = 0, False, False

@@ -67,7 +67,8 @@ class PlantParameters(NamedTuple):
     bitrate_bit_s: float  # inf switches the bus timing off
     encoder_zero_m: float  # stroke position at which the encoder shows 0
     encoder_referenced: bool  # it says that it knows where it is
-    node_delay_s: float  # from the end of SYNC to hand-over of the answers
+    node_delay_s: float  # from the end of SYNC, or from sampling, to hand-over of the answers
+    free_s: float = 0.0  # the nodes sample so often by themselves; 0: when they hear SYNC
     load_n: float = 0.0  # constant force against positive motion, the weight's part included
     detail: Detail = Detail()
     wiring: Wiring = Wiring()

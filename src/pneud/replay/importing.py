@@ -14,8 +14,8 @@ from itertools import chain, pairwise
 from typing import NamedTuple
 
 from pneud.axis.cycle import Axis
-from pneud.bus.codec import ROLES, Codec, Codecs
-from pneud.bus.inbox import Inbox
+from pneud.bus.codec import Codec, Codecs
+from pneud.bus.mapped_inbox import inbox_of
 from pneud.bus.wire import CAN_ERR_FLAG
 from pneud.compiled.backend import backend
 from pneud.config import conversions
@@ -65,7 +65,12 @@ class Ticks:
         self._times = times
         self._remarks = remarks
         self._lengths = {
-            codec.can_id: (role, codec.length) for role in ROLES for codec in (getattr(codecs, role),)
+            codec.can_id: (name, codec.length)
+            for name, codec in (
+                ("sync", codecs.sync),
+                ("valve_command", codecs.valve_command),
+                *((answer.name, answer.codec) for answer in codecs.answers),
+            )
         }
 
     def __iter__(self) -> Iterator[Heard]:
@@ -131,7 +136,7 @@ def rebuild(
     """
     p = conversions.axis_of(config, codecs.command_lsb_v)
     axis = backend(config.loop.compiled, p).axis(p)
-    turn = Turn(axis, Inbox(codecs, config.bus), codecs)
+    turn = Turn(axis, inbox_of(codecs, config.bus), codecs)
     command = codecs.valve_command
     period_ns = 1e9 / config.loop.rate_hz
     count = silent = differing = host = 0
@@ -159,6 +164,7 @@ def rebuild(
         else:
             sent += (heard.command,)
             voltage_v, enable, _ = command.decode(heard.command.data)
+            turn.inbox.echo = (voltage_v, enable)
             if not _same(tick.command, voltage_v, enable, codecs.command_lsb_v):
                 differing += 1
                 tick = tick._replace(command=tick.command._replace(voltage_v=voltage_v, enable=enable))

@@ -9,14 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from pneud.bus.inbox import Inbox
+from pneud.bus.mapped_inbox import inbox_of
 from pneud.compiled.backend import INTERPRETED, Backend, backend
 from pneud.config import conversions
-from pneud.loading import SYNC_COUNTERS, Loaded, load
+from pneud.loading import SYNC_COUNTERS, Loaded, load, plans_of_plant
 from pneud.log.format.header import LogHeader
 from pneud.loop.conditions import Conditions
 from pneud.loop.turn import END_TICKS, Turn
 from pneud.replay.simulated_machine import DOWN, HEALTHY, SimulatedMachine
+from pneud.rig.answering import Plant
 from pneud.rig.node import PlantNode
 from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES
 from pneud.safety.supervisor import is_engaged
@@ -58,7 +59,7 @@ class Simulation:
         """
         self._requests = requests
         self.axis = how.axis(conversions.axis_of(loaded.config, loaded.codecs.command_lsb_v))
-        self.inbox = Inbox(loaded.codecs, loaded.config.bus)
+        self.inbox = inbox_of(loaded.codecs, loaded.config.bus)
         rig, rate_hz = conversions.plant_of(loaded.config), loaded.config.loop.rate_hz
         self._machine = SimulatedMachine(scenario, round(1e9 / rate_hz))
         if scenario is None:
@@ -69,6 +70,12 @@ class Simulation:
                 scenario, rig, loaded.codecs, seed, rate_hz, self._machine.begin, how.advance
             )
             self.node = self.engine.node
+        plans = plans_of_plant(loaded)
+        self._slaves: Plant | None = None  # stand before the node, where it is made of them
+        if plans:
+            from pneud.rig.canopen import CanopenRig, slaves_of  # noqa: PLC0415 - for rigs with nodes only
+
+            self._slaves = CanopenRig(self.node, plans, slaves_of(plans), configured=True)
         self._operator = operator
         self.shut = False  # the run is over and the axis is coming to rest
         self.tx = 0
@@ -82,7 +89,7 @@ class Simulation:
 
     def records(self) -> Iterator[Record]:
         """The ticks, as the loop hands them to the recorder."""
-        turn, machine, node = self.turn, self._machine, self.node
+        turn, machine, node = self.turn, self._machine, self._slaves or self.node
         idle, count, stalled = 0, 0, 0
         left_over: list[Frame] = []
         last_state, last_present = int(State.STARTING), 0
@@ -95,7 +102,9 @@ class Simulation:
             turn.open([] if link == DOWN or machine.plant_stands(t_ns) else left_over)
             sequence = count % SYNC_COUNTERS + 1
             sync = Frame(t_ns, self._sync.can_id, self._sync.encode(counter=sequence))
-            if link == HEALTHY:
+            if not self.inbox.sync:
+                self.node.look(t_ns)
+            elif link == HEALTHY:
                 node.on_frame(sync)
             turn.begin(t_ns)
             answers = node.poll(t_ns + self._wait_ns)
@@ -112,7 +121,7 @@ class Simulation:
             turn.sent(sent_ns if link == HEALTHY else -1)
             if link == HEALTHY:
                 node.on_frame(Frame(sent_ns, turn.command_id, data))
-                self.tx += 2
+                self.tx += 1 + self.inbox.sync
             yield turn.record(
                 Timing(0, done_ns - t_ns, 0, COMPUTING_NS, COMPUTING_NS, -1),
                 sync if link == HEALTHY else sync._replace(stamp_ns=-1),

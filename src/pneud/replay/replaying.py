@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 from pneud.axis.cycle import AxisState
 from pneud.bus.codec import Codecs
-from pneud.bus.inbox import Inbox, InboxState
+from pneud.bus.inbox import InboxState
+from pneud.bus.mapped_inbox import inbox_of
 from pneud.compiled.backend import backend
 from pneud.config import conversions
 from pneud.config.models import Config
@@ -100,9 +101,9 @@ def replay(
         LogError: a snapshot that is needed is of another version's axis.
     """
     chosen = at_rate(config or parse(log.config_text, f"{log.path}:{log.config_name}"), log.rate_hz)
-    codecs = codecs_of(chosen.bus, log.dbc_name, log.dbc)
+    codecs = codecs_of(chosen.bus, log.dbc_name, log.dbc, chosen.gas)
     p = conversions.axis_of(chosen, codecs.command_lsb_v)
-    turn = Turn(backend(chosen.loop.compiled, p).axis(p), Inbox(codecs, chosen.bus), codecs)
+    turn = Turn(backend(chosen.loop.compiled, p).axis(p), inbox_of(codecs, chosen.bus), codecs)
     command = codecs.valve_command
 
     ticks = commands = mismatches = engaged = worst_lsb = 0
@@ -138,11 +139,14 @@ def replay(
         different = states_differ or crc_of(tick) != logged.check
         same_states = same_states and not states_differ
         sent = {f.can_id: f.data for f in logged.sent}
-        sync, data = sent.get(codecs.sync.can_id, b""), sent.get(command.can_id, b"")
-        whole = len(logged.sent) == 2 and codecs.sync.valid(sync) and command.valid(data)
+        sync, data = sent.get(codecs.sync.can_id), sent.get(command.can_id, b"")
+        whole = len(logged.sent) == 1 + (sync is not None) and command.valid(data)
+        whole = whole and (not chosen.bus.sync if sync is None else codecs.sync.valid(sync))
         if whole:
             commands += 1
-            again = turn.command(codecs.sync.counter(sync), command.counter(data))
+            counted = sync if codecs.sync.counter_values > 1 else None
+            sequence = command.decode(data)[2] if counted is None else codecs.sync.counter(counted)
+            again = turn.command(sequence, command.counter(data))
             if again != data:
                 different = True
                 apart = abs(command.decode(data)[0] - command.decode(again)[0])
@@ -242,7 +246,7 @@ def _difference(
 ) -> Difference:
     """The first value that differs, in the order in which a cycle makes them."""
     if not whole:
-        return Difference(number, "frames sent", "not one valid SYNC and one valid command", "both")
+        return Difference(number, "frames sent", "not one valid SYNC, if any, and one valid command", "both")
     for name, was, now in pairs(logged, tick):
         if differ(name, was, now, exact=exact):
             return Difference(number, name, f"{was!r}", f"{now!r}")

@@ -145,7 +145,7 @@ class _Gatherer:
         self.log = log
         self.config = at_rate(parse(log.config_text, f"{log.path}:{log.config_name}"), log.rate_hz)
         self.period_ns = round(1e9 / log.rate_hz)
-        codecs = codecs_of(self.config.bus, log.dbc_name, log.dbc)
+        codecs = codecs_of(self.config.bus, log.dbc_name, log.dbc, self.config.gas)
         self.health = Health(codecs, self.config.bus.sync, self.period_ns)
         self.readings, self.learning = Readings(self.config.bus.sync), Learning(self.config)
         self.series = Envelope(len(COLUMNS), buckets)

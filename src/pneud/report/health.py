@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneud.bus import crc8
-from pneud.bus.codec import Codec, Codecs
+from pneud.bus.codec import SOURCES, Answer, Codec, Codecs
 from pneud.bus.dbc_layout import SignalField, shift
 from pneud.bus.wire import CAN_ERR_FLAG
 from pneud.log.files.columns import AFTER, BEFORE, SENT, Block, Floats, FrameColumns, Ints
@@ -57,12 +57,13 @@ def valid(codec: Codec, length: Ints, data: Words) -> NDArray[np.bool_]:
 
 
 class SourceHealth:
-    """One of the three frames that answer SYNC."""
+    """One of the messages that answer SYNC."""
 
-    def __init__(self, name: str, role: str, codec: Codec, older_s: float) -> None:
-        self.name = name
+    def __init__(self, answer: Answer, older_s: float) -> None:
+        self.name, self.codec = answer.name, answer.codec
+        self._multiplexed = answer.kind is not None
+        role = next(name for name, keys in SOURCES.items() if not set(keys).isdisjoint(answer.filled))
         self._defects = f"measurement.{role}_defects"
-        self.codec = codec
         self.frames = self.lost = self.corrupt = self.frozen = self.late = 0
         self.answer = Spread()  # SYNC handed to the kernel → received
         self.age = Spread()  # received → command sent
@@ -99,7 +100,8 @@ class SourceHealth:
             sampled = stamp - np.rint(np.where(late, 0.0, age_s) * 1e9).astype(np.int64)
             late |= (part == BEFORE) | (sampled < ticks["t_ns"][tick])
             late |= (ticks[self._defects] & Defect.LATE != 0)[tick]
-            late[:-1] |= tick[1:] == tick[:-1]
+            if not self._multiplexed:  # of which several kinds may answer one SYNC
+                late[:-1] |= tick[1:] == tick[:-1]
         self.late += int(late.sum())
         in_time = ~late & (part == AFTER)
         tick, stamp = tick[in_time], stamp[in_time]
@@ -141,13 +143,9 @@ class Health:
 
     def __init__(self, codecs: Codecs, sync: bool, period_ns: int) -> None:
         self.sources = tuple(
-            SourceHealth(name, role, codec, codecs.older_s if name == "encoder" else float("inf"))
-            for name, role, codec in (
-                ("encoder", "encoder", codecs.encoder),
-                ("pressure", "pressure", codecs.pressure),
-                ("valve_status", "valve", codecs.valve_status),
-            )
-        )
+            SourceHealth(a, codecs.older_s if a.codec.age_field is not None else float("inf"))
+            for a in {answer.codec.can_id: answer for answer in reversed(codecs.answers)}.values()
+        )[::-1]
         self.sync_jitter = Spread()  # |interval between two SYNCs − what the ticks between them take|
         self.emcy: dict[int, int] = {}  # node → last error code
         self.error_frames = 0
@@ -184,7 +182,8 @@ class Health:
         received = frames.can_id[~sent]
         errors = received & CAN_ERR_FLAG != 0
         self.error_frames += int(errors.sum())
-        self.foreign += int(np.isin(received[~errors], (sync_id, command_id)).sum())
+        own = (sync_id, command_id) if self._sync else (command_id,)
+        self.foreign += int(np.isin(received[~errors], own).sum())
         for source in self.sources:
             source.add(block.ticks, frames, sync_ns, command_ns, self._sync)
         self._emergencies(frames)

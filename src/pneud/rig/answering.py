@@ -6,8 +6,9 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from pneud.rig.node import PlantNode
+from pneud.rig.node import Truth
 from pneud.rig.truth import TruthWriter
+from pneud.rig.valvenode import ValveNode
 from pneud.signals import Frame, ValveState
 
 IDLE_S = 0.02  # longest wait: how late `stop` and a valve time-out may be noticed
@@ -31,9 +32,23 @@ class BusLink(Protocol):
         """Sleep until something can be drained, or the time is over."""
 
 
+class Plant(Protocol):
+    """What runs a rig, in real time or in simulated time."""
+
+    @property
+    def valve(self) -> ValveNode: ...  # noqa: D102
+    @property
+    def started(self) -> bool: ...  # noqa: D102
+    def on_frame(self, frame: Frame) -> None: ...  # noqa: D102
+    def due(self) -> int | None: ...  # noqa: D102
+    def poll(self, t_ns: int, *, current_only: bool = False) -> list[Frame]: ...  # noqa: D102
+    def advance(self, t_ns: int) -> None: ...  # noqa: D102
+    def truth(self) -> Truth: ...  # noqa: D102
+
+
 def serve(
     link: BusLink,
-    node: PlantNode,
+    node: Plant,
     *,
     stop: Callable[[], bool],
     truth: TruthWriter | None = None,

@@ -8,20 +8,21 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from pneud.bus.codec import Codec, Codecs
+from pneud.bus.codec import SOURCES, Codec, Codecs
 from pneud.bus.wire import CAN_ERR_FLAG, wire_time_ns
 from pneud.physics.plant import PlantParameters
 from pneud.rig import dynamics
 from pneud.rig.dynamics import PlantState, initial_state, stroke_position
+from pneud.rig.segment import Segment
 from pneud.rig.sensors import Noise, PressureSensor, quantised, sensed
-from pneud.rig.transmission import Item, Wire
+from pneud.rig.transmission import Item
 from pneud.rig.valvenode import ValveNode
 from pneud.signals import EncoderStatus, Frame
 
 ENCODER_NODE, PRESSURE_NODE, VALVE_NODE = 0, 1, 2  # indices of the nodes
 PRESSURE_RANGE_PA = 1_310_700.0  # full scale of the pressure sensors, and of PRESSURE in pneud.dbc
 MAX_WAITING = 64  # frames from the bus that may wait for the wire; more are lost
-_START_NS = -(1 << 62)
+_START_NS, _NEVER_NS = -(1 << 62), 1 << 62
 
 Hook = Callable[[Frame, bool], Sequence[Frame]]
 """Stands between the nodes and the wire: (frame, outgoing) → the frames that take its place.
@@ -43,13 +44,13 @@ class Truth(NamedTuple):
 
 class _Answer(NamedTuple):
     codec: Codec
-    node: int  # index of the node's counter
-    sync_ns: int  # send stamp of the SYNC it answers
+    sync_ns: int  # send stamp of the SYNC it answers, or when it was sampled without
     values: tuple[float, ...]
 
 
 class _Foreign(NamedTuple):
     frame: Frame  # neither the controller's nor a node's own; all of them hear it
+    sender: PlantNode  # through which it was put
 
 
 class PlantNode:
@@ -64,6 +65,7 @@ class PlantNode:
         seed: of the sensors' noise.
         hook: fault injection on frames.
         advance: `dynamics.advance` or its compiled version.
+        segment: the bus that it shares with other rigs; one of its own without.
     """
 
     def __init__(
@@ -74,10 +76,12 @@ class PlantNode:
         *,
         hook: Hook | None = None,
         advance: Advance = dynamics.advance,
+        segment: Segment | None = None,
     ) -> None:
         self.p = p
         self.force_ext_n = 0.0
         self.hook = hook
+        self.on_truth: Callable[[int, float], None] | None = None  # told of every SYNC: its stamp, position
         self.valve = ValveNode(codecs.valve_command, p.valve_timeout_s, p.dac_bits, p.valve.u_max_v)
         self.unsendable = 0  # answers with a value that their frame cannot carry
         self._codecs = codecs
@@ -89,13 +93,18 @@ class PlantNode:
         self._delay_ns = round(p.node_delay_s * 1e9)
         self._age_s = min(p.node_delay_s, codecs.older_s)
         self._sync_id, self._command_id = codecs.sync.can_id, codecs.valve_command.can_id
-        answers = (codecs.encoder, codecs.pressure, codecs.valve_status)
-        self._durations = tuple(wire_time_ns(codec.length, p.bitrate_bit_s) for codec in answers)
-        self._answer_ids = frozenset(codec.can_id for codec in answers)
+        self._durations = tuple(self._duration_ns(a.codec.length, a.codec.can_id) for a in codecs.answers)
+        self._ids = ids_of_nodes(codecs)
+        self._answer_ids = frozenset(answer.codec.can_id for answer in codecs.answers)
         self._shortest_ns = min(self._durations)
-        self._counters = [0, 0, 0]
-        self._counts = tuple(codec.counter_values for codec in answers)
-        self._wire = Wire()
+        self._counters = dict.fromkeys(self._answer_ids, 0)
+        self._counts = {answer.codec.can_id: answer.codec.counter_values for answer in codecs.answers}
+        self._free_ns = round(p.free_s * 1e9)
+        self.next_ns = _NEVER_NS
+        """When the nodes sample by themselves."""
+        self._segment = segment if segment is not None else Segment()
+        self._segment.nodes.append(self)
+        self._wire = self._segment.wire
         self._ended: list[tuple[int, _Answer]] = []  # transmitted, not yet polled
         self._held: list[Frame] = []  # delayed by the hook
         self._now_ns = _START_NS
@@ -123,22 +132,34 @@ class PlantNode:
         """The rig at the send stamp of the last SYNC."""
         return self._truth
 
-    def on_frame(self, frame: Frame) -> None:
-        """A frame was sent at its stamp; frames come in order of stamps, foreign ones are ignored."""
+    def on_frame(self, frame: Frame, *, carried: bool = True) -> None:
+        """A frame was sent at its stamp; frames come in order of stamps, foreign ones are ignored.
+
+        Args:
+            frame: as it was sent.
+            carried: the bus has yet to carry it; of several rigs on a segment, this is said to one.
+        """
         sync = frame.can_id == self._sync_id
         if not sync and frame.can_id != self._command_id:
             return
         sent_ns = max(frame.stamp_ns, self._now_ns)
-        if not self.started:
-            self._epoch_ns = self._plant_ns = sent_ns
+        self._begin(sent_ns)
         self._run(sent_ns)
         if sync:
             self._integrate(sent_ns)
             self._truth = Truth(frame.stamp_ns, stroke_position(self._state, self.p), self._state)
+            if self.on_truth is not None:
+                self.on_truth(frame.stamp_ns, self._truth.position_m)
+        if not carried:
+            return
         for passed in (frame,) if self.hook is None else self.hook(frame, False):
             if passed.can_id in (self._sync_id, self._command_id) and len(self._wire.waiting) < MAX_WAITING:
-                duration = wire_time_ns(len(passed.data), self.p.bitrate_bit_s)
+                duration = self._duration_ns(len(passed.data), passed.can_id)
                 self._wire.add(Item(max(passed.stamp_ns, sent_ns), passed.can_id, duration, passed))
+
+    def takes(self, can_id: int) -> bool:
+        """Whether a frame with this identifier is for this rig."""
+        return can_id in (self._sync_id, self._command_id)
 
     def put(self, frame: Frame) -> None:
         """A frame of somebody else waits for the wire from its stamp on, no earlier than now.
@@ -148,23 +169,27 @@ class PlantNode:
         if frame.can_id & CAN_ERR_FLAG:
             self._held.append(frame)
         else:
-            duration = wire_time_ns(len(frame.data), self.p.bitrate_bit_s)
+            duration = self._duration_ns(len(frame.data), frame.can_id)
             ready_ns = max(frame.stamp_ns, self._now_ns)
-            self._wire.add(Item(ready_ns, frame.can_id, duration, _Foreign(frame)))
+            self._wire.add(Item(ready_ns, frame.can_id, duration, _Foreign(frame, self)))
 
     def reboot(self, node: int) -> None:
         """One of the nodes starts anew: its counter from 0, the valve node's output centred."""
-        self._counters[node] = 0
+        for can_id in self._ids[node]:
+            self._counters[can_id] = 0
         if node == VALVE_NODE:
             self.valve.reboot()
 
-    def take_back(self, node: int) -> None:
+    def take_back(self, node: int, can_id: int | None = None) -> None:
         """One of the nodes has not sent what the hook was given last, and has not counted it."""
-        self._counters[node] = (self._counters[node] - 1) % self._counts[node]
+        can_id = self._ids[node][0] if can_id is None else can_id
+        self._counters[can_id] = (self._counters[can_id] - 1) % self._counts[can_id]
 
     def due(self) -> int | None:
         """Earliest time [ns] at which `poll` may have a frame; None as long as no frame comes in."""
         times = [end for end, _ in self._ended] + [frame.stamp_ns for frame in self._held]
+        if self.next_ns != _NEVER_NS:
+            times.append(self.next_ns + self._delay_ns + self._shortest_ns)
         upcoming = self._wire.upcoming
         if upcoming is not None:
             end, item = upcoming
@@ -186,6 +211,8 @@ class PlantNode:
             current_only: leave out answers to any but the last SYNC. For a runner that may be late: a node
                 that missed its turn stays silent, it does not pass old values off as new ones.
         """
+        if self._free_ns:
+            self._begin(t_ns)
         self._run(t_ns)
         if not self._ended and not self._held:
             return []
@@ -201,37 +228,60 @@ class PlantNode:
 
     def advance(self, t_ns: int) -> None:
         """Deal with all events until `t_ns` and integrate the plant to it; starts time if need be."""
-        if not self.started:
-            self._epoch_ns = self._plant_ns = t_ns
+        self._begin(t_ns)
         self._run(t_ns)
         self._integrate(t_ns)
 
+    def look(self, t_ns: int) -> None:
+        """As `advance`; and this is the instant that `truth` tells of, where no SYNC says so."""
+        self.advance(t_ns)
+        self._truth = Truth(t_ns, stroke_position(self._state, self.p), self._state)
+
+    def _begin(self, t_ns: int) -> None:
+        """Time begins to pass, unless it does already."""
+        if not self.started:
+            self._epoch_ns = self._plant_ns = t_ns
+            if self._free_ns:
+                self.next_ns = t_ns
+
+    def _duration_ns(self, data_bytes: int, can_id: int) -> int:
+        return wire_time_ns(data_bytes, self.p.bitrate_bit_s, can_id)
+
     def _run(self, t_ns: int) -> None:
-        wire, valve = self._wire, self.valve
-        while True:
-            upcoming = wire.upcoming
-            if upcoming is not None and upcoming[0] <= t_ns and upcoming[0] <= valve.deadline_ns:
-                self._end_of(*wire.take())
-            elif valve.deadline_ns <= t_ns:
-                self._integrate(valve.deadline_ns)
-                valve.expire()
-            else:
-                break
+        self._segment.run(t_ns)
         self._now_ns = max(self._now_ns, t_ns)
 
-    def _end_of(self, end_ns: int, item: Item) -> None:
+    def expire(self) -> None:
+        """The valve node has waited for a command for too long."""
+        self._integrate(self.valve.deadline_ns)
+        self.valve.expire()
+
+    def hear(self, end_ns: int, item: Item) -> None:
+        """The transmission of a frame of anybody has ended."""
         load = item.load
         if isinstance(load, _Answer):
-            self._ended.append((end_ns, load))
+            if item.can_id in self._answer_ids:
+                self._ended.append((end_ns, load))
             return
         if isinstance(load, _Foreign):
-            self._held.append(load.frame._replace(stamp_ns=end_ns))
+            if load.sender is self:
+                self._held.append(load.frame._replace(stamp_ns=end_ns))
+        elif item.can_id not in (self._sync_id, self._command_id):
+            return  # another axis's command
         frame: Frame = load.frame if isinstance(load, _Foreign) else load
         self._integrate(end_ns)
         if item.can_id == self._command_id:
             self.valve.command(frame.data, end_ns)
-        elif item.can_id == self._sync_id and self._codecs.sync.valid(frame.data):
+        elif item.can_id == self._sync_id and not self._free_ns and self._codecs.sync.valid(frame.data):
             self._sample(end_ns, frame.stamp_ns)
+
+    def sample_freely(self) -> None:
+        """The nodes sample by themselves, and not for a SYNC."""
+        t_ns = self.next_ns
+        self.next_ns += self._free_ns
+        self._integrate(t_ns)
+        self._truth = Truth(t_ns, stroke_position(self._state, self.p), self._state)
+        self._sample(t_ns, t_ns)
 
     def _sample(self, t_ns: int, sync_ns: int) -> None:
         p, state, codecs, valve = self.p, self._state, self._codecs, self.valve
@@ -250,24 +300,26 @@ class PlantNode:
         if w.dead_pressure:
             chambers[w.dead_pressure - 1] = p.gas.atmosphere_pa
         p1, p2 = reversed(chambers) if w.exchanged_pressures else chambers
-        readings: tuple[tuple[Codec, tuple[float, ...]], ...] = (
-            (codecs.encoder, (position, status, self._age_s)),
-            (codecs.pressure, (read(p1), read(p2), read(true.supply_pa))),
-            (codecs.valve_status, (valve.output_v, int(valve.state))),
-        )
+        p1, p2, supply = read(p1), read(p2), read(true.supply_pa)
+        values = {
+            "position_m": position, "second_position_m": position, "status": status, "age_s": self._age_s,
+            "p1_pa": p1, "p2_pa": p2, "difference_pa": p1 - p2, "supply_pa": supply,
+            "applied_v": valve.output_v, "state": int(valve.state),
+        }  # fmt: skip
         valve.booted()
-        for node, (codec, values) in enumerate(readings):
-            answer = _Answer(codec, node, sync_ns, values)
-            self._wire.replace(Item(t_ns + self._delay_ns, codec.can_id, self._durations[node], answer))
+        for i, (_, codec, keys, _, _) in enumerate(codecs.answers):
+            answer = _Answer(codec, sync_ns, tuple([values[key] for key in keys]))
+            self._wire.replace(Item(t_ns + self._delay_ns, codec.can_id, self._durations[i], answer, i))
 
     def _sent(self, end_ns: int, answer: _Answer) -> Sequence[Frame]:
         codec = answer.codec
+        counter = self._counters[codec.can_id]
         try:
-            data = codec.encode(*answer.values, counter=self._counters[answer.node])
+            data = codec.encode(*answer.values, counter=counter)
         except ValueError:
             self.unsendable += 1
             return ()
-        self._counters[answer.node] = (self._counters[answer.node] + 1) % codec.counter_values
+        self._counters[codec.can_id] = (counter + 1) % codec.counter_values
         frame = Frame(end_ns, codec.can_id, data)
         return (frame,) if self.hook is None else self.hook(frame, True)
 
@@ -282,6 +334,16 @@ class PlantNode:
                 command_v = 0.0
             self._state = self._advance(self._state, command_v, self.force_ext_n, t0_s, t1_s, self.p)
             self._plant_ns = t_ns
+
+
+def ids_of_nodes(codecs: Codecs) -> tuple[tuple[int, ...], ...]:
+    """What each node sends, by its index; a message of several nodes is the first one's."""
+    ids: tuple[dict[int, None], ...] = ({}, {}, {})
+    for answer in codecs.answers:
+        of = [i for i, keys in enumerate(SOURCES.values()) if not set(keys).isdisjoint(answer.filled)]
+        if not any(answer.codec.can_id in found for found in ids):
+            ids[of[0]][answer.codec.can_id] = None
+    return tuple(tuple(found) for found in ids)
 
 
 def _stamp(frame: Frame) -> int:

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import mmap
 import signal
-from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from pneud import crew
 from pneud.bus.codec import Codecs
 from pneud.bus.link import Link, LinkError, open_link
 from pneud.bus.wire import Carriage
 from pneud.physics.plant import PlantParameters
-from pneud.rig.answering import serve
+from pneud.rig.answering import Plant, serve
 from pneud.rig.node import Advance, PlantNode
+from pneud.rig.segment import Rigs, Segment
 from pneud.rig.truth import TruthWriter
 from pneud.rt import setup
 from pneud.signals import ValveState
+
+if TYPE_CHECKING:
+    from pneud.canopen.plan import Plan
 
 
 class Rig(NamedTuple):
@@ -28,10 +32,20 @@ class Rig(NamedTuple):
     priority: int  # to try for, since frames that come late are not what a real bus does
     advance: Advance  # what integrates the plant
     carriage: Carriage  # how frames are taken from the bus and given to it
+    plans: tuple[Plan, ...] = ()  # of its nodes, where they have to be configured before they answer
+    odd_nodes: int | None = None  # seed of their misbehaviour
 
-    def node(self) -> PlantNode:
-        """Its nodes and the cylinder between them, to which nothing happens."""
-        return PlantNode(self.plant, self.codecs, self.seed, advance=self.advance)
+    def node(self, segment: Segment | None = None) -> PlantNode:
+        """Its nodes and the cylinder between them, to which nothing happens; perhaps on a bus with others."""
+        return PlantNode(self.plant, self.codecs, self.seed, advance=self.advance, segment=segment)
+
+    def answering(self, node: PlantNode) -> Plant:
+        """What answers on the bus for it: itself, or CANopen nodes that it is the inside of."""
+        if not self.plans:
+            return node
+        from pneud.rig.canopen import CanopenRig, slaves_of  # noqa: PLC0415 - for rigs with nodes only
+
+        return CanopenRig(node, self.plans, slaves_of(self.plans, self.odd_nodes))
 
 
 class Play(Protocol):
@@ -41,21 +55,24 @@ class Play(Protocol):
     def descriptors(self) -> tuple[int, ...]:
         """Those that it needs in the plant's process."""
 
-    def node(self, rig: Rig) -> PlantNode:
-        """The rig's nodes and the cylinder between them, to which it happens."""
+    def node(self, rig: Rig, segment: Segment) -> PlantNode:
+        """The rig's nodes and the cylinder between them, to which it happens, on a bus."""
 
     def over(self) -> None:
         """The controller has left for good."""
 
 
-def fork_plant(channel: str, rig: Rig, truth: mmap.mmap, play: Play | None) -> int:
-    """The software rig in a process of its own, until SIGTERM.
+def fork_plant(
+    channel: str, rigs: Sequence[Rig], truths: Sequence[mmap.mmap], play: Play | None, to: int = 0
+) -> int:
+    """The software rig, or several on one bus, in a process of their own, until SIGTERM.
 
     Args:
         channel: the bus, not "auto".
-        rig: what it is made of.
-        truth: shared memory for the true positions.
-        play: what happens to it.
+        rigs: what each is made of.
+        truths: shared memory of each for the true positions.
+        play: what happens to one of them.
+        to: which one.
 
     Returns:
         Its process id.
@@ -63,8 +80,8 @@ def fork_plant(channel: str, rig: Rig, truth: mmap.mmap, play: Play | None) -> i
 
     def main() -> None:
         stop = crew.asked_to_leave(signal.SIGTERM)
-        with open_link(channel, virtual=True, by=rig.carriage) as link:
-            answer(link, rig, play, stop, truth=TruthWriter(truth))
+        with open_link(channel, virtual=True, by=rigs[0].carriage) as link:
+            answer(link, rigs, play, stop, truths=[TruthWriter(truth) for truth in truths], to=to)
         if play is not None:
             play.over()
 
@@ -74,23 +91,32 @@ def fork_plant(channel: str, rig: Rig, truth: mmap.mmap, play: Play | None) -> i
 
 def answer(
     link: Link,
-    rig: Rig,
+    rigs: Sequence[Rig],
     play: Play | None,
     stop: Callable[[], bool],
     *,
-    truth: TruthWriter | None = None,
+    truths: Sequence[TruthWriter] = (),
+    to: int = 0,
     on_valve_state: Callable[[ValveState], None] | None = None,
 ) -> None:
-    """Be the rig on a bus until told to stop.
+    """Be the rig on a bus, or several, until told to stop.
 
     Args:
         link: to the bus.
-        rig: what it is made of.
-        play: what happens to it.
+        rigs: what each is made of.
+        play: what happens to one of them.
         stop: as for `serve`.
-        truth: as for `serve`.
+        truths: of each, as for `serve`.
+        to: which one.
         on_valve_state: as for `serve`.
     """
-    node = rig.node() if play is None else play.node(rig)
-    setup.apply(rig.priority, None, False)
-    serve(link, node, stop=stop, truth=truth, on_valve_state=on_valve_state)
+    segment = Segment()
+    nodes = [
+        rig.node(segment) if play is None or n != to else play.node(rig, segment)
+        for n, rig in enumerate(rigs)
+    ]
+    for node, truth in zip(nodes, truths, strict=False):
+        node.on_truth = truth.put
+    setup.apply(rigs[0].priority, None, False)
+    plant = rigs[0].answering(nodes[0]) if len(nodes) == 1 else Rigs(nodes)
+    serve(link, plant, stop=stop, on_valve_state=on_valve_state)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from pneud.bus.wire import CAN_EFF_FLAG
+
 
 class Item(NamedTuple):
     """A frame on its way: from when it waits for the wire, and what it carries."""
@@ -12,6 +14,7 @@ class Item(NamedTuple):
     can_id: int
     duration_ns: int
     load: Any
+    mailbox: int = 0  # of the node's, for this identifier
 
 
 class Wire:
@@ -41,9 +44,10 @@ class Wire:
         self._changed = True
 
     def replace(self, item: Item) -> None:
-        """As `add`, but a waiting frame of the same identifier is overwritten, as in a node's one mailbox."""
+        """As `add`, but a frame that waits in the same mailbox for the same identifier is overwritten."""
         for other in self.waiting:
-            if other.can_id == item.can_id and not self._under_way(other, item.ready_ns):
+            same = other.can_id == item.can_id and other.mailbox == item.mailbox
+            if same and not self._under_way(other, item.ready_ns):
                 self.waiting.remove(other)
                 break
         self.add(item)
@@ -83,4 +87,8 @@ class Wire:
 
 
 def _priority(item: Item) -> tuple[int, int]:
-    return item.can_id, item.ready_ns
+    """The bits that arbitrate as one number: a 29-bit identifier loses against its first 11 alone."""
+    can_id = item.can_id
+    if not can_id & CAN_EFF_FLAG:
+        can_id <<= 18
+    return can_id & ~CAN_EFF_FLAG, item.ready_ns

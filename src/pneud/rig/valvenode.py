@@ -61,6 +61,11 @@ class ValveNode:
         if self.state != ValveState.FAULT:
             self.state = ValveState.TIMED_OUT
 
+    def reset(self) -> None:
+        """Be told that the end of commands is over; what else is wrong stays."""
+        if self.state == ValveState.TIMED_OUT:
+            self.state = ValveState.CENTRED
+
     def reboot(self) -> None:
         """Start anew, as after a loss of supply: centred, and without a command."""
         self._last_counter = -1

@@ -54,6 +54,13 @@ _STORIES = (
         "check the nodes' power, the wiring and its termination, and that all have this bit rate",
     ),
     _Story(
+        ("heartbeat_lost", *_MISSING),
+        (*_BUS, "bus_passive"),
+        "no node answers, and not all of them are operational",
+        "check that the nodes have power and are on this bus; where pneud configures them, the journal says"
+        " which one it waits for, and why",
+    ),
+    _Story(
         _MISSING,
         (*_BUS, "bus_passive"),
         "nothing on the bus answers SYNC",

@@ -428,9 +428,11 @@ TABLE: tuple[Fault, ...] = (
     Fault(
         F.HEARTBEAT_LOST,
         Reaction.STOP,
-        "a node with heartbeat_timeout_ms sends no heartbeat for as long, or is not operational",
-        "check the node's power and wiring; set it operational (NMT start)",
-        clears="with the next heartbeat of an operational node",
+        "a node with heartbeat_timeout_ms sends no heartbeat for as long, or is not operational, or nodes"
+        " that pneud configures are not ready",
+        "check the node's power and wiring; set it operational (NMT start); what keeps pneud's nodes from it"
+        " stands in the journal",
+        clears="with the next heartbeat of an operational node, and when all nodes are ready",
     ),
     Fault(
         F.BUS_PASSIVE,

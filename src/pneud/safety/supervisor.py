@@ -16,6 +16,7 @@ HOLDING, MOVING, HOMING = int(State.HOLDING), int(State.MOVING), int(State.HOMIN
 HOLD, GOTO, JOG = int(RequestKind.HOLD), int(RequestKind.GOTO), int(RequestKind.JOG)
 TRACK, HOME = int(RequestKind.TRACK), int(RequestKind.HOME)
 PROBE, PROBING = int(RequestKind.PROBE), int(State.PROBING)
+CENTRE = int(RequestKind.CENTRE)
 
 # what a request makes of a disarmed axis, and of an engaged one
 ENGAGES = {ARM: HOLDING, TRACK: TRACKING, HOME: HOMING, PROBE: PROBING}
@@ -60,6 +61,8 @@ def advance(s: Supervisor, present: int, request: int, at_rest: bool) -> Supervi
         if present & CENTRES:
             return Supervisor(FAULT, s.latched | (present & (CENTRES | STOPS)), 0, closing)
         latched = s.latched | (present & STOPS)
+        if request == CENTRE:
+            return Supervisor(FAULT if latched else DISARMED, latched, 0, closing)
         centring = s.centring or bool(present & STOPS) or request in (DISARM, SHUTDOWN)
         if s.state == STOPPING:
             if not at_rest:

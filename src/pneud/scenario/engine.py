@@ -18,7 +18,8 @@ from pneud.physics.plant import PlantParameters
 from pneud.rig import dynamics
 from pneud.rig.damage import UNDAMAGED, advance_damaged, scaled
 from pneud.rig.dynamics import PlantState
-from pneud.rig.node import ENCODER_NODE, PRESSURE_NODE, VALVE_NODE, Advance, PlantNode
+from pneud.rig.node import ENCODER_NODE, PRESSURE_NODE, VALVE_NODE, Advance, PlantNode, ids_of_nodes
+from pneud.rig.segment import Segment
 from pneud.scenario import format as kinds
 from pneud.scenario.format import SIGNALS, Scenario
 from pneud.signals import Frame, ValveState
@@ -106,10 +107,11 @@ class Engine:
         rate_hz: float,
         machine: Machine = _nothing,
         advance: Advance = dynamics.advance,
+        segment: Segment | None = None,
     ) -> None:
         self.scenario = scenario
         self.effects = Effects()
-        self.node = PlantNode(p, codecs, seed, hook=self._hook, advance=self._advance)
+        self.node = PlantNode(p, codecs, seed, hook=self._hook, advance=self._advance, segment=segment)
         self._healthy = p
         self._damage = UNDAMAGED
         self._codecs = codecs
@@ -122,7 +124,12 @@ class Engine:
         self._later = {since: [p for p in playing if p.fault.since == since] for since in ("start", "armed")}
         self._due: list[_Playing] = []  # whose time has come, if not their condition
         self._active: list[_Playing] = []
-        self._roles = {getattr(codecs, role).can_id: role for role in ROLES}
+        command = codecs.valve_command
+        self._enables = command.encode(0.0, 0, 1, counter=0) != command.encode(0.0, 1, 1, counter=0)
+        self._free = p.free_s > 0.0  # nobody sends SYNC: a tick is from command to command
+        self._roles = {codecs.sync.can_id: "sync", codecs.valve_command.can_id: "valve_command"}
+        for role, ids in zip(("encoder", "pressure", "valve_status"), ids_of_nodes(codecs), strict=True):
+            self._roles |= dict.fromkeys(ids, role)
         self._last: dict[int, bytes] = {}  # the newest frame of each kind, as it was meant
         self._start_ns = self._armed_ns = self._sync_ns = -1
 
@@ -133,7 +140,7 @@ class Engine:
 
     def _hook(self, frame: Frame, outgoing: bool) -> Sequence[Frame]:
         role = self._roles[frame.can_id]
-        if role == "sync":
+        if role == ("valve_command" if self._free else "sync"):
             self._tick(frame.stamp_ns)
         frames = [frame]
         for playing in self._active:
@@ -143,7 +150,7 @@ class Engine:
         self._last[frame.can_id] = frame.data
         if outgoing:
             for shown in frames:
-                self._look(shown, role)
+                self._look(shown)
         elif role == "valve_command":
             self._command(frame)
         return frames
@@ -277,11 +284,11 @@ class Engine:
         elif isinstance(fault, kinds.Skip):
             for node in fault.nodes:
                 if role == _OF_NODE[node][0] and self._hits(playing, fault, frame.can_id):
-                    self.node.take_back(NODES[node])
+                    self.node.take_back(NODES[node], frame.can_id)
                     return ()
         elif (
             isinstance(fault, kinds.Value)
-            and SIGNALS[fault.signal][0] == role
+            and self._teller(fault.signal, frame) is not None
             and self._hits(playing, fault, frame.can_id)
         ):
             return self._misreport(playing, fault, frame)
@@ -321,8 +328,9 @@ class Engine:
         return (frame._replace(stamp_ns=stamp_ns + delay_ns),)
 
     def _misreport(self, playing: _Playing, fault: kinds.Value, frame: Frame) -> Sequence[Frame]:
-        role, place = SIGNALS[fault.signal]
-        codec: Codec = getattr(self._codecs, role)
+        teller = self._teller(fault.signal, frame)
+        assert teller is not None
+        codec, place = teller
         values = list(codec.decode(frame.data))
         true = values[place]
         if fault.alternate:
@@ -345,14 +353,25 @@ class Engine:
         except ValueError:
             return ()  # beyond what the frame can carry: the node has nothing to send
 
-    def _look(self, frame: Frame, role: str) -> None:
+    def _teller(self, signal: str, frame: Frame) -> tuple[Codec, int] | None:
+        """The codec by which a frame tells a value, and the value's place; None where it does not."""
+        role, place = SIGNALS[signal]
+        key = tuple(ROLES[role])[place]
+        for answer in self._codecs.answers:
+            if answer.codec.can_id == frame.can_id and key in answer.filled:
+                row = self._codecs.row
+                if answer.kind is None or row is None or row.kind_of[frame.can_id](frame.data) == answer.kind:
+                    return answer.codec, answer.keys.index(key)
+        return None
+
+    def _look(self, frame: Frame) -> None:
         """Look for the evidence that the scenario tells of."""
         wanted = self.scenario.expect.evidence
-        if wanted is None or self.effects.onset_ns < 0 or SIGNALS[wanted.signal][0] != role:
+        if wanted is None or self.effects.onset_ns < 0:
             return
-        codec: Codec = getattr(self._codecs, role)
-        if codec.valid(frame.data):
-            value = codec.decode(frame.data)[SIGNALS[wanted.signal][1]]
+        teller = self._teller(wanted.signal, frame)
+        if teller is not None and teller[0].valid(frame.data):
+            value = teller[0].decode(frame.data)[teller[1]]
             if (wanted.above is not None and value > wanted.above) or (
                 wanted.below is not None and value < wanted.below
             ):
@@ -368,8 +387,8 @@ class Engine:
         codec, effects = self._codecs.valve_command, self.effects
         if not codec.valid(frame.data):
             return
-        _, enable, _ = codec.decode(frame.data)
-        if enable:
+        voltage_v, enable, _ = codec.decode(frame.data)
+        if enable if self._enables else voltage_v != 0.0:
             effects.engaged = True
             if self._armed_ns < 0:
                 self._armed_ns = frame.stamp_ns

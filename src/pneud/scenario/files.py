@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,22 +12,47 @@ from pneud import resources
 from pneud.config.reading import explain
 from pneud.config.sections import ConfigError
 from pneud.config.toml import TomlError, tables_of
-from pneud.loading import Loaded, load
+from pneud.loading import Loaded, Together, load, load_axes
 
 if TYPE_CHECKING:
     from pneud.scenario.format import Scenario
 
 
-def load_axis(config_file: str | None, rate_hz: float | None, scenario: Scenario | None) -> Loaded:
+def load_axis(
+    config_file: str | None, rate_hz: float | None, scenario: Scenario | None, axis: str | None = None
+) -> Loaded:
     """The axis of a virtual run, as a scenario wants it: the one named, the scenario's, or virtual.toml.
+
+    Of a file with several it is the one of the name `axis`.
 
     Raises:
         ConfigError: the configuration cannot be used.
         DatabaseError: the DBC cannot be used.
     """
     if scenario is None:
-        return load(config_file or "virtual.toml", rate_hz)
-    return load(config_file or scenario.config, rate_hz, scenario.change)
+        return load(config_file or "virtual.toml", rate_hz, axis=axis)
+    return load(config_file or scenario.config, rate_hz, scenario.change, axis)
+
+
+def load_all(config_file: str | None, rate_hz: float | None, scenario: Scenario | None) -> Together:
+    """As `load_axis`, all axes of it.
+
+    Raises:
+        ConfigError: a configuration cannot be used, or the scenario is for another one.
+        DatabaseError: a DBC cannot be used.
+    """
+    if scenario is None:
+        return load_axes(config_file or "virtual.toml", rate_hz)
+    axes = load_axes(config_file or scenario.config, rate_hz, scenario.change)
+    if scenario.axis is not None and scenario.axis not in [axis.config.name for axis in axes]:
+        raise ConfigError(f"scenario {scenario.name}: happens to axis {scenario.axis}, which is not there")
+    return axes
+
+
+def place_of(scenario: Scenario | None, axes: Sequence[Loaded]) -> int:
+    """The place of the axis that a scenario happens to."""
+    names = [axis.config.name for axis in axes]
+    return names.index(scenario.axis) if scenario is not None and scenario.axis is not None else 0
 
 
 def load_scenario(file: str | Path) -> Scenario:

@@ -340,6 +340,7 @@ class Scenario(Section):
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,63}$")]
     description: str
     config: str = "virtual.toml"  # the axis, where none is named with --config
+    axis: str | None = None  # that it happens to, where there are several; else the first one
     change: dict[str, Any] = Field(default_factory=dict)  # what the axis's configuration says differently
     duration_s: Positive = 3.0
     interface: bool = (

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from pneud.rig.node import PlantNode
 from pneud.rig.plant_process import Rig
+from pneud.rig.segment import Segment
 
 if TYPE_CHECKING:
     from pneud.scenario.engine import Engine
@@ -37,14 +38,15 @@ class Stage:
         """Those that the plant's process needs."""
         return self._tell, self._order
 
-    def node(self, rig: Rig) -> PlantNode:
-        """A plant that the scenario happens to."""
+    def node(self, rig: Rig, segment: Segment) -> PlantNode:
+        """A plant that the scenario happens to, on a bus."""
         from pneud.scenario.engine import Engine  # noqa: PLC0415 - for the plant's process only
 
         def order(number: int) -> None:
             os.write(self._order, bytes((number,)))
 
-        engine = Engine(self.scenario, rig.plant, rig.codecs, rig.seed, self._rate_hz, order, rig.advance)
+        seed, rate_hz = rig.seed, self._rate_hz
+        engine = Engine(self.scenario, rig.plant, rig.codecs, seed, rate_hz, order, rig.advance, segment)
         self._engine = engine
         return engine.node
 

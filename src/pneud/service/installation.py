@@ -88,7 +88,8 @@ def files(executable: Path, axis: Unit | None, *, networkd: bool = False) -> dic
         networkd: with the files by which systemd-networkd makes that interface and brings it up.
     """
     folder = resources.systemd()
-    found = {UNITS / path.name: _with_command(path, executable) for path in sorted(folder.glob("*.service"))}
+    units = sorted([*folder.glob("*.service"), *folder.glob("*.timer")])
+    found = {UNITS / path.name: _with_command(path, executable) for path in units}
     found |= {place: (folder / name).read_text() for name, place in _ELSEWHERE.items()}
     if axis is not None and axis.interface != "can0":
         unit = found[UNITS / AXIS_UNIT].partition("[Unit]")

@@ -20,10 +20,10 @@ from pneud.config.conversions import (
 from pneud.config.flow import gas_of
 from pneud.config.models import Config
 from pneud.config.plant import FrictionConfig
+from pneud.config.toml import toml_text
 from pneud.control.homogeneous import Feedback, feedback
 from pneud.control.laws.slot import IN_SLOT
 from pneud.control.tunables import MOST_H_OMEGA, bandwidth, delay_margin, is_hurwitz
-from pneud.loading import toml_text
 from pneud.physics.cylinder import F0
 from pneud.study.noise import horizon_s, mean_step_v
 

@@ -103,6 +103,9 @@ BusOption = Annotated[
     str | None, typer.Option("--bus", metavar="BUS", help="auto, socketcan:IF or unixcan:NAME.")
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
+AxisOption = Annotated[
+    str | None, typer.Option("--axis", metavar="NAME", help="Which one, where there are several.")
+]
 SocketOption = Annotated[str | None, typer.Option("--socket", metavar="PATH", help="The daemon's socket.")]
 ScenarioOption = Annotated[
     str | None,

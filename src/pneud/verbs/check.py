@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json as json_
-from typing import Any
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 from pneud import resources
 from pneud.axis.cycle import Axis
+from pneud.bus.load import load_of, most_axes, most_hz
 from pneud.config import conversions, flow
 from pneud.config.models import Config
 from pneud.config.places import line_of
 from pneud.config.sections import ConfigError
 from pneud.control.tunables import in_slot
-from pneud.loading import Loaded, load
+from pneud.loading import Loaded, devices_of, load_axes
 from pneud.physics import ratings
+from pneud.safety.unnoticed import Unnoticed, unnoticed
 from pneud.scenario import verdict
 from pneud.scenario.files import is_scenario, load_axis, load_scenario
 from pneud.study import gains, linear
@@ -33,7 +37,38 @@ def check(
     """
     if is_scenario(file):
         return _check_scenario(file, json)
-    loaded = load(file)
+    axes = load_axes(file)
+    reports = [_report(loaded) for loaded in axes]
+    bus = _bus(axes)
+    if json:
+        found = [report.found for report in reports]
+        if len(axes) == 1:
+            print(json_.dumps({"schema": 1, "ok": True, **found[0], "bus": bus}))
+        else:
+            print(json_.dumps({"schema": 1, "ok": True, "file": file, "bus": bus, "axes": found}))
+        return 0
+    for report in reports:
+        print("\n".join(report.lines))
+        if report is reports[-1]:
+            print(_bus_in_words(bus, axes[0].config.name, len(axes)))
+        for doubt in report.found["warnings"]:
+            print(f"warning: {doubt}")
+    return 0
+
+
+class _Report(NamedTuple):
+    """What there is to say of one axis."""
+
+    found: dict[str, Any]
+    lines: list[str]
+
+
+def _report(loaded: Loaded) -> _Report:
+    """What an axis is.
+
+    Raises:
+        ConfigError: it cannot be.
+    """
     c, codecs = loaded.config, loaded.codecs
     Axis(conversions.axis_of(c, codecs.command_lsb_v))
     conversions.plant_of(c)
@@ -43,24 +78,55 @@ def check(
     if wrong := [_placed(loaded, finding) for finding in found if finding.is_error]:
         raise ConfigError(f"{loaded.path}: {'; '.join(wrong)}")
     doubts = [_placed(loaded, finding) for finding in found] + linear.doubts_of(c)
+    blind = unnoticed(devices_of(c, codecs))
     believed, true = _flowing(c), _flowing(conversions.truth_of(c))
-    if json:
-        found_so = {"schema": 1, "ok": True, "name": c.name, "file": str(loaded.path), "warnings": doubts}
-        print(json_.dumps(found_so | {"valve": believed}))
-        return 0
-    print(f"{loaded.path}: {'fine' if not doubts else f'usable, {len(doubts)} to look at'}")
     stroke, mass = c.cylinder.stroke_m, c.cylinder.moving_mass_kg
-    print(f"axis {c.name}: {stroke:g} m stroke, {mass:g} kg, {c.loop.rate_hz:g} Hz")
-    print(f"valve {_in_words(believed)}")
-    if true != believed:
-        print(f"the plant's: {_in_words(true)}")
     form = "" if entry is not None else f"{c.control.discretisation}, "
-    print(f"law {c.control.law}, {form}on {c.bus.channel} with {loaded.dbc.name}")
-    if c.control.adaptation.start.log:
-        print(f"adaptation starts from {c.control.adaptation.start.log}")
-    for doubt in doubts:
-        print(f"warning: {doubt}")
-    return 0
+    start = c.control.adaptation.start.log
+    lines = [
+        f"{loaded.path}: {'fine' if not doubts else f'usable, {len(doubts)} to look at'}",
+        f"axis {c.name}: {stroke:g} m stroke, {mass:g} kg, {c.loop.rate_hz:g} Hz",
+        f"valve {_in_words(believed)}",
+        *([f"the plant's: {_in_words(true)}"] if true != believed else []),
+        f"law {c.control.law}, {form}on {c.bus.channel} with {loaded.dbc.name}",
+        *([f"adaptation starts from {start}"] if start else []),
+        *(f"not noticed here: {', '.join(names)} ({why})" for why, names in _by_reason(blind).items()),
+    ]
+    named: dict[str, Any] = {"name": c.name, "file": str(loaded.path), "warnings": doubts, "valve": believed}
+    named["unnoticed"] = [{"fault": one.name, "why": one.why, "wholly": one.wholly} for one in blind]
+    return _Report(named, lines)
+
+
+def _bus(axes: Sequence[Loaded]) -> dict[str, Any] | None:
+    """What a tick takes of the bus at worst; None where frames go over no wire."""
+    c, frames = axes[0].config, [axis.codecs for axis in axes]
+    if not math.isfinite(c.bus.bitrate_bit_s):
+        return None
+    load = load_of(c, *frames)
+    return {
+        "bits_per_tick": round(load.tick_s * c.bus.bitrate_bit_s),
+        "bitrate_bit_s": c.bus.bitrate_bit_s,
+        "axes": len(axes),
+        "most_axes": most_axes(c, frames[0]),
+        "most_hz": math.floor(most_hz(c, load)),
+    }
+
+
+def _bus_in_words(bus: dict[str, Any] | None, axis: str, axes: int) -> str:
+    if bus is None:
+        return "bus without a wire: any number of axes, at any rate"
+    what = "a tick" if axes == 1 else f"a tick of {axes} axes"
+    return (
+        f"bus: {what} takes up to {bus['bits_per_tick']} bit times at {1e-3 * bus['bitrate_bit_s']:g} kbit/s:"
+        f" up to {bus['most_hz']} Hz; at most {bus['most_axes']} like {axis} at this rate"
+    )
+
+
+def _by_reason(blind: list[Unnoticed]) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {}
+    for one in blind:
+        found.setdefault(one.why, []).append(one.name)
+    return found
 
 
 def _flowing(c: Config) -> dict[str, Any]:

@@ -55,7 +55,7 @@ def export(
             done, what = to.for_viewers(reader, output), "ticks"
         else:
             config = parse(reader.config_text, f"{reader.path}:{reader.config_name}")
-            codecs = codecs_of(config.bus, reader.dbc_name, reader.dbc)
+            codecs = codecs_of(config.bus, reader.dbc_name, reader.dbc, config.gas)
             done, what = to.frames(reader, codecs, output), "frames"
     print(f"{', '.join(map(str, done.files))}: {done.rows} {what}")
     if done.unsent_ticks:

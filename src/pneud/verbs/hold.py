@@ -1,9 +1,9 @@
 """Come to rest and hold there."""
 
 from pneud.console.results import ask
-from pneud.verbs import JsonOption, SocketOption
+from pneud.verbs import AxisOption, JsonOption, SocketOption
 
 
-def hold(socket: SocketOption = None, json: JsonOption = False) -> int:
+def hold(axis: AxisOption = None, socket: SocketOption = None, json: JsonOption = False) -> int:
     """Ask for it."""
-    return ask(socket, json, "hold")
+    return ask(socket, json, "hold", axis=axis)

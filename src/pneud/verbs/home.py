@@ -1,9 +1,9 @@
 """Find the encoder's reference."""
 
 from pneud.console.results import ask
-from pneud.verbs import JsonOption, SocketOption
+from pneud.verbs import AxisOption, JsonOption, SocketOption
 
 
-def home(socket: SocketOption = None, json: JsonOption = False) -> int:
+def home(axis: AxisOption = None, socket: SocketOption = None, json: JsonOption = False) -> int:
     """Ask for it."""
-    return ask(socket, json, "home")
+    return ask(socket, json, "home", axis=axis)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pneud.config.reading import load_config
-from pneud.log.files.reader import read_log
+from pneud.log.files.reader import LogReader, read_log
 from pneud.rt.outputs import require_folder, write_whole
 from pneud.verbs import JsonOption, LogsArgument, ProgressOption, VerbError, require_suffix, watch, whole
 from pneud.view.progress import progress
@@ -31,6 +31,15 @@ def identify(
         Path | None,
         typer.Option("--against", metavar="FILE", help="What 'pneud identify --json' printed before."),
     ] = None,
+    kept: Annotated[
+        Path | None,
+        typer.Option(
+            "--wear",
+            metavar="FILE",
+            help="Keep it in this file, a line each time, and compare with its first ones; of a folder, the"
+            " newest logs.",
+        ),
+    ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FILE", help="A page with pictures (.html).")
     ] = None,
@@ -41,30 +50,52 @@ def identify(
 
     Returns:
         Exit status: 0 where all that the logs tell is as configured and as before, within the tolerances, and
-        the model explains the rig; 1 where not, or where a log could not be read to its end.
+        the model explains the rig; 1 where not, or where a log could not be read to its end. With `--wear` 1
+        means that something has worn, and nothing else.
 
     Raises:
         ConfigError: a configuration, or the earlier estimate, cannot be used.
         LogError: not logs that this version reads, or too little in them.
         VerbError: scipy is missing.
-        OSError: the page cannot be written.
+        OSError: the page, or what is kept, cannot be written.
     """
     if importlib.util.find_spec("scipy") is None:
         raise VerbError("identify needs scipy; install it with: pip install 'pneud[identify]'", 3)
-    from pneud.study.identification import comparing, estimating, explaining, page, table, words  # noqa: PLC0415
+    from pneud.study.identification import (  # noqa: PLC0415
+        comparing,
+        courses,
+        estimating,
+        explaining,
+        page,
+        table,
+        wear,
+        words,
+    )
+
+    if kept is not None and against is not None:
+        raise VerbError(
+            "--wear compares with what it has kept, --against with another file; give one of them"
+        )
 
     if output is not None:
         require_suffix(output, ".html", "the report is a page of HTML")
         require_folder(output)
     before = comparing.earlier(against) if against is not None else {}
     given = load_config(config) if config is not None else None
-    readers = [read_log(log) for log in logs]
+    entries = wear.history(kept) if kept is not None else []
+    readers = _readers(logs, newest=kept is not None)
     with progress(how) as report:
         watch(report, *readers)
         measured, own = table.read(readers)
         c = given or own
         report("estimating", 0, 0, "")
         found = estimating.identify(measured, c)
+    if kept is not None:
+        now = wear.entry(readers, found.parameters)
+        entries = [e for e in entries if e.logs != now.logs]
+        before = wear.at_first(entries)
+        entries.append(now)
+        wear.write(kept, entries)
     rows = comparing.rows(found.parameters, before)
     unexplained = explaining.unexplained(found.valved, found.moved, found.noise_pa, c)
     verdict = words.verdict(rows, unexplained)
@@ -75,8 +106,26 @@ def identify(
     if output is not None:
         title = f"{c.name}: {', '.join(reader.path.name for reader in readers)}"
         said = _said(found, unexplained, verdict)
-        write_whole(output, page.page(title, said, [page.parameters(rows)], page.maps(found, c)))
-    return 0 if whole(*readers) and verdict in ("agrees", "unknown") else 1
+        more = [courses.section(entries)]
+        write_whole(output, page.page(title, said, [page.parameters(rows)], page.maps(found, c), more))
+    undamaged = whole(*readers)
+    if kept is not None:
+        return 1 if verdict == "worn" else 0
+    return 0 if undamaged and verdict in ("agrees", "unknown") else 1
+
+
+def _readers(logs: Sequence[str], newest: bool) -> list[LogReader]:
+    """The logs; of a folder all parts of the one in it, or the newest logs in it.
+
+    Raises:
+        LogError: there is none.
+    """
+    from pneud.study.identification import wear  # noqa: PLC0415
+
+    found: list[LogReader] = []
+    for log in map(Path, logs):
+        found += wear.newest(log) if newest and log.is_dir() else [read_log(log)]
+    return found
 
 
 def _said(found: Identified, unexplained: Sequence[str], verdict: str) -> list[str]:

@@ -78,7 +78,7 @@ def import_(
         raise ConfigError(f"{output}: a log's name ends in .mcap")
     source = _source(recording, dbc, config_file)
     config = at_rate(parse(source.config_text, source.config_name), source.rate_hz)
-    codecs = codecs_of(config.bus, source.dbc_name, source.dbc)
+    codecs = codecs_of(config.bus, source.dbc_name, source.dbc, config.gas)
     path = log_path(str(output), config.name)
     surveyed = survey(recording, codecs, source.rate_hz)
     remarks = Remarks()

@@ -7,7 +7,7 @@ import typer
 
 from pneud.console.client import Client, RefusedError
 from pneud.console.results import refused, show
-from pneud.verbs import NEGATIVE_NUMBERS, JsonOption, SocketOption, VerbError
+from pneud.verbs import NEGATIVE_NUMBERS, AxisOption, JsonOption, SocketOption, VerbError
 
 SETTINGS = NEGATIVE_NUMBERS
 _LEASE_S = 0.3
@@ -19,6 +19,7 @@ def jog(
     duration: Annotated[
         float | None, typer.Option("--for", metavar="S", help="Default: until Ctrl-C.")
     ] = None,
+    axis: AxisOption = None,
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> int:
@@ -29,7 +30,7 @@ def jog(
     """
     if not abs(velocity) <= 1e6 or (duration is not None and not 0.0 < duration < 1e6):
         raise VerbError("jog: MM_S is a speed, --for a positive number of seconds")
-    with Client(socket) as client:
+    with Client(socket, axis) as client:
         try:
             end_s = time.monotonic() + (duration if duration is not None else float("inf"))
             try:

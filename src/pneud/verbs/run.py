@@ -26,9 +26,9 @@ def run(o: RunOptions) -> int:
     allowed = os.sched_getaffinity(0)
     with prepared(o) as ready:
         session = Session(ready)
-        lane = session.run()
-        status = tell(session, lane)
-    if lane.again:
+        lanes = session.run()
+        status = tell(session, lanes)
+    if any(lane.again for lane in lanes):
         sys.stdout.flush()
         restarting()
         setup.leave(allowed)

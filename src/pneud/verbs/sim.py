@@ -19,7 +19,7 @@ from pneud.config.sections import ConfigError
 from pneud.console import profiles
 from pneud.console.profiles import ProfileError
 from pneud.control.reference import Bounds, Septic
-from pneud.loading import Loaded, load
+from pneud.loading import Loaded, Together, load, load_axes
 from pneud.log.files.naming import log_path, new_log
 from pneud.log.files.writer import LogWriter
 from pneud.loop.summary import in_words, summarise
@@ -29,6 +29,7 @@ from pneud.replay.lockstep import Simulation, backend_of, header_of
 from pneud.replay.moves import Course, moves_of
 from pneud.replay.moves import in_words as moves_in_words
 from pneud.replay.running import Ran, through
+from pneud.replay.running_together import run_together
 from pneud.rt.outputs import require_folder, write_whole
 from pneud.scenario import verdict
 from pneud.scenario.files import in_simulation, load_axis, load_scenario
@@ -38,6 +39,7 @@ from pneud.study import comparison_page
 from pneud.study.comparison import WIDEST, as_json, compare
 from pneud.study.comparison import in_words as compared
 from pneud.verbs import (
+    AxisOption,
     JsonOption,
     ProgressOption,
     ScenarioOption,
@@ -95,6 +97,7 @@ def sim(
     goto: GotoOption = None,
     track: TrackOption = None,
     scenario_file: ScenarioOption = None,
+    axis: AxisOption = None,
     seed: SeedOption = 0,
     laws: CompareOption = False,
     json: JsonOption = False,
@@ -123,18 +126,21 @@ def sim(
             require_suffix(output, ".html", "--compare writes no log but a page of HTML")
             require_folder(output)
         rest_s = DURATION_S if duration_s is None else duration_s
-        return _compare(config_file or "virtual.toml", rest_s, output, json, how)
+        return _compare(load(config_file or "virtual.toml", axis=axis), rest_s, output, json, how)
+    if axis is None and len(axes := load_axes(config_file or "virtual.toml")) > 1:
+        if not [scenario_file, goto, track].count(None) == 3 or (output is not None and output.suffix):
+            raise VerbError("of several axes, tracking is simulated, with -o FOLDER; choose one with --axis")
+        return _together(axes, DURATION_S if duration_s is None else duration_s, seed, output, json, how)
     if output is not None and output.suffix and not output.is_dir():  # else it is a folder
         require_suffix(output, ".mcap", "a log is an MCAP file")
     if [scenario_file, goto, track].count(None) < 2:
         raise VerbError("--goto, --track: a scenario's verdict is on tracking; give one of the three")
     scenario = in_simulation(load_scenario(scenario_file)) if scenario_file is not None else None
-    loaded = load_axis(config_file, None, scenario)
+    loaded = load_axis(config_file, None, scenario, axis)
     course = _operator(goto, track, loaded)
     if duration_s is None:
         duration_s = _usual_s(scenario, course)
-    if not 0.0 < duration_s <= 1e6:
-        raise ConfigError(f"--duration {duration_s:g}: must lie between 0 and 1,000,000 s")
+    _check_duration(duration_s)
     law = backend_of(loaded)
     operator = course.ask if course is not None else None
     run = Simulation(loaded, duration_s, seed, law, scenario=scenario, operator=operator)
@@ -173,6 +179,30 @@ def sim(
     print(json_.dumps(summary) if json else _in_words(summary))
     good = course.good if course is not None else tally.state == State.TRACKING
     return 0 if good and not tally.ever_latched and whole else 1
+
+
+def _check_duration(duration_s: float) -> None:
+    if not 0.0 < duration_s <= 1e6:
+        raise ConfigError(f"--duration {duration_s:g}: must lie between 0 and 1,000,000 s")
+
+
+def _together(axes: Together, duration_s: float, seed: int, output: Path | None, json: bool, how: str) -> int:
+    """Have all axes track on one bus, each with a log of its own in a folder."""
+    _check_duration(duration_s)
+    rate_hz = axes[0].config.loop.rate_hz
+    with progress(how) as report:
+
+        def look(number: int) -> None:
+            if number % TOLD_TICKS == 0:
+                report("simulating", number / rate_hz, duration_s, "s")
+
+        found = run_together(axes, duration_s, seed, output, look)
+    if json:
+        print(json_.dumps({"schema": 1, "bus": "simulated", "axes": found}))
+    else:
+        print("\n".join(f"axis {name}: {in_words(summary)}" for name, summary in found.items()))
+    tracked = State.TRACKING.label
+    return 0 if all(one["state"] == tracked and not one["faults"] for one in found.values()) else 1
 
 
 def _operator(goto: str | None, track: str | None, loaded: Loaded) -> Course | Following | None:
@@ -242,7 +272,7 @@ def _run(
     return ran
 
 
-def _compare(config_file: str, rest_s: float, output: Path | None, json: bool, how: str) -> int:
+def _compare(loaded: Loaded, rest_s: float, output: Path | None, json: bool, how: str) -> int:
     """Run every law through every case and print the tables, folded on a terminal; write the page."""
     if not 1.0 <= rest_s <= MOST_REST_S:
         raise ConfigError(f"--duration {rest_s:g}: with --compare, between 1 and {MOST_REST_S:g} s")
@@ -250,7 +280,7 @@ def _compare(config_file: str, rest_s: float, output: Path | None, json: bool, h
     if not compiled:
         print("pneud: three cases only without numba; for all: pip install 'pneud[sim]'", file=sys.stderr)
     with progress(how) as report:
-        found = compare(load(config_file), rest_s, compiled, report=report)
+        found = compare(loaded, rest_s, compiled, report=report)
     if output is not None:
         write_whole(output, comparison_page.page(found))
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else WIDEST

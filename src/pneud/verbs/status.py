@@ -6,13 +6,14 @@ from typing import Annotated, Any
 import typer
 
 from pneud.console.client import Client
-from pneud.verbs import JsonOption, SocketOption
+from pneud.verbs import AxisOption, JsonOption, SocketOption
 from pneud.view.learnt import in_brief
 
 _SILENT_S = 0.5
 
 
 def status(
+    axis: AxisOption = None,
     socket: SocketOption = None,
     json: JsonOption = False,
     openmetrics: Annotated[
@@ -20,14 +21,17 @@ def status(
     ] = False,
 ) -> int:
     """How the axis is."""
-    with Client(socket) as client:
+    with Client(socket, axis) as client:
         found = client.ask("status")
-    if openmetrics:
+    each = [{**one, "lease": found["lease"]} for one in found.get("axes", {"": found}).values()]
+    if json:
+        print(json_.dumps(found))
+    elif openmetrics:
         from pneud.web.metrics import text_of  # noqa: PLC0415 - for those who ask for it
 
-        print(text_of(found, openmetrics=True), end="")
-        return 0
-    print(json_.dumps(found) if json else "\n".join(in_words(found)))
+        print(text_of(each, openmetrics=True), end="")
+    else:
+        print("\n\n".join("\n".join(in_words(one)) for one in each))
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Stop the axis, whoever commands it."""
+"""Stop the axis, and all where there are several, whoever commands them."""
 
 from pneud.console.results import ask
 from pneud.verbs import JsonOption, SocketOption

@@ -18,7 +18,7 @@ from pneud.console.client import Client, RefusedError
 from pneud.console.operator import Operator
 from pneud.log.live.ring import Ring
 from pneud.safety.cause import first_cause
-from pneud.verbs import SocketOption
+from pneud.verbs import AxisOption, SocketOption
 from pneud.view.hands import Leaving
 from pneud.view.info import info_of
 from pneud.view.processes import fork_screen
@@ -26,6 +26,7 @@ from pneud.view.processes import fork_screen
 
 def top(
     read_only: Annotated[bool, typer.Option("--read-only", help="Look only: no keys but q.")] = False,
+    axis: AxisOption = None,
     socket: SocketOption = None,
 ) -> int:
     """Show a running daemon until `q` or Ctrl-C, or until it ends.
@@ -33,7 +34,7 @@ def top(
     Returns:
         Exit status: 0, or 1 where the daemon cannot be looked at.
     """
-    with Client(socket) as client:
+    with Client(socket, axis) as client:
         try:
             if read_only:
                 client.ask("observe")
@@ -46,7 +47,7 @@ def top(
             print("pneud: the daemon runs another version of pneud; restart it", file=sys.stderr)
             return 1
         ring = Ring.attach(descriptor, fields["slots"], fields["slot_bytes"])
-        operator = Operator(lambda: Client(socket), client, read_only)
+        operator = Operator(lambda: Client(socket, axis), client, read_only)
         screen = fork_screen(
             ring, info_of(fields, first_cause), operator, Leaving("leave"), [client.fileno()]
         )

@@ -14,7 +14,7 @@ from pneud.console.client import Client, RefusedError
 from pneud.console.profiles import ProfileError
 from pneud.console.results import ask, refused, show
 from pneud.control.reference import Bounds, Septic
-from pneud.verbs import NEGATIVE_NUMBERS, JsonOption, SocketOption
+from pneud.verbs import NEGATIVE_NUMBERS, AxisOption, JsonOption, SocketOption
 
 SETTINGS = NEGATIVE_NUMBERS
 _MM = 1e-3
@@ -36,6 +36,7 @@ def track(
     to_hz: Annotated[float, typer.Option("--to", metavar="HZ", help="Last frequency of a chirp.")] = 2.0,
     duration: Annotated[float, typer.Option("--duration", metavar="S", help="Of a chirp.")] = 20.0,
     dwell: Annotated[float, typer.Option("--dwell", metavar="S", help="Rest at each of the steps.")] = 1.0,
+    axis: AxisOption = None,
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> int:
@@ -47,7 +48,7 @@ def track(
     if positions and name != "steps":
         raise ConfigError(f"track {name}: takes no positions")
     if name in ("sine", "profile"):
-        return ask(socket, json, "track", what="reference" if name == "sine" else "profile")
+        return ask(socket, json, "track", axis=axis, what="reference" if name == "sine" else "profile")
 
     def made(bounds: Bounds, position_mm: float | None) -> list[Septic]:
         if name == "steps":
@@ -59,7 +60,7 @@ def track(
             raise ProfileError("the position is not known; give --centre")
         return profiles.chirp(middle_mm * _MM, amplitude * _MM, from_hz, to_hz, duration)
 
-    with Client(socket) as client:
+    with Client(socket, axis) as client:
         try:
             pieces = _upload(client, name, made)
             reply = client.ask("track", what="profile")

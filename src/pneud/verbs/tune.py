@@ -9,19 +9,19 @@ from typing import Annotated, Any
 
 import typer
 
-from pneud.config.reading import load_config
+from pneud.config.axes import axes_of, one_of
 from pneud.config.sections import ConfigError
 from pneud.config.writing import put, rewrite
 from pneud.console.client import Client
 from pneud.console.endpoint import PlaceError
 from pneud.console.results import ask, show
 from pneud.console.tuning import MAYBE_NONE, NAMES, Values, difference, keys, name_of, values_of
-from pneud.verbs import JsonOption, SocketOption, complete_tunable
+from pneud.verbs import AxisOption, JsonOption, SocketOption, complete_tunable
 
 
-def get(socket: SocketOption = None, json: JsonOption = False) -> int:
+def get(axis: AxisOption = None, socket: SocketOption = None, json: JsonOption = False) -> int:
     """What runs of all that may be tuned."""
-    return ask(socket, json, "tune_get", _gains)
+    return ask(socket, json, "tune_get", _gains, axis=axis)
 
 
 def change(
@@ -31,6 +31,7 @@ def change(
             metavar="NAME=VALUE...", help="As in tune get, or by keys.", autocompletion=complete_tunable
         ),
     ],
+    axis: AxisOption = None,
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> int:
@@ -56,22 +57,22 @@ def change(
                 raise ConfigError(f"{setting!r}: {value!r} is no number") from None
             if not math.isfinite(number):
                 raise ConfigError(f"{setting!r}: {value!r} is no finite number")
-    status = ask(socket, json, "tune_set", _changed, gains=values)
+    status = ask(socket, json, "tune_set", _changed, axis=axis, gains=values)
     if status == 0:
         from pneud.study.running import doubts_running  # noqa: PLC0415 - slow to load
 
-        for doubt in doubts_running(*_running(socket)):
+        for doubt in doubts_running(*_running(socket, axis)):
             print(f"pneud: warning: {doubt}", file=sys.stderr)
     return status
 
 
-def reload(socket: SocketOption = None, json: JsonOption = False) -> int:
+def reload(axis: AxisOption = None, socket: SocketOption = None, json: JsonOption = False) -> int:
     """Take gains and reference of the daemon's configuration, as SIGHUP does.
 
     Returns:
         Exit status: 0, or 1 where it was refused.
     """
-    return ask(socket, json, "tune_reload", _changed)
+    return ask(socket, json, "tune_reload", _changed, axis=axis)
 
 
 def _gains(reply: dict[str, Any]) -> str:
@@ -85,19 +86,19 @@ def _changed(reply: dict[str, Any]) -> str:
     return words
 
 
-def diff(socket: SocketOption = None, json: JsonOption = False) -> int:
+def diff(axis: AxisOption = None, socket: SocketOption = None, json: JsonOption = False) -> int:
     """Where the running gains and reference differ from the file."""
-    running, path = _running(socket)
-    found = values_of(load_config(path))
+    running, path = _running(socket, axis)
+    found = values_of(one_of(axes_of(path), axis, str(path)).config)
     changes = {n: {"file": found[n], "running": v} for n, v in running.items() if found[n] != v}
     show({"config": str(path), "changes": changes}, json, difference(found, running) or "nothing differs")
     return 0
 
 
-def save(socket: SocketOption = None, json: JsonOption = False) -> int:
+def save(axis: AxisOption = None, socket: SocketOption = None, json: JsonOption = False) -> int:
     """Write the running gains and reference into the daemon's configuration; comments stay."""
-    running, path = _running(socket)
-    found = values_of(load_config(path))
+    running, path = _running(socket, axis)
+    found = values_of(one_of(axes_of(path), axis, str(path)).config)
     changes = difference(found, running)
     if changes:
         try:
@@ -111,8 +112,8 @@ def save(socket: SocketOption = None, json: JsonOption = False) -> int:
 VERBS = {"get": get, "set": change, "diff": diff, "save": save, "reload": reload}
 
 
-def _running(socket: str | None) -> tuple[Values, Path]:
-    with Client(socket) as client:
+def _running(socket: str | None, axis: str | None) -> tuple[Values, Path]:
+    with Client(socket, axis) as client:
         reply = client.ask("tune_get")
     return reply["gains"], Path(reply["config"])
 

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from pneud.console.client import Client
-from pneud.verbs import SocketOption, VerbError
+from pneud.verbs import AxisOption, SocketOption, VerbError
 
 _NEEDS = ("starlette", "uvicorn", "websockets")
 
@@ -38,6 +38,7 @@ def web(
     metrics: Annotated[
         Path | None, typer.Option("--metrics", metavar="FILE.prom", help="Keep metrics in a file, too.")
     ] = None,
+    axis: AxisOption = None,
     socket: SocketOption = None,
 ) -> int:
     """Serve until Ctrl-C.
@@ -63,8 +64,8 @@ def web(
     from pneud.web.places import listen as taken  # noqa: PLC0415
     from pneud.web.places import password_of  # noqa: PLC0415
 
-    axis = Axis(lambda: Client(socket))
-    axis.attach()
+    seen = Axis(lambda: Client(socket, axis))
+    seen.attach()
     password = None if password_file is None else password_of(password_file)
     listener = taken(listen, tls_cert is not None, tuple(name or ()))
     place = listener.place
@@ -83,6 +84,6 @@ def web(
         "who has this link commands" if token else "who has the password commands" if operate else "look only"
     )
     print(f"{place.url}{f'#{token}' if token else ''}  ({who}; Ctrl-C ends it)", flush=True)
-    serving.serve(axis, socket, Door(place, password or token, operate), listener, certificate, metrics)
+    serving.serve(seen, socket, axis, Door(place, password or token, operate), listener, certificate, metrics)
     print("pneud: the page has ended", file=sys.stderr)
     return 0

@@ -130,7 +130,7 @@ class Pages:
     async def metrics(self, request: Request) -> Response:
         """The facts of the status, in the dialect that is asked for."""
         openmetrics = "application/openmetrics-text" in request.headers.get("accept", "")
-        text = text_of(self._axis.status, openmetrics)
+        text = text_of(self._axis.statuses, openmetrics)
         return Response(text, headers={"Content-Type": OPENMETRICS if openmetrics else TEXT})
 
     async def live(self, socket: WebSocket) -> None:

@@ -147,6 +147,11 @@ class Axis:
             return Banner(Level.BAD, f"no daemon to be seen: {self._lost}", "it is looked for again", ())
         return banner_of(self._last, self._info, now_s - self._heard_s)
 
+    @property
+    def statuses(self) -> list[dict[str, Any]]:
+        """For metrics."""
+        return [] if self.status is None else [self.status]
+
     def facts(self) -> dict[str, Any]:
         """What of the status a page shows."""
         status = self.status

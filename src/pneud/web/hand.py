@@ -46,16 +46,18 @@ class Hand:
         attends: what it asked for last needs it, or is over by now.
     """
 
-    def __init__(self, connect: Callable[[], socket.socket], tell: Tell) -> None:
+    def __init__(self, connect: Callable[[], socket.socket], tell: Tell, axis: str | None = None) -> None:
         """Begin without a connection.
 
         Args:
             connect: makes one; raises PlaceError.
             tell: called with every reply.
+            axis: that is commanded, where there are several; the console stops all of them.
         """
         self.attends = False
         self._connect = connect
         self._tell = tell
+        self._axis = {"axis": axis} if axis is not None else {}
         self._writer: asyncio.StreamWriter | None = None
         self._ear: asyncio.Task[None] | None = None
 
@@ -89,8 +91,9 @@ class Hand:
         if why := await self.ready():
             self._refuse(number, f"nobody hears: {why}")
             return
+        always = {**_ALWAYS.get(verb, {}), **self._axis}
         try:
-            request = line({"v": VERSION, "id": number, "verb": verb, **given, **_ALWAYS.get(verb, {})})
+            request = line({"v": VERSION, "id": number, "verb": verb, **given, **always})
         except ValueError:
             self._refuse(number, "numbers are finite")
             return

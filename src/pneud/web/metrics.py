@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,28 +51,35 @@ def families(status: Mapping[str, Any] | None) -> list[Family]:
     ]
 
 
-def text_of(status: Mapping[str, Any] | None, openmetrics: bool = False) -> str:
+def text_of(statuses: Sequence[Mapping[str, Any]], openmetrics: bool = False) -> str:
     """The text of all metrics.
 
     Args:
-        status: as the console tells it; None where no daemon answers.
+        statuses: of each axis, as the console tells it; none where no daemon answers.
         openmetrics: in that dialect, else in Prometheus's.
     """
-    axis = {} if status is None else {"axis": str(status["name"])}
-    lines = []
-    for family in families(status):
-        total = "_total" if family.kind == "counter" else ""
-        name = f"pneud_{family.name}"
-        head = name if openmetrics else name + total
-        lines += [f"# HELP {head} {family.words}.", f"# TYPE {head} {family.kind}"]
-        if openmetrics and (unit := _UNITS.search(name)):
-            lines.insert(-1, f"# UNIT {head} {unit[1]}")
-        lines += [
-            f"{name}{total}{behind}{_labels({**axis, **labels})} {_number(value)}"
-            for behind, labels, value in family.samples
-            if not math.isnan(value)
-        ]
-    return "\n".join(lines + ["# EOF"] * openmetrics) + "\n"
+    lines: dict[str, list[str]] = {}  # by families, each in one piece
+    for status in statuses or (None,):
+        axis = {} if status is None else {"axis": str(status["name"])}
+        for family in families(status):
+            total = "_total" if family.kind == "counter" else ""
+            name = f"pneud_{family.name}"
+            found = lines.setdefault(name, _head(name if openmetrics else name + total, family, openmetrics))
+            found += [
+                f"{name}{total}{behind}{_labels({**axis, **labels})} {_number(value)}"
+                for behind, labels, value in family.samples
+                if not math.isnan(value)
+            ]
+    return "\n".join([*chain.from_iterable(lines.values()), *["# EOF"] * openmetrics]) + "\n"
+
+
+def _head(name: str, family: Family, openmetrics: bool) -> list[str]:
+    unit = _UNITS.search(name) if openmetrics else None
+    return [
+        f"# HELP {name} {family.words}.",
+        *([f"# UNIT {name} {unit[1]}"] if unit else []),
+        f"# TYPE {name} {family.kind}",
+    ]
 
 
 _UNITS = re.compile(r"_(seconds|meters|meters_per_second|pascals|volts|bytes|ratio)$")

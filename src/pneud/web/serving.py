@@ -98,6 +98,7 @@ def checked(certificate: Certificate) -> Certificate:
 def serve(
     axis: Axis,
     socket_path: str | None,
+    name: str | None,
     door: Door,
     listener: Listener,
     certificate: Certificate | None,
@@ -108,6 +109,7 @@ def serve(
     Args:
         axis: attached.
         socket_path: of the daemon's console.
+        name: of the axis, where there are several.
         door: who comes in.
         listener: where they come.
         certificate: for TLS.
@@ -117,7 +119,7 @@ def serve(
     gallery, reports = Gallery(axis), Reports()
 
     def hand(tell: Tell) -> Hand:
-        return Hand(lambda: find(socket_path), tell)
+        return Hand(lambda: find(socket_path), tell, name)
 
     app = Pages(axis, door, gallery, reports, hand).app()
     work: list[Callable[[], Coroutine[Any, Any, None]]] = [axis.follow, gallery.paint]
@@ -178,7 +180,7 @@ async def _run(
 async def _write_metrics(axis: Axis, path: Path) -> None:
     """Keep a file of metrics, for ever."""
     while True:
-        await asyncio.to_thread(write_metrics, path, text_of(axis.status))
+        await asyncio.to_thread(write_metrics, path, text_of(axis.statuses))
         await asyncio.sleep(_FILE_S)
 
 

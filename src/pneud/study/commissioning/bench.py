@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from pneud.config.reading import parse
+from pneud.config.toml import changed_text
 from pneud.config.writing import put_text
-from pneud.loading import Loaded, changed_text
+from pneud.loading import Loaded
 from pneud.log.files.naming import new_log
 from pneud.log.files.reader import LogReader, read_log
 from pneud.log.files.writer import LogWriter

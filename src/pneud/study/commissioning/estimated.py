@@ -64,12 +64,17 @@ def _flow(told: Mapping[str, float]) -> Values:
     if key.CONDUCTANCE in told:
         sized: Values = {"valve.flow": "iso6358", key.CONDUCTANCE: told[key.CONDUCTANCE]}
         if key.CRITICAL in told:
-            sized[key.CRITICAL] = min(max(told[key.CRITICAL], CRITICAL_RATIOS[0]), CRITICAL_RATIOS[1])
+            sized[key.CRITICAL] = _ratio(told[key.CRITICAL])
+        sized[key.CRITICAL_OUT] = _ratio(told[key.CRITICAL_OUT]) if key.CRITICAL_OUT in told else None
     elif key.AREA in told:
         sized = {"valve.flow": "orifice", key.AREA: told[key.AREA]}
     else:
         return {}
     return {f"valve.{rating}": None for rating in RATINGS} | sized
+
+
+def _ratio(found: float) -> float:
+    return min(max(found, CRITICAL_RATIOS[0]), CRITICAL_RATIOS[1])
 
 
 def _edges(told: Mapping[str, float]) -> Values:
@@ -104,12 +109,15 @@ def rig(
         "leakage_exhaust": v.get(key.SEEP_OUT, 0.0),
         "dac_bits": c.plant.valve.dac_bits,
     }
+    friction: Values = {"model": "gms" if slips else "lugre"}
+    if key.FORWARD in found:
+        friction["forward_share"] = _rounded(v[key.FORWARD])
     exponent = min(max(v.get(key.EXPONENT, 1.0), 1.0), c.gas.heat_capacity_ratio)
     values: Values = {
         "plant.polytropic_exponent": exponent if key.EXPONENT in v else None,
         "plant.wall_time_s": _rounded(max(v.get(key.WALL, 0.0), 0.0)),
         "plant.valve": {name: _rounded(value) for name, value in valve.items()},
-        "plant.friction": {"model": "gms" if slips else "lugre", **c.control.friction.model_dump()},
+        "plant.friction": friction | c.control.friction.model_dump(),
         "plant.sensors": {"encoder_resolution_m": step_m, "pressure_noise_pa": _rounded(noise_pa)},
     }
     return values | {f"plant.{table}": {} for table in ("cylinder", "gas", "supply", "hoses", "wiring")}

@@ -7,10 +7,12 @@ from typing import NamedTuple
 
 from pneud.safety.faults import names
 from pneud.safety.supervisor import BLOCKS
-from pneud.signals import Answer, Record, Request, RequestKind, State, Tick
+from pneud.signals import Answer, Measurement, Record, Request, RequestKind, State, Tick
 from pneud.study.commissioning.steps import Act, Step
 
 QUIET_S, PATIENCE_S = 0.2, 5.0  # without anything that keeps an axis from it; for what does
+DRIFT_M, DRIFT_PA = 1e-4, 2e3  # load and air that move by more meanwhile are not at rest
+DRIFT_S = 10.0  # that they are waited for at most
 FROM_REST = (RequestKind.ARM, RequestKind.PROBE)
 NEVER_OURS = (RequestKind.STOP, RequestKind.SHUTDOWN, RequestKind.HOLD, RequestKind.JOG, RequestKind.HOME)
 
@@ -52,6 +54,8 @@ class Player:
         self._asked = 0  # kind of the last request
         self.taken = False
         self._waited = self._quiet = self._stood = self._age = 0
+        self._from: Measurement | None = None  # when it began to be quiet
+        self._drifted = 0  # ticks that load and air were waited for
         self.verdict: Played | None = None
 
     def ask(self, state: int, present: int) -> Request | None:
@@ -85,7 +89,7 @@ class Player:
                 break
         self._act, self._queue = act, list(act.requests)
         self.taken = False
-        self._waited = self._quiet = self._stood = self._age = 0
+        self._waited = self._quiet = self._stood = self._age = self._drifted = 0
         return act
 
     def _request(self, state: int, present: int) -> Request | None:
@@ -112,6 +116,8 @@ class Player:
         if self.verdict is not None or act is None:
             return
         kind = tick.request.kind if tick.request is not None else 0
+        if act.settled and self._queue:
+            self._let_drift(tick.measurement)
         if tick.latched:
             self.verdict = Played("a fault", tuple(names(tick.latched)))
         elif kind in NEVER_OURS or (kind == RequestKind.DISARM and kind != self._asked):
@@ -120,6 +126,13 @@ class Player:
             self._answered(act, kind, tick)
         elif self.taken:
             self._stood = self._stood + 1 if tick.state == act.until else 0
+
+    def _let_drift(self, m: Measurement) -> None:
+        """Let a load that moves by itself go where it will: a probe would be over before it tells."""
+        if self._from is None or (_has_moved(self._from, m) and self._drifted * self._h < DRIFT_S):
+            self._from = m
+            self._drifted += self._quiet
+            self._quiet = 0
 
     def _answered(self, act: Act, kind: int, tick: Tick) -> None:
         if tick.answer == Answer.TAKEN:
@@ -131,3 +144,8 @@ class Player:
             words = f"{RequestKind(kind).name.lower()}: {Answer(tick.answer).name.lower()}"
             blocked = tick.present if tick.answer == Answer.BLOCKED else 0
             self.verdict = Played(words, tuple(names(blocked)))
+
+
+def _has_moved(before: Measurement, now: Measurement) -> bool:
+    pressed_pa = max(abs(now.p1_pa - before.p1_pa), abs(now.p2_pa - before.p2_pa))
+    return abs(now.position_m - before.position_m) > DRIFT_M or pressed_pa > DRIFT_PA

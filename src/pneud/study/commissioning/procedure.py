@@ -9,6 +9,7 @@ from pneud.axis.state import AxisParameters
 from pneud.config import conversions
 from pneud.config.models import Config
 from pneud.loading import Loaded
+from pneud.log.files.naming import LogError
 from pneud.loop.summary import finite
 from pneud.signals import Record, Request
 from pneud.study.commissioning.bench import Bench
@@ -103,11 +104,7 @@ def commission(bench: Bench, wishes: Wishes, talk: Talk) -> Outcome:
             return Outcome("failed", movement, faults=movement.faults)
     if not wishes.steps:
         return Outcome("passed", movement)
-    played = _played(bench, wishes, talk)
-    if _of_the_loop(played.faults):
-        text = bench.loaded.text
-        if _learnt_edges(bench, wishes, talk):
-            played = _with_edges(bench, wishes, talk, text)
+    played = _stepped(bench, wishes, talk)
     if not played.whole:
         return Outcome("interrupted", movement, played.failure, played.faults)
     before = _verified(bench, talk, SHORT) if wishes.dynamic else None
@@ -139,7 +136,9 @@ def planned(loaded: Loaded, wishes: Wishes) -> list[str]:
         words = "the load is pushed both ways, and moves some"
         lines.append(f"movement test: {words} {1e3 * MOVE_M:g} mm at {1e3 * SPEED_M_S:g} mm/s at most")
     if wishes.steps:
-        lines += map(_announced, _steps(p, wishes))
+        from pneud.study.commissioning.steps import first  # noqa: PLC0415
+
+        lines += map(_announced, [*first(p), *_steps(p, wishes)])
         lines += [] if wishes.dynamic else [f"warning: {SLOW_ONLY}"]
         lines.append("verification: a sine, rest and steps about the middle of the travel")
     return lines
@@ -156,28 +155,38 @@ def axis_of(loaded: Loaded) -> AxisParameters:
     return conversions.axis_of(loaded.config, loaded.codecs.command_lsb_v)
 
 
-def _played(bench: Bench, wishes: Wishes, talk: Talk) -> Played:
+def _stepped(bench: Bench, wishes: Wishes, talk: Talk) -> Played:
+    """All steps: once the valve's edges are known, and again where a loop could not be closed.
+
+    What they did not come to their end with does not stay.
+    """
+    from pneud.study.commissioning.steps import first  # noqa: PLC0415
+
+    before, whole = bench.loaded.text, False
+    try:
+        played = _played(bench, first(axis_of(bench.loaded)), talk)
+        if played.whole:
+            _learnt_edges(bench, wishes, talk)
+            played = _played(bench, _steps(axis_of(bench.loaded), wishes), talk)
+        if _of_the_loop(played.faults):
+            talk.say("the loop could not be closed: the valve's edges, from what has been seen so far")
+            if _learnt_edges(bench, wishes, talk):
+                played = _played(bench, _steps(axis_of(bench.loaded), wishes), talk)
+        whole = played.whole
+        return played
+    finally:
+        if not whole and bench.loaded.text != before:
+            bench.adopt(before, not bench.tries)
+
+
+def _played(bench: Bench, steps: list[Step], talk: Talk) -> Played:
     from pneud.study.commissioning.playing import Played, Player  # noqa: PLC0415
     from pneud.study.commissioning.steps import length_s  # noqa: PLC0415
 
-    p = axis_of(bench.loaded)
-    steps = _steps(p, wishes)
     talk.say(f"{len(steps)} steps, {length_s(steps):.0f} s")
-    player = Player(steps, p.controller.h, lambda step: talk.say(_announced(step)))
+    player = Player(steps, axis_of(bench.loaded).controller.h, lambda step: talk.say(_announced(step)))
     bench.play(player)
     return player.verdict or Played("it has not come to its end")
-
-
-def _with_edges(bench: Bench, wishes: Wishes, talk: Talk, before: str) -> Played:
-    """The steps again; edges that they did not come to their end with do not stay."""
-    whole = False
-    try:
-        played = _played(bench, wishes, talk)
-        whole = played.whole
-    finally:
-        if not whole:
-            bench.adopt(before, not bench.tries)
-    return played
 
 
 class _Tested:
@@ -234,15 +243,16 @@ def _found(bench: Bench, wishes: Wishes) -> Found:
 
 
 def _learnt_edges(bench: Bench, wishes: Wishes, talk: Talk) -> bool:
-    """Put the valve's edges to use, where the loop could not be closed without; whether that was done."""
+    """Put the valve's edges to use, where they lie elsewhere than configured; whether that was done."""
     from pneud.study.commissioning import written  # noqa: PLC0415
-    from pneud.study.identification import comparing, estimating, table  # noqa: PLC0415
+    from pneud.study.identification import comparing, ramps, table  # noqa: PLC0415
     from pneud.study.identification import parameters as key  # noqa: PLC0415
 
     loaded, c = bench.loaded, bench.loaded.config
-    talk.say("the loop could not be closed: the valve's edges, from what has been seen so far")
-    told = estimating.identify(table.read(bench.logs())[0], c).parameters
-    edges = {name: e for name, e in told.items() if name in (key.HALF, key.CENTRE) and e.told}
+    try:
+        edges = ramps.edges(table.read(bench.logs())[0], c)
+    except LogError:  # too little in them
+        return False
     off = any(row.verdict == comparing.OFF for row in comparing.rows(edges, {}))
     if c.valve.map or len(edges) < 2 or not off:
         return False

@@ -24,6 +24,7 @@ DWELL_S, SETTLED_S, AIRLESS_S = 0.3, 0.2, 0.5  # at rest behind a way; once arme
 APPROACH, APPROACH_SHARE_S = 0.4, 0.1  # ways between: of limits.motion, of the travel in a second
 WIDEST = 0.1  # of the greatest command: no edge is further from 0 V, centre included
 RAMP_M, RAMP_M_S = 2e-3, 0.03  # a ramp ends where the load has moved so far, or so fast
+FIRST_V_S = 0.5  # of the first ramps: what leaks through a valve that is shut has no time to push by itself
 SMALLER = 0.8  # amplitudes from one to the next, until limits.motion allows one
 
 
@@ -34,6 +35,7 @@ class Act(NamedTuple):
     until: int  # the state in which it has ended
     dwell_s: float = 0.0  # in that state behind it
     lease: int = 0  # ticks after which a probe has to be renewed
+    settled: bool = False  # it waits for load and air to come to rest, for a while
 
 
 class Step(NamedTuple):
@@ -53,6 +55,7 @@ class Ground(NamedTuple):
     motion: Bounds
     approach_m_s: float
     u_max_v: float
+    shut: bool  # the valve is, at 0 V
     probe: Probe
 
     def at(self, share: float) -> float:
@@ -65,13 +68,23 @@ def ground_of(p: AxisParameters) -> Ground:
     low_m, high_m = soft_limits(p)
     lease = max(1, round(LEASE_S / p.controller.h))
     approach = min(APPROACH * p.motion.speed_m_s, APPROACH_SHARE_S * (high_m - low_m))
-    return Ground(low_m, high_m, p.motion, approach, p.output.u_max_v, loosening(p, lease)[0])
+    shut = abs(p.controller.valve.centre_v) <= p.controller.valve.dead_zone_v
+    return Ground(low_m, high_m, p.motion, approach, p.output.u_max_v, shut, loosening(p, lease)[0])
+
+
+def first(p: AxisParameters) -> list[Step]:
+    """The valve opened slowly both ways where the load is: its edges, before a loop is closed with them."""
+    g = ground_of(p)
+    return [_here(m._replace(rate_v_s=FIRST_V_S), g) for m in MOTIONS if m.kind == "ramp"]
 
 
 def static(p: AxisParameters) -> list[Step]:
-    """Slow ways, and at each place the valve opened slowly both ways while the axis is disarmed."""
+    """Slow ways, and at each place the valve opened slowly both ways while the axis is disarmed.
+
+    A load whose valve is open at 0 V would drift away then; it is not disarmed.
+    """
     g = ground_of(p)
-    return _joined(g, [m for m in MOTIONS if m.kind in ("rest", "ramp")])
+    return _joined(g, [m for m in MOTIONS if m.kind == "rest" or (m.kind == "ramp" and g.shut)])
 
 
 def dynamic(p: AxisParameters) -> list[Step]:
@@ -134,31 +147,49 @@ def _way_s(from_m: float, to_m: float, speed_m_s: float, g: Ground) -> float:
 
 def _still(m: Motion, g: Ground, from_m: float) -> tuple[Step, float]:
     to_m = g.at(m.places[0])
-    acts = (arm(), _goto(to_m, g.approach_m_s, m.seconds), _disarm(m.seconds))
-    words = f"slowly to {_mm(to_m)} mm at {_mm(g.approach_m_s)} mm/s, and rest there, held and centred"
-    seconds = _way_s(from_m, to_m, g.approach_m_s, g) + 2.0 * m.seconds + SETTLED_S
-    return Step("rest", words, seconds, acts), to_m
+    acts = [arm(), _goto(to_m, g.approach_m_s, m.seconds)]
+    words = f"slowly to {_mm(to_m)} mm at {_mm(g.approach_m_s)} mm/s, and rest there, held"
+    seconds = _way_s(from_m, to_m, g.approach_m_s, g) + m.seconds + SETTLED_S
+    if g.shut:
+        acts.append(_disarm(m.seconds))
+        words, seconds = f"{words} and centred", seconds + m.seconds
+    return Step("rest", words, seconds, tuple(acts)), to_m
+
+
+def _here(m: Motion, g: Ground) -> Step:
+    (out, back), seconds = _both_ways(m, g)
+    # a chamber that is full, or empty, shows nothing until the other way has been open
+    acts = (out._replace(settled=True), back, out)
+    words = (
+        "where the load is, disarmed, the valve opens slowly both ways, for at most"
+        f" {_mm(RAMP_M)} mm at {_mm(RAMP_M_S)} mm/s"
+    )
+    return Step("edges", words, 1.5 * seconds, acts)
 
 
 def _ramps(m: Motion, g: Ground, from_m: float) -> tuple[Step, float]:
-    goal_v = min(WIDEST * g.u_max_v + m.opening_v, g.u_max_v)
-    bounds = g.probe._replace(rate_v_s=m.rate_v_s, travel_m=RAMP_M, speed_m_s=RAMP_M_S)
     acts: list[Act] = []
     seconds = 0.0
+    openings, opening_s = _both_ways(m, g)
     for place in m.places:
         to_m = g.at(place)
-        seconds += _way_s(from_m, to_m, g.approach_m_s, g)
-        acts += [arm(), _goto(to_m, g.approach_m_s), _disarm(AIRLESS_S)]
-        for way in (1.0, -1.0):
-            acts.append(_opening(bounds._replace(goal_v=way * goal_v)))
+        acts += [arm(), _goto(to_m, g.approach_m_s), _disarm(AIRLESS_S), *openings]
+        seconds += _way_s(from_m, to_m, g.approach_m_s, g) + opening_s + SETTLED_S + DWELL_S + AIRLESS_S
         from_m = to_m
-        seconds += 2.0 * (goal_v / m.rate_v_s + AIRLESS_S) + SETTLED_S + DWELL_S + AIRLESS_S
     places = ", ".join(f"{100.0 * place:g}" for place in m.places)
     words = (
         f"slowly to {places} % of the travel at {_mm(g.approach_m_s)} mm/s; there, disarmed, the valve opens"
         f" slowly both ways, for at most {_mm(RAMP_M)} mm at {_mm(RAMP_M_S)} mm/s"
     )
     return Step("edges", words, seconds, tuple(acts)), from_m
+
+
+def _both_ways(m: Motion, g: Ground) -> tuple[list[Act], float]:
+    """A ramp each way, and how long they take at most [s]."""
+    goal_v = min(WIDEST * g.u_max_v + m.opening_v, g.u_max_v)
+    bounds = g.probe._replace(rate_v_s=m.rate_v_s, travel_m=RAMP_M, speed_m_s=RAMP_M_S)
+    acts = [_opening(bounds._replace(goal_v=way * goal_v)) for way in (1.0, -1.0)]
+    return acts, 2.0 * (goal_v / m.rate_v_s + AIRLESS_S)
 
 
 def _opening(p: Probe) -> Act:

@@ -20,6 +20,7 @@ from pneud.study.identification import heat
 Floats = NDArray[np.float64]
 Share = Callable[[Floats], tuple[Floats, Floats]]
 """Share of the choked flow at a pressure ratio, and its slope."""
+Mask = NDArray[np.bool_]
 
 SUBSTEP_S = 5e-4  # longest step
 WARM_S = 0.03  # before a window, in which only the spool moves
@@ -77,6 +78,7 @@ class Guess(NamedTuple):
     play_v: Floats  # half of the spool's hysteresis
     exhaust: Floats  # flow of the edges to the atmosphere, relative to those from the supply
     critical: Floats  # of ISO 6358; not looked at where the flow is an orifice's
+    critical_out: Floats  # of the edges to the atmosphere, likewise
     wall_1_s: Floats  # rate at which air comes to the wall's temperature; 0: it never does
 
 
@@ -111,6 +113,15 @@ def iso6358(b: Floats) -> Share:
     return share
 
 
+def _shares(g: Guess, rig: Rig, iso: bool) -> Callable[[Mask], Share]:
+    """Those of edges of which a part is from the supply, and the others are to the atmosphere."""
+    came, left = g.critical, g.critical_out
+    if iso and not np.array_equal(came, left):
+        return lambda supplies: iso6358(np.where(supplies, came, left))
+    one = iso6358(came) if iso else orifice(rig.gas)
+    return lambda _: one
+
+
 def _exchange(p: Floats, other: Floats, rate: Floats, share: Share, h: Floats) -> Floats:
     """Pressure after a step at fixed volume; `pneud.rig.chamber.exchange` for arrays."""
     filling = p < other
@@ -135,7 +146,7 @@ def simulate(w: Windows, guesses: Guess, rig: Rig, iso: bool) -> Floats:
     """Pressures at each tick that counts: (guess, chamber, window, tick) [Pa]."""
     column = Guess._make(np.atleast_1d(np.asarray(value, dtype=float))[:, None] for value in guesses)
     count, (windows, samples) = len(column.flow), w.x_m.shape
-    share = iso6358(column.critical) if iso else orifice(rig.gas)
+    shares = _shares(column, rig, iso)
     moves = [_moves(0, column.delay_s, column, rig), _moves(1, rig.h - column.delay_s, column, rig)]
     y = np.broadcast_to(w.applied_v[:, 0], (count, windows)).copy()
     rate, felt = np.zeros_like(y), y + _behind(w, column.play_v)  # felt: by the edges, behind the play
@@ -168,7 +179,7 @@ def simulate(w: Windows, guesses: Guess, rig: Rig, iso: bool) -> Floats:
                     v2 = scale / (rig.area2_m2 * (length - m))
                     leaving = column.exhaust[:, :, None] * root[..., k - w.warm]
                     edges = _Edges(opening, column.seep, column.seep_out, leaving)
-                    p1, p2 = _flows(p1, p2, edges, v1, v2, w.supply_pa[:, k], share, h, rig.gas)
+                    p1, p2 = _flows(p1, p2, edges, v1, v2, w.supply_pa[:, k], shares, h, rig.gas)
                     p1 = p1 * ((m + column.dead1_m) / (b + column.dead1_m)) ** column.exponent
                     p2 = p2 * ((length - m) / (length - b)) ** column.exponent
         if counts:
@@ -236,20 +247,18 @@ class _Edges(NamedTuple):
 
 
 def _flows(
-    p1: Floats, p2: Floats, e: _Edges, v1: Floats, v2: Floats, supply: Floats, share: Share, h: Floats, g: Gas
-) -> tuple[Floats, Floats]:
+    p1: Floats, p2: Floats, e: _Edges, v1: Floats, v2: Floats, supply: Floats,
+    shares: Callable[[Mask], Share], h: Floats, g: Gas,
+) -> tuple[Floats, Floats]:  # fmt: skip
     """Both pressures after a step at fixed volumes."""
-    out, wide = e.opening > 0.0, np.abs(e.opening)
+    out, wide, air = e.opening > 0.0, np.abs(e.opening), g.atmosphere_pa
     leaving1, leaving2 = e.leaving[:, 0], e.leaving[:, 1]
     into, from1, from2 = wide + e.seep, leaving1 * (wide + e.seep_out), leaving2 * (wide + e.seep_out)
-    p1 = _exchange(p1, np.where(out, supply, g.atmosphere_pa), v1 * np.where(out, into, from1), share, h)
-    p2 = _exchange(p2, np.where(out, g.atmosphere_pa, supply), v2 * np.where(out, from2, into), share, h)
+    one, two = shares(out), shares(~out)
+    p1 = _exchange(p1, np.where(out, supply, air), v1 * np.where(out, into, from1), one, h)
+    p2 = _exchange(p2, np.where(out, air, supply), v2 * np.where(out, from2, into), two, h)
     if np.any(e.seep > 0.0) or np.any(e.seep_out > 0.0):  # the edges that are shut
         from1, from2 = leaving1 * e.seep_out, leaving2 * e.seep_out
-        p1 = _exchange(
-            p1, np.where(out, g.atmosphere_pa, supply), v1 * np.where(out, from1, e.seep), share, h
-        )
-        p2 = _exchange(
-            p2, np.where(out, supply, g.atmosphere_pa), v2 * np.where(out, e.seep, from2), share, h
-        )
+        p1 = _exchange(p1, np.where(out, air, supply), v1 * np.where(out, from1, e.seep), two, h)
+        p2 = _exchange(p2, np.where(out, supply, air), v2 * np.where(out, e.seep, from2), one, h)
     return p1, p2

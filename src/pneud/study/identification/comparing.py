@@ -18,12 +18,14 @@ SCHEMA = 1
 # How far a parameter may lie off before anybody need do something: a share of the value, and an amount.
 TOLERANCES: Mapping[str, tuple[float, float]] = {
     key.AREA: (0.1, 0.0), key.CONDUCTANCE: (0.1, 0.0), key.CRITICAL: (0.0, 0.1), key.EXHAUST: (0.1, 0.0),
+    key.CRITICAL_OUT: (0.0, 0.1),
     key.PLUS: (0.0, 0.03), key.MINUS: (0.0, 0.03), key.HALF: (0.0, 0.03), key.CENTRE: (0.0, 0.03),
     key.BANDWIDTH: (0.3, 0.0), key.DELAY: (0.0, 500.0), key.SEEP: (0.0, 0.002),
     key.SEEP_OUT: (0.0, 0.002), key.PLAY: (0.0, 0.03),
     key.DEAD1: (0.2, 0.002), key.DEAD2: (0.2, 0.002), key.EXPONENT: (0.0, 0.1), key.WALL: (0.5, 0.0),
     key.MASS: (0.1, 0.0), key.LOAD: (0.1, 5.0), key.COULOMB: (0.3, 0.0), key.STATIC: (0.3, 0.0),
     key.STRIBECK: (1.0, 0.0), key.VISCOUS: (0.3, 0.0), key.STIFFNESS: (2.0, 0.0), key.DAMPING: (5.0, 0.0),
+    key.FORWARD: (0.0, 0.1),
 }  # fmt: skip
 
 AGREES, NEAR, OFF, UNTOLD = "agrees", "near", "off", "not told"
@@ -83,14 +85,22 @@ def earlier(path: Path) -> dict[str, Estimate]:
         ConfigError: it cannot be read, or is nothing of the kind.
     """
     try:
-        whole = json.loads(read_whole(path))
-        if whole["schema"] != SCHEMA:
-            raise ValueError
-        return {name: _estimate(one) for name, one in whole["parameters"].items() if name in TOLERANCES}
+        return estimates(json.loads(read_whole(path)))
     except OSError as e:
         raise ConfigError(f"{path}: cannot be read: {e.strerror}") from None
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise ConfigError(f"{path}: not what pneud identify --json prints") from None
+
+
+def estimates(whole: Any) -> dict[str, Estimate]:
+    """The parameters of an object that an identification has become.
+
+    Raises:
+        ValueError, KeyError, TypeError, AttributeError: it is nothing of the kind.
+    """
+    if whole["schema"] != SCHEMA:
+        raise ValueError
+    return {name: _estimate(one) for name, one in whole["parameters"].items() if name in TOLERANCES}
 
 
 def _estimate(one: Mapping[str, Any]) -> Estimate:

@@ -33,6 +33,7 @@ WIDER, SHIFTS = 1.4, 2.0  # smoothing of the second fit; what it differs by coun
 FEW = 24  # windows, with which the fit begins
 PINNED = 1e-3  # as good as known
 BETTER = 0.9  # of a simpler model's misfit, from which on a further one is said to be the rig's
+LOAD = forces.Slide._fields.index("load_n")
 STIFFER = 3.0  # Maxwell elements are together than bristles that do as well
 EXPLAINED = 1.5  # times the noise is what a model that explains all leaves
 
@@ -63,6 +64,7 @@ class Moved(NamedTuple):
     fit: Fit
     windows: forces.Forces
     slips: bool  # by Maxwell elements, rather than bristles
+    by_way: bool  # its friction differs by direction
     left_n: Floats  # of the force: (window, tick)
     misfit_n: float
     step_m: float = 0.0  # of the encoder
@@ -114,6 +116,20 @@ def of_valve(t: Table, c: Config, noise_pa: float) -> Valved | None:
     w = chamber_windows(t, c, (k.dead_length_1_m, k.dead_length_2_m))
     if len(w.x_m) < LEAST_WINDOWS:
         return None
+    found = _first_fit(w, t, c, noise_pa)
+    known = _values(found)
+    if found.structure.heat:
+        w = chamber_windows(t, c, (known["dead1_m"], known["dead2_m"]))
+    found = _fit_valve(w, t, c, noise_pa, found.structure, known, True)
+    if found.structure.iso and found.misfit_pa > EXPLAINED * noise_pa:
+        apart = found.structure._replace(apart=True)
+        other = _fit_valve(w, t, c, noise_pa, apart, _values(found), True)
+        found = other if other.misfit_pa < BETTER * found.misfit_pa else found
+    return found
+
+
+def _first_fit(w: chambers.Windows, t: Table, c: Config, noise_pa: float) -> Valved:
+    """Of a few windows, with the structure that explains them."""
     few = chambers.some(w, FEW)
     plain = key.Structure(c.valve.flow == "iso6358", False)
     found = _fit_valve(few, t, c, noise_pa, plain, {}, False)
@@ -121,10 +137,7 @@ def of_valve(t: Table, c: Config, noise_pa: float) -> Valved | None:
         if found.misfit_pa > EXPLAINED * noise_pa and structure not in (plain, found.structure):
             other = _fit_valve(few, t, c, noise_pa, structure, _values(found), False)
             found = other if other.misfit_pa < BETTER * found.misfit_pa else found
-    known = _values(found)
-    if found.structure.heat:
-        w = chamber_windows(t, c, (known["dead1_m"], known["dead2_m"]))
-    return _fit_valve(w, t, c, noise_pa, found.structure, known, True)
+    return found
 
 
 def _values(valved: Valved) -> dict[str, float]:
@@ -135,7 +148,8 @@ def _guess(keys: Sequence[str], columns: Floats, rig: chambers.Rig) -> chambers.
     """Guesses from columns of some parameters; the others are as where there is nothing of the kind."""
     others = {"exponent": rig.gas.k, "critical": 0.0, "wall_1_s": 0.0}
     given = {name: np.full_like(columns[0], x) for name, x in others.items()}
-    return chambers.Guess(**{**given, **dict(zip(keys, columns, strict=True))})
+    given |= dict(zip(keys, columns, strict=True))
+    return chambers.Guess(**{"critical_out": given["critical"], **given})
 
 
 def _fit_valve(
@@ -181,9 +195,17 @@ def of_load(t: Table, c: Config, noise_pa: float) -> Moved | None:
     slipping = _fit_load(w, _from(moved.fit, unknowns, STIFFER), noise_n, fast_m_s, True)
     if slipping.misfit_n < BETTER * moved.misfit_n:
         moved = slipping
+    by_way = key.by_way(_from(moved.fit, unknowns))
+    directed = _fit_load(w, by_way, noise_n, fast_m_s, moved.slips)
+    beside_n = 0.0
+    if directed.misfit_n < BETTER * moved.misfit_n:
+        unknowns, moved = by_way, directed._replace(by_way=True)
+    else:  # what friction may differ by all the same is load
+        beside_n = float(directed.fit.x[LOAD] - moved.fit.x[LOAD])
     wider = forces.windows(t, balance(c), WIDER)
     other = _fit_load(wider, _from(moved.fit, unknowns), noise_n, fast_m_s, moved.slips)
     shift = SHIFTS * (other.fit.x - moved.fit.x)
+    shift[LOAD] = math.copysign(math.hypot(shift[LOAD], beside_n), shift[LOAD])
     return moved._replace(fit=moved.fit._replace(shift=shift), step_m=forces.encoder_step_m(t))
 
 
@@ -204,7 +226,7 @@ def _fit_load(
 
     done = fit(predict, unknowns)
     left_n = -done.residuals / counts
-    return Moved(done, w, slips, left_n, _usual(left_n))
+    return Moved(done, w, slips, False, left_n, _usual(left_n))
 
 
 def balance(c: Config) -> forces.Balance:
@@ -236,12 +258,12 @@ _CHAMBER_KEYS = {
     "flow": key.AREA, "plus_v": key.PLUS, "minus_v": key.MINUS, "bandwidth_hz": key.BANDWIDTH,
     "delay_s": key.DELAY, "dead1_m": key.DEAD1, "dead2_m": key.DEAD2, "exponent": key.EXPONENT,
     "seep": key.SEEP, "seep_out": key.SEEP_OUT, "play_v": key.PLAY, "exhaust": key.EXHAUST,
-    "critical": key.CRITICAL, "wall_1_s": key.WALL,
+    "critical": key.CRITICAL, "critical_out": key.CRITICAL_OUT, "wall_1_s": key.WALL,
 }  # fmt: skip
 _SLIDE_KEYS = {
     "mass": key.MASS, "load": key.LOAD, "coulomb": key.COULOMB, "static": key.STATIC,
     "stribeck": key.STRIBECK, "viscous": key.VISCOUS, "stiffness": key.STIFFNESS,
-    "damping": key.DAMPING,
+    "damping": key.DAMPING, "forward": key.FORWARD,
 }  # fmt: skip
 
 
@@ -259,6 +281,8 @@ def _valve_estimates(valved: Valved, c: Config, config: dict[str, float]) -> dic
         }
     else:
         flows = {key.AREA: f.found(flow=1.0 / key.flow_of_area(1.0, g))}
+    if valved.structure.apart:
+        flows[key.CRITICAL_OUT] = f.found(critical_out=1.0)
     found = {
         **flows,
         key.PLUS: f.found(plus_v=1.0),
@@ -309,4 +333,6 @@ def _load_estimates(moved: Moved, c: Config, config: dict[str, float]) -> dict[s
         key.STIFFNESS: f.found(stiffness=1.0),
         key.DAMPING: f.found(damping=1.0),
     }
+    if moved.by_way:
+        found[key.FORWARD] = f.found(forward=1.0)
     return {name: key.estimate(name, one, config) for name, one in found.items()}

@@ -145,7 +145,9 @@ def flow_map(valved: Valved, c: Config, spans: Sequence[tuple[float, float]] = (
     y = chambers.spool(w, g, rig)
     still = _moved(y, max(width, round(STEADY_S / rig.h)))[:, inner] < STEADY * np.abs(y[:, inner])
     y, x = y[:, inner], w.x_m[:, w.warm + 1 :]
-    share = chambers.iso6358(g.critical) if valved.structure.iso else chambers.orifice(gas)
+    iso, orifice = valved.structure.iso, chambers.orifice(gas)
+    inwards = chambers.iso6358(g.critical) if iso else orifice
+    outwards = chambers.iso6358(g.critical_out) if iso else orifice
     supply = w.supply_pa[:, w.warm + 1 :][:, inner]
     warmth = heat.at(w.warmth, np.array([g.wall_1_s]))[0][:, :, inner]
     sums, weights = np.zeros_like(y), np.zeros_like(y)
@@ -159,8 +161,8 @@ def flow_map(valved: Valved, c: Config, spans: Sequence[tuple[float, float]] = (
             (_rate(p, width, rig.h) + cooled) * length[:, inner] / g.exponent
             + here * _rate(length, width, rig.h)
         )
-        came = g.flow * _through(here, supply, share)
-        left = g.flow * g.exhaust * _through(here, np.asarray(gas.atmosphere_pa), share)
+        came = g.flow * through(here, supply, inwards)
+        left = g.flow * g.exhaust * through(here, np.asarray(gas.atmosphere_pa), outwards)
         most = np.where(sign * y > 0.0, came, left)
         flows = flows - g.seep * came - g.seep_out * left
         sums += flows * most  # the opening by least squares over both chambers
@@ -170,7 +172,7 @@ def flow_map(valved: Valved, c: Config, spans: Sequence[tuple[float, float]] = (
     return _binned(y, opening, chambers.openings(y, g, rig.u_max_v), spans or _spans(0.3, rig.u_max_v, 8))
 
 
-def _through(here: Floats, other: Floats, share: chambers.Share) -> Floats:
+def through(here: Floats, other: Floats, share: chambers.Share) -> Floats:
     """Flow into a chamber through an edge that is open to the end, relative to its size [Pa]."""
     high = np.maximum(here, other)
     found: Floats = np.copysign(high * share(np.minimum(here, other) / high)[0], other - here)

@@ -70,6 +70,7 @@ class Slide(NamedTuple):
     viscous_n_s_m: Floats
     stiffness_n_m: Floats
     damping_n_s_m: Floats  # of the bristles
+    forward: Floats  # share of friction that is more on the way out, and less on the way back
 
 
 def encoder_step_m(t: Table) -> float:
@@ -130,11 +131,13 @@ def friction(w: Forces, g: Slide, slips: bool) -> Floats:
     """
     c = Slide._make(np.asarray(value, dtype=float)[:, None, None] for value in g)
     v = w.v_m_s[None]
-    dry = c.coulomb_n * (1.0 + c.static * np.exp(-((v / c.stribeck_m_s) ** 2)))
+    way = 1.0 + c.forward * np.where(v > 0.0, 1.0, -1.0)
+    dry = way * c.coulomb_n * (1.0 + c.static * np.exp(-((v / c.stribeck_m_s) ** 2)))
+    viscous_n = way * c.viscous_n_s_m * v
     first = Slide._make(part[:, :, 0] for part in c)
-    held = w.start_n - first.mass_kg * w.start_a_m_s2 - first.load_n - first.viscous_n_s_m * v[:, :, 0]
+    held = w.start_n - first.mass_kg * w.start_a_m_s2 - first.load_n - viscous_n[:, :, 0]
     held = np.clip(held, -dry[:, :, 0], dry[:, :, 0])
-    force = (_elements if slips else _bristles)(v, dry, held, c, w.h) + c.viscous_n_s_m * v
+    force = (_elements if slips else _bristles)(v, dry, held, c, w.h) + viscous_n
     found: Floats = smoothed(force, w.more)[:, :, w.margin : force.shape[2] - w.margin]
     return found
 

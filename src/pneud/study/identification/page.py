@@ -35,7 +35,13 @@ class Table(NamedTuple):
     rows: Sequence[tuple[Sequence[str], bool]]
 
 
-def page(title: str, lines: Iterable[str], tables: Iterable[Table], pictures: Iterable[Picture]) -> str:
+def page(
+    title: str,
+    lines: Iterable[str],
+    tables: Iterable[Table],
+    pictures: Iterable[Picture],
+    more: Iterable[Section] = (),
+) -> str:
     """The page.
 
     Args:
@@ -43,12 +49,12 @@ def page(title: str, lines: Iterable[str], tables: Iterable[Table], pictures: It
         lines: verdict and notes.
         tables: of the parameters, and others.
         pictures: maps.
+        more: before them.
     """
     said = "".join(f"<p>{html.escape(line)}</p>" for line in lines)
     sections = [Section(one.title or "Parameters", _cells(one)) for one in tables]
-    return document(
-        title, title, [*sections, *(Section(one.title, _figure(one)) for one in pictures)], lead=said
-    )
+    sections += [*more, *(Section(one.title, _figure(one)) for one in pictures)]
+    return document(title, title, sections, lead=said)
 
 
 def parameters(rows: Iterable[Row], title: str = "") -> Table:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from pneud.config.conversions import command_delay_s, valve_of
@@ -16,6 +16,7 @@ from pneud.study.identification.fitting import Found, Unknown
 
 AREA, CONDUCTANCE = "valve.orifice_area_m2", "valve.sonic_conductance_l_s_bar"
 CRITICAL, EXHAUST = "valve.critical_ratio", "valve.exhaust_ratio"
+CRITICAL_OUT = "valve.exhaust_critical_ratio"
 PLUS, MINUS = "valve.dead_zone_positive_v", "valve.dead_zone_negative_v"
 CENTRE, HALF = "valve.centre_v", "valve.dead_zone_v"
 BANDWIDTH, DELAY = "valve.bandwidth_hz", "bus.command_delay_us"
@@ -27,24 +28,27 @@ MASS, LOAD = "cylinder.moving_mass_kg", "cylinder.load_n"
 COULOMB, STATIC = "control.friction.coulomb_n", "control.friction.static_n"
 STRIBECK, VISCOUS = "control.friction.stribeck_speed_m_s", "control.friction.viscous_n_s_m"
 STIFFNESS = "control.friction.bristle_stiffness_n_m"
-DAMPING = "control.friction.bristle_damping_n_s_m"
+DAMPING, FORWARD = "control.friction.bristle_damping_n_s_m", "plant.friction.forward_share"
 
 # What an interval has on either side at least, because steps of the simulation and smoothing count: a share
 # of the value, and an amount.
 FLOORS: Mapping[str, tuple[float, float]] = {
-    AREA: (0.005, 0.0), CONDUCTANCE: (0.005, 0.0), CRITICAL: (0.0, 0.01), EXHAUST: (0.005, 0.0),
+    AREA: (0.005, 0.0), CONDUCTANCE: (0.005, 0.0), CRITICAL: (0.0, 0.01),
+    CRITICAL_OUT: (0.0, 0.01), EXHAUST: (0.005, 0.0),
     PLUS: (0.005, 0.001), MINUS: (0.005, 0.001), CENTRE: (0.0, 0.001), HALF: (0.005, 0.001),
     BANDWIDTH: (0.04, 0.0), DELAY: (0.0, 60.0), SEEP: (0.1, 5e-5), SEEP_OUT: (0.1, 5e-5),
     PLAY: (0.1, 0.001), DEAD1: (0.01, 1e-4), DEAD2: (0.01, 1e-4), EXPONENT: (0.0, 0.003), WALL: (0.05, 0.0),
     MASS: (0.005, 0.0), LOAD: (0.0, 0.1), COULOMB: (0.01, 0.02), STATIC: (0.05, 0.02),
     STRIBECK: (0.1, 0.0), VISCOUS: (0.01, 0.0), STIFFNESS: (0.05, 0.0),
-    DAMPING: (0.1, 0.0),
+    DAMPING: (0.1, 0.0), FORWARD: (0.0, 0.005),
 }  # fmt: skip
 
 # What a log lacks that does not tell a parameter.
 LACKING: Mapping[str, str] = {
     AREA: "the valve hardly opens", CONDUCTANCE: "the valve hardly opens",
-    CRITICAL: "no flow at several pressure ratios", EXHAUST: "the valve hardly opens",
+    CRITICAL: "no flow at several pressure ratios",
+    CRITICAL_OUT: "no chamber that is emptied below half of the supply pressure",
+    EXHAUST: "the valve hardly opens",
     PLUS: "the command does not pass that edge", MINUS: "the command does not pass that edge",
     CENTRE: "the command does not pass both edges", HALF: "the command does not pass both edges",
     BANDWIDTH: "the command does not change fast", DELAY: "the command does not change fast",
@@ -56,10 +60,12 @@ LACKING: Mapping[str, str] = {
     MASS: "no acceleration", LOAD: "no motion both ways",
     COULOMB: "no motion", STATIC: "no motion slow enough to stick",
     STRIBECK: "no motion at speeds about it", VISCOUS: "no motion at several speeds",
-    STIFFNESS: "no reversals", DAMPING: "no reversals",
+    STIFFNESS: "no reversals", DAMPING: "no reversals", FORWARD: "no motion both ways at several speeds",
 }  # fmt: skip
 
 
+BY_WAY, MOST_BY_WAY = 0.15, 0.5  # share by which friction differs by direction, as a rule and at most
+PINNED = 1e-6  # as good as known
 OF_NO_USE = 0.5  # of a value: it is not told where it is less sure than that
 
 
@@ -68,6 +74,7 @@ class Structure(NamedTuple):
 
     iso: bool  # the flow is that of ISO 6358, not an orifice's
     heat: bool  # air takes the wall's temperature, rather than being compressed with an exponent
+    apart: bool = False  # the edges to the atmosphere have a critical ratio of their own
 
 
 class Estimate(NamedTuple):
@@ -129,6 +136,9 @@ def chamber_unknowns(
         found.append(Unknown("exponent", exponent, exponent, 0.1, 1.0, 1.6))
     if structure.iso:
         found.append(Unknown("critical", 0.35, 0.35, 0.15, 0.0, 0.6))
+    if structure.apart:
+        ratio = first["critical"]
+        found.append(Unknown("critical_out", ratio, ratio, 0.15, 0.0, 0.6))
     return [u._replace(start=first.get(u.key, u.start)) for u in found]
 
 
@@ -139,7 +149,10 @@ def configured_edges_v(c: Config) -> tuple[float, float]:
 
 
 def slide_unknowns(c: Config, first: tuple[float, float, float, float]) -> list[Unknown]:
-    """Those of the moving load, in the order of `forces.Slide`; `first` is from `forces.at_once`."""
+    """Those of the moving load, in the order of `forces.Slide`; `first` is from `forces.at_once`.
+
+    Friction is the same both ways, until `by_way` lets it differ.
+    """
     mass, load, coulomb, viscous = first
     k, f = c.cylinder, c.control.friction
     known = k.moving_mass_kg
@@ -158,7 +171,13 @@ def slide_unknowns(c: Config, first: tuple[float, float, float, float]) -> list[
         Unknown("viscous", max(viscous, 0.0), f.viscous_n_s_m, steady, 0.0, 1e3 * steady),
         Unknown("stiffness", stiff, stiff, 3.0 * stiff, 0.01 * stiff, 100.0 * stiff),
         Unknown("damping", damped, damped, damped, 0.0, 30.0 * damped),
+        Unknown("forward", 0.0, 0.0, BY_WAY, -PINNED, PINNED),
     ]
+
+
+def by_way(unknowns: Sequence[Unknown]) -> list[Unknown]:
+    """The same with friction that may differ by direction."""
+    return [u._replace(low=-MOST_BY_WAY, high=MOST_BY_WAY) if u.key == "forward" else u for u in unknowns]
 
 
 def weight_share(c: Config) -> float:
@@ -173,7 +192,7 @@ def configured(c: Config) -> dict[str, float]:
     return {
         AREA: area_of(c), CONDUCTANCE: conductance_of(c) / L_S_BAR,
         PLUS: plus, MINUS: -minus, CENTRE: 0.5 * (plus + minus), HALF: 0.5 * (plus - minus),
-        EXHAUST: v.exhaust_ratio,
+        EXHAUST: v.exhaust_ratio, **_ratios(c),
         BANDWIDTH: v.bandwidth_hz, DELAY: 1e6 * command_delay_s(c.bus), SEEP: 0.0, SEEP_OUT: 0.0,
         PLAY: 0.0,
         DEAD1: k.dead_length_1_m, DEAD2: k.dead_length_2_m,
@@ -181,8 +200,15 @@ def configured(c: Config) -> dict[str, float]:
         MASS: k.moving_mass_kg, LOAD: k.load_n,
         COULOMB: f.coulomb_n, STATIC: f.static_n, STRIBECK: f.stribeck_speed_m_s,
         VISCOUS: f.viscous_n_s_m, STIFFNESS: f.bristle_stiffness_n_m,
-        DAMPING: f.bristle_damping_n_s_m,
+        DAMPING: f.bristle_damping_n_s_m, FORWARD: 0.0,
     }  # fmt: skip
+
+
+def _ratios(c: Config) -> dict[str, float]:
+    v = c.valve
+    if v.flow == "orifice":
+        return {}
+    return {CRITICAL: v.critical_ratio, CRITICAL_OUT: v.exhaust_critical_ratio or v.critical_ratio}
 
 
 def estimate(key: str, found: Found, config: Mapping[str, float], more: float = 0.0) -> Estimate:
@@ -197,7 +223,7 @@ def estimate(key: str, found: Found, config: Mapping[str, float], more: float = 
     share, amount = FLOORS[key]
     half = math.hypot(0.5 * (found.high - found.low), share * abs(found.value) + amount + more)
     low = found.value - half
-    if found.value >= 0.0 and key not in (PLUS, MINUS, CENTRE, LOAD):
+    if found.value >= 0.0 and key not in (PLUS, MINUS, CENTRE, LOAD, FORWARD):
         low = max(low, 0.0)
     told = found.told and more < OF_NO_USE * abs(found.value)
     return Estimate(found.value, low, found.value + half, config.get(key), told)

@@ -63,7 +63,7 @@ def chamber_windows(t: Table, c: Config, dead_m: tuple[float, float], most: int 
         found += [(s, begin) for begin in range(0, len(s.x_m) - warm - ticks - 1, ticks)]
     ends = (ENDS * c.cylinder.stroke_m, (1.0 - ENDS) * c.cylinder.stroke_m)
     found = [
-        (s, begin) for s, begin in found if _between(s.x_m[begin + warm : begin + warm + ticks], *ends)
+        (s, begin) for s, begin in found if _is_calm(s.x_m[begin + warm : begin + warm + ticks], *ends)
     ] or found
     kept = chosen([_told(s, begin + warm, ticks) for s, begin in found], most)
 
@@ -128,8 +128,10 @@ def _behind(starts: list[tuple[Smooth, int]], h: float, c: Config) -> Floats:
     return found
 
 
-def _between(x_m: Floats, low_m: float, high_m: float) -> bool:
-    return bool(low_m < x_m.min() and x_m.max() < high_m)
+def _is_calm(x_m: Floats, low_m: float, high_m: float) -> bool:
+    """Whether a load moves between the ends, or stands at one of them."""
+    least_m, most_m = float(x_m.min()), float(x_m.max())
+    return (low_m < least_m and most_m < high_m) or most_m < low_m or least_m > high_m
 
 
 def _told(s: Smooth, at: int, ticks: int) -> float:

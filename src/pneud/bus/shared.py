@@ -1,0 +1,60 @@
+"""Several axes on one bus: whether they can be together there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+from pneud.bus.codec import Codecs
+from pneud.bus.load import overload
+from pneud.config.models import Config
+
+Axes = Sequence[tuple[Config, Codecs]]
+_EMCY, _HEARTBEAT = 0x080, 0x700
+_ONE = (  # of which there is one for all
+    *("loop.rate_hz", "loop.set_deadline", "loop.spin_us"),
+    *("bus.channel", "bus.sync", "bus.bitrate_bit_s", "realtime"),
+)
+
+
+def identifiers(config: Config, codecs: Codecs) -> dict[int, str]:
+    """What each identifier that is an axis's alone is for."""
+    found = {answer.codec.can_id: answer.name for answer in codecs.answers}
+    found[codecs.valve_command.can_id] = "the command"
+    for device in config.bus.devices:
+        if (node := device.node) is not None:
+            found |= {_EMCY + node: f"EMCY of node {node}", _HEARTBEAT + node: f"heartbeat of node {node}"}
+    return found
+
+
+def why_not_together(axes: Axes) -> str:
+    """Why axes cannot share a bus, in one line; empty where they can.
+
+    They need one rate, one SYNC, identifiers of their own, and a bus that carries the frames of all.
+    """
+    if nodes := [config.name for config, _ in axes if config.bus.nodes]:
+        return f"axis {nodes[0]} has [[bus.nodes]]; pneud configures the nodes of one axis alone"
+    for (a, a_codecs), (b, b_codecs) in combinations(axes, 2):
+        for key in _ONE:
+            if (one := _at(a, key)) != (other := _at(b, key)):
+                shown = f" ({one} and {other})" if not hasattr(one, "model_fields") else ""
+                return f"axes {a.name} and {b.name} differ in {key}{shown}; all on one bus share it"
+        if a_codecs.sync.can_id != b_codecs.sync.can_id or a_codecs.sync.length != b_codecs.sync.length:
+            return f"axes {a.name} and {b.name} have different SYNC messages; all on one bus share it"
+        own, others = identifiers(a, a_codecs), identifiers(b, b_codecs)
+        for can_id in sorted(own.keys() & others.keys()):
+            return (
+                f"0x{can_id:03X} is {own[can_id]} of axis {a.name} and {others[can_id]} of axis {b.name};"
+                " give each its own message and node under [axis.bus.frames]"
+            )
+        for name, known in ((b.name, own), (a.name, others)):
+            if (sync := a_codecs.sync.can_id) in known:
+                return f"0x{sync:03X} is SYNC, and {known[sync]} of an axis beside {name}"
+    return overload(axes[0][0], *(codecs for _, codecs in axes))
+
+
+def _at(config: Config, key: str) -> object:
+    value: object = config
+    for step in key.split("."):
+        value = getattr(value, step)
+    return value

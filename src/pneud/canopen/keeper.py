@@ -1,0 +1,212 @@
+"""The keeper of the nodes: a process beside the loop that configures them, and again where one has rebooted.
+
+It has the bus to itself while it works: the loop sends no SYNC until the nodes are ready, unless its axis is
+engaged, and the keeper waits for that. Two bytes of shared memory say so to each other.
+"""
+
+from __future__ import annotations
+
+import mmap
+import signal
+import sys
+import time
+from collections.abc import Callable, Sequence, Set
+from importlib.util import find_spec
+
+from pneud import crew
+from pneud.bus.link import Link, LinkError, open_link
+from pneud.canopen import objects
+from pneud.canopen.master import NEEDS_LIBRARY, Master, MissingLibraryError, NodeError, network_on
+from pneud.canopen.objects import Nmt
+from pneud.canopen.plan import Plan
+from pneud.canopen.words import RESET_WORD
+from pneud.signals import Frame
+
+_READY, _QUIET = 0, 1  # places in the memory: of the keeper, and of the loop
+_LOOK_S = 0.02
+_AGAIN_S = 2.0  # after a failure
+_RESET_S = 0.5  # between two attempts to end a valve's fault
+_QUIET_S = 1.0  # longest that the loop takes to be quiet, once its axis is not engaged
+
+
+class Readiness:
+    """Whether the nodes are ready, in memory that loop and keeper share."""
+
+    def __init__(self) -> None:
+        self._memory = mmap.mmap(-1, mmap.PAGESIZE)
+
+    @property
+    def ready(self) -> bool:
+        """The nodes are configured and started; until then they are not to be armed."""
+        return self._memory[_READY] != 0
+
+    @ready.setter
+    def ready(self, ready: bool) -> None:
+        self._memory[_READY] = ready
+
+    @property
+    def quiet(self) -> bool:
+        """The loop sends no SYNC."""
+        return self._memory[_QUIET] != 0
+
+    @quiet.setter
+    def quiet(self, quiet: bool) -> None:
+        self._memory[_QUIET] = quiet
+
+
+def fork_keeper(channel: str, plans: Sequence[Plan], readiness: Readiness) -> int:
+    """Keep the nodes of a bus configured, in a process of its own, until SIGTERM.
+
+    Args:
+        channel: the bus, not "auto".
+        plans: of the nodes.
+        readiness: shared with the loop.
+
+    Returns:
+        Its process id.
+    """
+
+    def main() -> None:
+        keeper = Keeper(channel, plans, readiness, crew.asked_to_leave(signal.SIGTERM))
+        keeper.run()
+
+    return crew.fork(main, known=(LinkError, MissingLibraryError))
+
+
+class Keeper:
+    """Configures, then watches.
+
+    Args:
+        channel: the bus.
+        plans: of the nodes.
+        readiness: shared with the loop.
+        stop: whether to leave.
+        say: takes a line for a person.
+    """
+
+    def __init__(
+        self,
+        channel: str,
+        plans: Sequence[Plan],
+        readiness: Readiness,
+        stop: Callable[[], bool],
+        say: Callable[[str], None] | None = None,
+    ) -> None:
+        self._channel = channel
+        self._plans = {plan.node.id: plan for plan in plans}
+        self._to_do = set(self._plans)  # nodes that have to be configured
+        self._readiness = readiness
+        self._stop = stop
+        self._say = say or _to_standard_error
+        self._said = ""
+        self._emergencies: dict[int, int] = {}
+        self._reset_at = 0.0
+
+    def run(self) -> None:
+        """Until told to leave."""
+        with open_link(self._channel) as link:
+            while not self._stop():
+                if self._to_do:
+                    self._readiness.ready = False
+                    if not self._configured(link):
+                        self._sleep(_AGAIN_S)
+                else:
+                    self._readiness.ready = True
+                    self._watch(link)
+
+    def _configured(self, link: Link) -> bool:
+        end = time.monotonic() + _QUIET_S
+        while not self._readiness.quiet and time.monotonic() < end:
+            self._sleep(_LOOK_S)
+        if not self._readiness.quiet:
+            return False
+        plans = [plan for node, plan in self._plans.items() if node in self._to_do]
+        try:
+            with network_on(self._channel) as network:
+                found = Master(network).configure(plans)
+        except NodeError as e:
+            self._tell(f"nodes: {e}")
+            return False
+        except OSError as e:
+            self._tell(f"nodes: {self._channel}: {e.strerror or e}")
+            return False
+        done, self._to_do = self._to_do, set()
+        self._hear(link, known=done)
+        for note in (note for one in found for note in one.notes):
+            self._say(f"nodes: {note}")
+        self._say(f"nodes: {', '.join(str(one.node) for one in found)} configured and started")
+        self._said = ""
+        return True
+
+    def _watch(self, link: Link) -> None:
+        """Look on until a node has to be configured anew."""
+        while not self._stop() and not self._to_do:
+            time.sleep(_LOOK_S)
+            self._hear(link)
+            self._end_faults(link)
+
+    def _hear(self, link: Link, known: Set[int] = frozenset()) -> None:
+        """Take what has come.
+
+        Args:
+            link: to the bus.
+            known: nodes that have just been configured, however often they have booted meanwhile.
+        """
+        frames: list[Frame] = []
+        link.watch_clock()
+        link.drain(frames)
+        for _, can_id, data in frames:
+            node = can_id & 0x7F
+            if node not in self._plans or not data:
+                continue
+            if can_id == objects.HEARTBEAT_ID + node and node not in known and node not in self._to_do:
+                state = data[0] & 0x7F
+                if state != Nmt.OPERATIONAL:
+                    word = "has rebooted" if state == Nmt.BOOT else "is no longer operational"
+                    name = self._plans[node].name
+                    self._say(f"nodes: {name} {word}; it is configured anew before anything arms")
+                    self._to_do.add(node)
+            elif can_id == objects.EMCY_ID + node and len(data) >= 2:
+                self._emergency(node, int.from_bytes(data[:2], "little"))
+
+    def _emergency(self, node: int, code: int) -> None:
+        if code != self._emergencies.get(node, 0):
+            self._say(f"nodes: {self._plans[node].name}: {objects.emergency_text(code)}")
+        self._emergencies[node] = code
+
+    def _end_faults(self, link: Link) -> None:
+        """Ask valves in fault, which the axis has let go of by now, for the end of it."""
+        now = time.monotonic()
+        if now < self._reset_at:
+            return
+        self._reset_at = now + _RESET_S
+        for node, code in self._emergencies.items():
+            if code and self._plans[node].node.profile == "valve408":
+                o = objects.CONTROL_WORD
+                write = bytes((0x2B, o.index & 0xFF, o.index >> 8, o.sub))
+                link.send(objects.SDO_REQUEST_ID + node, write + RESET_WORD.to_bytes(4, "little"))
+
+    def _tell(self, line: str) -> None:
+        """Say it, once."""
+        if line != self._said:
+            self._said = line
+            self._say(line)
+
+    def _sleep(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while not self._stop() and time.monotonic() < end:
+            time.sleep(_LOOK_S)
+
+
+def _to_standard_error(line: str) -> None:
+    print(f"pneud: {line}", file=sys.stderr, flush=True)
+
+
+def check_library() -> None:
+    """Make sure that what configures nodes is installed.
+
+    Raises:
+        MissingLibraryError: it is not.
+    """
+    if find_spec("canopen") is None:
+        raise MissingLibraryError(NEEDS_LIBRARY)

@@ -1,0 +1,179 @@
+"""Several axes in one file, or in a folder with a file for each: every one a configuration of its own.
+
+A file has `[[axis]]` tables, each with a name; what stands above them holds for all, and what an axis says
+itself takes its place. What comes of it is the plain text of one axis, which is all that anybody else sees:
+its log has it, and a replay needs nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pydantic import ValidationError
+
+from pneud.config.conversions import COMPUTING_S, FRAME_BITS, STUFFING
+from pneud.config.models import Config, FramesConfig
+from pneud.config.places import line_of
+from pneud.config.reading import AXIS, explain, parse, text_of
+from pneud.config.sections import ConfigError
+from pneud.config.toml import TomlError, merged, tables_of, toml_text
+
+_NONE = {"counter": "", "crc": ""}  # how a file says that a message has none
+
+
+class Part(NamedTuple):
+    """One axis of several, or the only one."""
+
+    config: Config
+    text: str
+    path: Path
+
+
+def axes_of(file: str | Path) -> tuple[Part, ...]:
+    """The axes of a file, or of all files of a folder, in order.
+
+    Raises:
+        ConfigError: one cannot be used, or two have one name.
+    """
+    folder = Path(file)
+    if not folder.is_dir():
+        return _named(tuple(_parts(*text_of(file))), str(file))
+    files = sorted(folder.glob("*.toml"))
+    if not files:
+        raise ConfigError(f"{file}: a folder without a configuration; one .toml for each axis")
+    parts = tuple(part for one in files for part in _parts(*text_of(one)))
+    return _named(tuple(_delayed(part, n, len(parts)) for n, part in enumerate(parts)), str(file))
+
+
+def one_of(parts: Sequence[Part], axis: str | None, name: str) -> Part:
+    """The axis asked for, which need not be named where there is but one.
+
+    Raises:
+        ConfigError: there is none of this name, or several and none is named.
+    """
+    if axis is None and len(parts) == 1:
+        return parts[0]
+    for part in parts:
+        if part.config.name == axis:
+            return part
+    found = ", ".join(part.config.name for part in parts)
+    if axis is None:
+        raise ConfigError(f"{name}: has several axes ({found}); choose one, with --axis")
+    raise ConfigError(f"--axis {axis}: {name} has no such axis; it has {found}")
+
+
+def name_of(file: str | Path, parts: Sequence[Part]) -> str:
+    """What a daemon with these axes is called: as the only one, as the file says, or as the file itself."""
+    if len(parts) == 1:
+        return parts[0].config.name
+    if not Path(file).is_dir() and isinstance(name := tables_of(text_of(file)[0]).get("name"), str):
+        return name
+    return Path(file).resolve().stem
+
+
+def own_text(axis: str, number: int, axes: int, text: str) -> str:
+    """What a file says of one of the axes of a run, as `Part.text`.
+
+    Args:
+        axis: its name.
+        number: its place among them, from 0.
+        axes: how many there are.
+        text: of the file, which may have several.
+
+    Raises:
+        ConfigError: the file cannot be used, or has no such axis.
+    """
+    part = one_of(tuple(_parts(text, Path("the file"))), axis, "the file")
+    return _delayed(part, number, axes).text
+
+
+def _named(parts: tuple[Part, ...], name: str) -> tuple[Part, ...]:
+    names = [part.config.name for part in parts]
+    for one in names:
+        if names.count(one) > 1:
+            raise ConfigError(f"{name}: two axes have the name {one}; each needs its own")
+    return parts
+
+
+def _parts(text: str, path: Path) -> Iterator[Part]:
+    try:
+        data = tables_of(text)
+    except TomlError as e:
+        raise ConfigError(f"{path}: {e}") from None
+    own = data.pop(AXIS, None)
+    if own is None:
+        yield Part(parse(text, str(path)), text, path)
+        return
+    if not isinstance(own, list) or not all(isinstance(one, dict) for one in own):
+        raise ConfigError(f"{path}: {AXIS}: must be tables, [[axis]], one for each")
+    for number, tables in enumerate(own):
+        name = tables.get("name")
+        if name is None:
+            raise ConfigError(f"{path}: axis {number + 1} has no name")
+        whole = _with_frames(merged(data, tables))
+        try:
+            part = Part(Config.model_validate(whole), toml_text(whole), path)
+        except ValidationError as e:
+            seen = _Seen(text, number, tables)
+            raise ConfigError(f"{path}: axis {name}: {explain(e, seen.line, Config)}") from None
+        yield _delayed(part, number, len(own))
+
+
+def _with_frames(data: dict[str, Any]) -> dict[str, Any]:
+    """What is not said of a frame is as it is where nothing is said of it at all."""
+    frames = data.get("bus", {}).get("frames") if isinstance(data.get("bus"), dict) else None
+    if not isinstance(frames, dict):
+        return data
+    usual: dict[str, Any] = {}
+    for role, values in FramesConfig().model_dump(by_alias=True).items():
+        if isinstance(frames.get(role), dict):
+            usual[role] = {
+                k: _NONE.get(k) if v is None else v for k, v in values.items() if v is not None or k in _NONE
+            }
+    return merged(data, {"bus": {"frames": merged(usual, frames)}})
+
+
+def _delayed(part: Part, number: int, axes: int) -> Part:
+    """The axis with the time that its command takes behind the answers of all, and the commands before it.
+
+    Raises:
+        ConfigError: that is longer than a delay may be.
+    """
+    bus = part.config.bus
+    if bus.command_delay_us is not None or axes == 1:
+        return part
+    frame_s = (FRAME_BITS + 64) * STUFFING / bus.bitrate_bit_s
+    delay_s = (3 * axes + 1) * frame_s + COMPUTING_S + number * max(frame_s, COMPUTING_S)
+    text = toml_text(merged(tables_of(part.text), {"bus": {"command_delay_us": round(1e6 * delay_s, 1)}}))
+    return Part(parse(text, str(part.path)), text, part.path)
+
+
+class _Seen:
+    """A file as one of its axes sees it, for lines."""
+
+    def __init__(self, text: str, number: int, tables: Mapping[str, Any]) -> None:
+        self._shared, self._own = _halves(text, number)
+        self._tables = tables
+
+    def line(self, where: Sequence[str]) -> int:
+        """The line on which a key of the axis stands, its own before that of all."""
+        table: Any = self._tables
+        for step in where:
+            if not isinstance(table, Mapping) or step not in table:
+                return line_of(self._shared, where)
+            table = table[step]
+        return line_of(self._own, where)
+
+
+def _halves(text: str, number: int) -> tuple[str, str]:
+    """The lines for all, and those of one axis as tables of its own; all others are empty."""
+    shared, own, at = [], [], -1
+    for line in text.splitlines():
+        head = line.strip()
+        begins = head.startswith("[[") and head.strip("[] \t").split("]")[0].strip() == AXIS
+        at += begins
+        shared.append(line if at < 0 else "")
+        own.append(line.replace(f"[{AXIS}.", "[", 1) if at == number and not begins else "")
+    return "\n".join(shared), "\n".join(own)

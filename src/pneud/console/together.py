@@ -1,0 +1,81 @@
+"""Requests where one console has several axes: which of them are meant, and what all are asked at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pneud.console import protocol
+from pneud.console.orders import Desk, Orders
+from pneud.console.protocol import Error, ProtocolError
+from pneud.control.together import alike
+from pneud.signals import Request, RequestKind
+
+_MM = 1e-3
+_ALL = frozenset(("arm", "disarm", "clear", "hold", "mark"))  # where no axis is named
+_ALWAYS_ALL = frozenset(("stop", "restart"))
+
+
+def meant(desks: Sequence[Desk], message: protocol.Request) -> tuple[int, ...]:
+    """The places of the axes that a request is for.
+
+    A stop is for all, whatever it names. What could move something is for none that it does not name.
+
+    Raises:
+        ProtocolError: it names one that is not there, or has to name one and does not.
+    """
+    names = [desk.name for desk in desks]
+    if message.axis is not None and message.axis not in names:
+        raise ProtocolError(Error.INVALID, f"no axis {message.axis!r}; there is {', '.join(names)}")
+    if message.verb in _ALWAYS_ALL:
+        return tuple(range(len(desks)))
+    if message.axis is not None:
+        return (names.index(message.axis),)
+    if len(desks) == 1 or message.verb in _ALL:
+        return tuple(range(len(desks)))
+    raise ProtocolError(Error.INVALID, f"{message.verb} names no axis; give one of {', '.join(names)}")
+
+
+def plan(desks: Sequence[Desk], message: protocol.Request) -> Orders:
+    """What to ask of the loop, of all axes that a request is for.
+
+    Raises:
+        ProtocolError: what is asked for cannot be done, as one of them says.
+    """
+    if isinstance(message, protocol.GotoAll):
+        return goto(desks, message)
+    axes = meant(desks, message)
+    try:
+        return desks[axes[0]].plan(message)._replace(axes=axes)
+    except ProtocolError as e:
+        e.axis = desks[axes[0]].name if len(desks) > 1 else ""
+        raise
+
+
+def goto(desks: Sequence[Desk], message: protocol.GotoAll) -> Orders:
+    """Set out together and arrive together, by one law of time that keeps everybody's limits.
+
+    Raises:
+        ProtocolError: an axis is not there, does not hold, or cannot go there.
+    """
+    names = [desk.name for desk in desks]
+    targets: dict[int, float] = {}
+    for name, x_mm in message.axes.items():
+        if name not in names:
+            raise ProtocolError(Error.INVALID, f"no axis {name!r}; there is {', '.join(names)}")
+        targets[names.index(name)] = x_mm
+    ways, bounds = [], []
+    for axis, x_mm in targets.items():
+        desk = desks[axis]
+        try:
+            desk.plan(protocol.Goto(v=1, id=message.id, verb="goto", x_mm=float(x_mm)))
+            ways.append(abs(x_mm * _MM - desk.stands_m()))
+        except ProtocolError as e:
+            e.axis = desk.name
+            raise
+        bounds.append(desk.bounds(ways[-1]))
+    each = {
+        axis: Request(RequestKind.GOTO, (x_mm * _MM, *kept))
+        for (axis, x_mm), kept in zip(targets.items(), alike(ways, bounds), strict=True)
+    }
+    words = "goto " + ", ".join(f"{name} {x_mm:g} mm" for name, x_mm in message.axes.items())
+    return Orders(words, (next(iter(each.values())),), axes=tuple(each), each=each)

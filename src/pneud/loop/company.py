@@ -1,0 +1,150 @@
+"""What several axes of one daemon are to each other: asked together, and touched by each other's faults."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from pneud.config.models import Config
+from pneud.console.handoff import SharedEnd
+from pneud.loop.turn import Turn
+from pneud.safety.faults import BLOCKS_ARM, CENTRES, F
+from pneud.safety.supervisor import is_engaged
+from pneud.signals import Answer, Request, RequestKind, State, Tick
+
+ARM, GOTO, RESTART = int(RequestKind.ARM), int(RequestKind.GOTO), int(RequestKind.RESTART)
+_TOUCHES = {"stop": int(RequestKind.STOP), "centre": int(RequestKind.CENTRE), "go_on": 0}
+_UNDO = {ARM: Request(RequestKind.CENTRE), GOTO: Request(RequestKind.HOLD)}
+"""What is asked of those that have done what others have refused: all do it, or none."""
+
+
+class Companion(Protocol):
+    """An axis, as the others see it."""
+
+    touched: int
+
+    @property
+    def turn(self) -> Turn:
+        """The exchange."""
+
+    @property
+    def waits(self) -> bool:
+        """Whether the run itself is still to arm it, and cannot yet."""
+
+
+class Company:
+    """In every tick `look` before the lanes ask, `after` when all have decided."""
+
+    def __init__(self, lanes: Sequence[Companion], configs: Sequence[Config], asking: Asking | None) -> None:
+        """Axes that have not begun.
+
+        Args:
+            lanes: of the axes.
+            configs: of the axes, in the same order.
+            asking: by which operators reach them.
+        """
+        self._lanes = lanes
+        self._others = [config.faults.others for config in configs]
+        self._latched = [0] * len(lanes)
+        self._asking = asking
+        self._begun = False
+
+    def look(self) -> bool:
+        """Take what is asked of the axes; whether the run itself may arm them: they all do, or none."""
+        if self._asking is not None:
+            self._asking.look([lane.turn.tick for lane in self._lanes] if self._begun else [])
+        return not any(lane.waits for lane in self._lanes)
+
+    def after(self) -> None:
+        """See which axis a fault has taken in this tick, and have the others do what their tables say."""
+        self._begun = True
+        for number, lane in enumerate(self._lanes):
+            latched, before = lane.turn.tick.latched, self._latched[number]
+            self._latched[number] = latched
+            if latched & ~before:
+                self._touch(number, centred=latched & ~before & CENTRES != 0)
+
+    def _touch(self, number: int, *, centred: bool) -> None:
+        for other, lane in enumerate(self._lanes):
+            table = self._others[other]
+            kind = _TOUCHES[table.centre if centred else table.stop]
+            if other != number and kind and is_engaged(lane.turn.tick.state):
+                lane.touched = max(kind, lane.touched)  # to centre is more than to stop
+
+
+class Asking:
+    """Requests of operators for several axes, dealt to all of them in one tick.
+
+    To arm and to go somewhere, all do it or none. Of all else some may have nothing to do.
+    """
+
+    def __init__(self, end: SharedEnd, axes: int) -> None:
+        self._end = end
+        self.ends = tuple(_LaneEnd(self, number) for number in range(axes))
+        """Of each axis, for its lane."""
+        self._dealt: dict[int, Request] = {}  # and not answered
+        self._ticks: dict[int, Tick] = {}  # that have answered
+        self._kind = 0
+
+    def look(self, last: Sequence[Tick]) -> None:
+        """Take the next request that came, if there is none under way.
+
+        Args:
+            last: the last tick of each axis; none in the first one.
+        """
+        if self._dealt or any(end.request for end in self.ends) or not (asked := self._end.take_all()):
+            return
+        self._dealt, self._ticks = asked, {}
+        self._kind = next(iter(asked.values())).kind
+        hindered = [lane for lane in asked if not last or _refuses(asked[lane], last[lane])]
+        if hindered and (lane := hindered[0]) < len(last):
+            refusing = last[lane]
+            wrong = refusing.state != State.DISARMED
+            answer = Answer.WRONG_STATE if wrong else Answer.BLOCKED
+            self._dealt = {}
+            self._end.answer_of(lane, refusing._replace(answer=int(answer)))
+            return
+        for lane, request in asked.items():
+            self.ends[lane].request = request
+
+    def answered(self, lane: int, tick: Tick) -> None:
+        """An axis has decided."""
+        if self._dealt.pop(lane, None) is None:
+            return
+        self._ticks[lane] = tick
+        if self._dealt:
+            return
+        taken = [n for n, found in self._ticks.items() if found.answer == Answer.TAKEN]
+        refused = [n for n in self._ticks if n not in taken]
+        undo = _UNDO.get(self._kind)
+        if refused and undo is not None:
+            for n in taken:
+                self.ends[n].request = undo
+        tells = (refused if undo is not None else taken) or taken or refused
+        self._end.answer_of(tells[0], self._ticks[tells[0]])
+
+
+def _refuses(request: Request, last: Tick) -> bool:
+    """Whether an axis will certainly not do what all have to do, or none."""
+    if request.kind == ARM:
+        blocks = BLOCKS_ARM & ~(1 << F.UNPROVEN) if request.values == (2.0,) else BLOCKS_ARM
+        return last.state != State.DISARMED or last.present & blocks != 0
+    return request.kind == RESTART and is_engaged(last.state)
+
+
+class _LaneEnd:
+    """One axis's share of what is asked of several."""
+
+    def __init__(self, asking: Asking, number: int) -> None:
+        self._asking = asking
+        self._number = number
+        self.request: Request | None = None
+
+    def take(self) -> Request | None:
+        """The next request, if there is one; never waits."""
+        request, self.request = self.request, None
+        return request
+
+    def answer(self, tick: Tick) -> None:
+        """Tell what became of the request taken last."""
+        self._asking.answered(self._number, tick)

@@ -1,0 +1,170 @@
+"""Several axes and their software rigs on one bus in simulated time: the loop without process or clock.
+
+What the loop does for several is done here by the same parts: frames go by `Routes`, faults touch others by
+`Company`. The same seed gives the same records on every run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+from pneud.bus.mapped_inbox import inbox_of
+from pneud.bus.shared import identifiers
+from pneud.compiled.backend import INTERPRETED, Backend
+from pneud.config import conversions
+from pneud.loading import SYNC_COUNTERS, Loaded
+from pneud.loop.company import Company
+from pneud.loop.conditions import Conditions
+from pneud.loop.routes import Routes
+from pneud.loop.turn import END_TICKS, Turn
+from pneud.replay.lockstep import COMPUTING_NS, START_NS
+from pneud.rig.node import Hook, PlantNode
+from pneud.rig.segment import Rigs, Segment
+from pneud.safety.faults import BLOCKS_ARM
+from pneud.safety.supervisor import is_engaged
+from pneud.signals import Frame, Record, Request, RequestKind, State, Tick, Timing
+
+ARM = Request(RequestKind.ARM, (1.0,))
+
+
+class _Whole:
+    """A way to the bus that is as it should be."""
+
+    down = False
+    tx_failed = rx_dropped = 0
+
+
+class SimulatedLane:
+    """One axis: as the loop's lane, as far as others see it.
+
+    Attributes:
+        turn: the exchange.
+        node: its rig.
+        identifiers: of frames that are this axis's alone.
+        touched: as of a lane.
+    """
+
+    def __init__(self, loaded: Loaded, node: PlantNode, how: Backend) -> None:
+        p = conversions.axis_of(loaded.config, loaded.codecs.command_lsb_v)
+        self.turn = Turn(how.axis(p), inbox_of(loaded.codecs, loaded.config.bus), loaded.codecs)
+        self.node = node
+        self.identifiers = frozenset(identifiers(loaded.config, loaded.codecs))
+        self.touched = 0
+        self.waits = True
+        self.conditions = Conditions(self.turn.inbox, _Whole())
+        self.shut = False
+
+    def see(self, tick: Tick) -> None:
+        """Whether the run is still to arm the axis, and cannot yet."""
+        ready = tick.state == State.DISARMED and not tick.present & BLOCKS_ARM
+        self.waits = not (ready or is_engaged(tick.state) or tick.latched)
+
+
+Ask = Callable[[Sequence[Tick]], Mapping[int, Request]]
+"""Asked in every tick but the first: the last tick of each axis → requests by the places of the axes."""
+
+
+class Together:
+    """One run of several axes; iterate over `records`."""
+
+    def __init__(
+        self,
+        axes: Sequence[Loaded],
+        duration_s: float,
+        seed: int = 0,
+        how: Sequence[Backend] = (),
+        hooks: Sequence[Hook | None] = (),
+        ask: Ask | None = None,
+    ) -> None:
+        """A run that has not begun.
+
+        Args:
+            axes: on one bus.
+            duration_s: simulated time until they are told to shut down.
+            seed: of the first axis's noise; the others' are behind it.
+            how: each is computed.
+            hooks: what happens to each one's frames.
+            ask: what operators want; else all are armed once all can be, and track.
+        """
+        segment = Segment()
+        hows, hooks = how or [INTERPRETED] * len(axes), hooks or [None] * len(axes)
+        self.lanes = [
+            SimulatedLane(
+                axis,
+                PlantNode(
+                    conversions.plant_of(axis.config),
+                    axis.codecs,
+                    seed + n,
+                    hook=hook,
+                    advance=one.advance,
+                    segment=segment,
+                ),
+                one,
+            )
+            for n, (axis, one, hook) in enumerate(zip(axes, hows, hooks, strict=True))
+        ]
+        c = axes[0].config
+        self._rigs = Rigs([lane.node for lane in self.lanes])
+        self._routes, self._ask, self._armed = Routes(self.lanes), ask, False
+        self._company = Company(self.lanes, [axis.config for axis in axes], None)
+        self._sync = axes[0].codecs.sync
+        self._period_ns = round(1e9 / c.loop.rate_hz)
+        self._wait_ns = round(self._period_ns * c.loop.set_deadline)
+        self._total = max(1, round(duration_s * c.loop.rate_hz))
+
+    def records(self) -> Iterator[tuple[Record, ...]]:
+        """The ticks, each as the loop hands it to the recorders: one record for each axis."""
+        lanes, rigs, routes = self.lanes, self._rigs, self._routes
+        turns = [lane.turn for lane in lanes]
+        idle, count, left = 0, 0, list[Frame]()
+        while idle < END_TICKS:
+            t_ns = START_NS + count * self._period_ns
+            left += rigs.poll(t_ns)
+            routes.open(left)
+            sequence = count % SYNC_COUNTERS + 1
+            sync = Frame(t_ns, self._sync.can_id, self._sync.encode(counter=sequence))
+            rigs.on_frame(sync)
+            for turn in turns:
+                turn.begin(t_ns)
+            left = self._hear(rigs.poll(t_ns + self._wait_ns))
+            whole = all(turn.inbox.complete for turn in turns)
+            now_ns = max(t_ns, *(turn.newest_ns for turn in turns)) if whole else t_ns + self._wait_ns
+            set_ns, asked = now_ns, self._asked(count)
+            for number, lane in enumerate(lanes):
+                turn, request = lane.turn, self._own_request(count, lane) or asked.get(number)
+                lane.see(turn.decide(0, lane.conditions.host(t_ns, 0), request))
+                now_ns += COMPUTING_NS
+                rigs.on_frame(Frame(now_ns, turn.command_id, turn.command(sequence, count)))
+                turn.sent(now_ns)
+            timing = Timing(0, set_ns - t_ns, 0, COMPUTING_NS, COMPUTING_NS, -1)
+            yield tuple(lane.turn.record(timing, sync, lane.node.truth().position_m) for lane in lanes)
+            self._company.after()
+            count += 1
+            over = all(lane.shut and not is_engaged(lane.turn.tick.state) for lane in lanes)
+            idle = idle + 1 if over else 0
+
+    def _hear(self, answers: list[Frame]) -> list[Frame]:
+        """One after another until all sets are complete, as the loop does; what is left for the next tick."""
+        for i, frame in enumerate(answers):
+            if all(lane.turn.inbox.complete for lane in self.lanes):
+                return answers[i:]
+            self._routes.feed([frame])
+        return []
+
+    def _asked(self, count: int) -> Mapping[int, Request]:
+        """What operators want in this tick; or that all are armed, once all can be."""
+        if self._ask is not None:
+            return self._ask([lane.turn.tick for lane in self.lanes]) if count else {}
+        if self._armed or not self._company.look():
+            return {}
+        self._armed = True
+        return dict.fromkeys(range(len(self.lanes)), ARM)
+
+    def _own_request(self, count: int, lane: SimulatedLane) -> Request | None:
+        if count >= self._total and not lane.shut:
+            lane.shut = True
+            return Request(RequestKind.SHUTDOWN)
+        if lane.touched:
+            kind, lane.touched = lane.touched, 0
+            return Request(kind)
+        return None

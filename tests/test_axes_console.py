@@ -1,0 +1,229 @@
+"""One console for several axes: who is meant, what is asked in one tick, and that all do it or none."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from console_bench import COMMANDS, at_once
+from log_samples import tick_at
+from pneud import crew
+from pneud.console import handoff
+from pneud.console.beside import Beside
+from pneud.console.commands import AxisDesk
+from pneud.console.facts import RunFacts
+from pneud.console.protocol import VERBS
+from pneud.console.server import Server
+from pneud.console.status_reply import StatusWatch
+from pneud.control.reference import Bounds, move, rest
+from pneud.control.together import alike
+from pneud.loading import load_axes
+from pneud.log.live.ring import Ring
+from pneud.loop.company import Asking
+from pneud.safety.faults import F
+from pneud.signals import Answer, Record, Reference, Request, RequestKind, State, Tick, Timing
+
+NAMES = ("x", "y")
+ALL = {"stop", "disarm", "arm", "clear", "hold", "mark", "restart"}  # where no axis is named
+TIMING = Timing(0, 0, 0, 0, 0, 0)
+
+
+class Bench:
+    """The console, its client and the loop's end, in one thread."""
+
+    def __init__(self, folder: Path) -> None:
+        path = folder / "s"
+        listener = socket.socket(socket.AF_UNIX)
+        listener.bind(str(path))
+        listener.listen(4)
+        ours, loops = crew.pair()
+        self.asking = Asking(handoff.SharedEnd(loops), len(NAMES))
+        self.rings = [Ring.create(slots=64) for _ in NAMES]
+        desks = [
+            AxisDesk(
+                RunFacts(axis.config, axis.path, axis.text, "bus", "", f"/tmp/{axis.config.name}.mcap"),
+                ring,
+                StatusWatch(ring),
+            )
+            for axis, ring in zip(load_axes("two-axes.toml"), self.rings, strict=True)
+        ]
+        self.said: list[str] = []
+        self.server = Server(
+            listener,
+            ours,
+            desks,
+            lambda _, words: self.said.append(words),
+            files=Beside(lambda: None, lambda: 0.0, at_once),
+            name="two",
+        )
+        self.client = socket.socket(socket.AF_UNIX)
+        self.client.connect(str(path))
+        self.client.settimeout(0.0)
+        self.ticks = [tick(State.DISARMED) for _ in NAMES]
+        self.taken: list[dict[str, Request]] = []  # by tick
+        self.refuses: dict[str, tuple[Answer, int]] = {}  # in the tick itself
+
+    def stands(self, *at_m: float) -> None:
+        """Both hold, where they are said to."""
+        for n, x in enumerate(at_m):
+            reference = Reference(x, 0.0, 0.0, 0.0)
+            self.ticks[n] = tick(State.HOLDING)._replace(reference=reference)
+            self.rings[n].put(Record(self.ticks[n], TIMING, (), 0, (), x))
+
+    def loop(self) -> None:
+        """One tick of the loop."""
+        self.asking.look(self.ticks)
+        asked = {name: end.take() for name, end in zip(NAMES, self.asking.ends, strict=True)}
+        self.taken += [found] if (found := {n: r for n, r in asked.items() if r is not None}) else []
+        for n, (name, end) in enumerate(zip(NAMES, self.asking.ends, strict=True)):
+            if asked[name] is not None:
+                answer, present = self.refuses.get(name, (Answer.TAKEN, 0))
+                end.answer(self.ticks[n]._replace(answer=int(answer), present=present))
+
+    def ask(self, verb: str, **fields: Any) -> dict[str, Any]:
+        self.client.sendall(json.dumps({"v": 1, "id": 1, "verb": verb, **fields}).encode() + b"\n")
+        for _ in range(6):
+            self.server.step(0.0)
+            self.loop()
+        (line,) = self.client.recv(1 << 20).splitlines()
+        reply: dict[str, Any] = json.loads(line)
+        return reply
+
+
+def tick(state: State, present: int = 0) -> Tick:
+    return tick_at(1)._replace(state=int(state), present=present, answer=0)
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Iterator[Bench]:
+    b = Bench(tmp_path)
+    yield b
+    b.client.close()
+    b.server.close()
+
+
+def test_what_could_move_something_has_to_name_it(desk: Bench) -> None:
+    desk.stands(0.4, 0.4)
+    for verb in sorted(set(VERBS) - ALL - {"status", "observe", "goto_all"}):
+        reply = desk.ask(verb, **COMMANDS.get(verb, {}))
+        assert reply["error"]["message"] == f"{verb} names no axis; give one of x, y"
+    assert desk.taken == []
+
+
+@pytest.mark.parametrize("verb", sorted(ALL - {"restart", "arm"}))
+def test_what_ends_a_motion_is_for_all(desk: Bench, verb: str) -> None:
+    desk.stands(0.4, 0.4)
+    reply = desk.ask(verb, **COMMANDS.get(verb, {}))
+    assert reply["axes"] == ["x", "y"]
+    kind = RequestKind[verb.upper()]
+    assert desk.taken == [{"x": Request(kind), "y": Request(kind)}]
+
+
+def test_a_stop_is_for_all_whatever_it_names(desk: Bench) -> None:
+    desk.stands(0.4, 0.4)
+    assert desk.ask("stop", axis="y")["axes"] == ["x", "y"]
+    assert desk.taken == [dict.fromkeys(NAMES, Request(RequestKind.STOP))]
+    desk.refuses["x"] = (Answer.WRONG_STATE, 0)  # nothing to stop there
+    assert desk.ask("stop")["ok"]
+
+
+def test_a_named_axis_is_the_only_one_that_is_asked(desk: Bench) -> None:
+    desk.stands(0.4, 0.4)
+    reply = desk.ask("goto", axis="y", x_mm=300)
+    assert (reply["axis"], "axes" in reply) == ("y", False)
+    assert [list(found) for found in desk.taken] == [["y"]]
+    assert any(words.endswith("y: goto 300 mm → taken") for words in desk.said)
+    assert desk.ask("status", axis="y")["order"]["words"] == "goto 300 mm"
+    assert desk.ask("status", axis="x")["order"] is None
+    found = desk.ask("status")["axes"]
+    assert {name: one["name"] for name, one in found.items()} == {"x": "x", "y": "y"}
+    assert desk.ask("goto", axis="z", x_mm=300)["error"]["message"] == "no axis 'z'; there is x, y"
+
+
+def test_all_arm_in_one_tick(desk: Bench) -> None:
+    assert desk.ask("arm")["axes"] == ["x", "y"]
+    assert desk.taken == [dict.fromkeys(NAMES, Request(RequestKind.ARM))]
+
+
+def test_none_arms_where_one_cannot_and_it_is_named_with_its_faults(desk: Bench) -> None:
+    desk.ticks[1] = tick(State.DISARMED, 1 << F.SUPPLY_PRESSURE)
+    reply = desk.ask("arm")
+    assert reply["axis"] == "y"
+    assert [fault["name"] for fault in reply["error"]["faults"]] == ["supply_pressure"]
+    assert desk.taken == []
+
+
+def test_who_has_armed_is_centred_where_another_refuses_only_then(desk: Bench) -> None:
+    desk.refuses["y"] = (Answer.BLOCKED, 1 << F.SUPPLY_PRESSURE)
+    reply = desk.ask("arm")
+    assert (reply["ok"], reply["axis"]) == (False, "y")
+    arm, centre = Request(RequestKind.ARM), Request(RequestKind.CENTRE)
+    assert desk.taken == [{"x": arm, "y": arm}, {"x": centre}]
+
+
+def test_going_together_is_one_law_of_time(desk: Bench) -> None:
+    desk.stands(0.4, 0.4)
+    assert desk.ask("goto_all", axes={"x": 500, "y": 350})["axes"] == ["x", "y"]
+    ((x, y),) = ([r.values for r in found.values()] for found in desk.taken)
+    assert (x[0], y[0]) == pytest.approx((0.5, 0.35))
+    assert y[1:] == pytest.approx([0.5 * bound for bound in x[1:]])
+
+
+@pytest.mark.parametrize(
+    ("axes", "kind", "says"),
+    [
+        ({"x": 500, "z": 1}, "invalid", "no axis 'z'; there is x, y"),
+        ({"x": 500, "y": 5000}, "out_of_travel", "5000 mm lies outside the travel"),
+    ],
+)
+def test_all_go_or_none(desk: Bench, axes: dict[str, float], kind: str, says: str) -> None:
+    desk.stands(0.4, 0.4)
+    error = desk.ask("goto_all", axes=axes)["error"]
+    assert error["type"] == kind
+    assert says in error["message"]
+    assert desk.taken == []
+
+
+def test_who_does_not_hold_keeps_all_from_going(desk: Bench) -> None:
+    desk.stands(0.4)
+    reply = desk.ask("goto_all", axes={"x": 500, "y": 300})
+    assert (reply["axis"], reply["error"]["type"]) == ("y", "wrong_state")
+    desk.stands(0.4, 0.4)
+    desk.refuses["y"] = (Answer.BEYOND_LIMITS, 0)
+    assert desk.ask("goto_all", axes={"x": 500, "y": 300})["axis"] == "y"
+    assert desk.taken[-1] == {"x": Request(RequestKind.HOLD)}
+
+
+LENGTHS = st.floats(1e-6, 2.0)
+BOUNDS = st.builds(Bounds, st.floats(0.01, 3.0), st.floats(0.1, 30.0), st.floats(1.0, 1000.0))
+
+
+@given(st.lists(st.tuples(LENGTHS, BOUNDS), min_size=2, max_size=5))
+def test_moves_that_are_alike_take_the_same_time_within_the_limits_of_all(
+    ways: list[tuple[float, Bounds]],
+) -> None:
+    found = alike([way_m for way_m, _ in ways], [b for _, b in ways])
+    assert all(
+        one <= most
+        for kept, (_, b) in zip(found, ways, strict=True)
+        for one, most in zip(kept, b, strict=True)
+    )
+    moves = [move(rest(0.0), way_m, kept) for (way_m, _), kept in zip(ways, found, strict=True)]
+    if any(bound <= 1.001e-6 for kept in found for bound in kept):
+        return  # with so little, whoever has hardly any way is there before
+    assert [one.T for one in moves] == pytest.approx([moves[0].T] * len(moves), rel=1e-6)
+    alone = max(move(rest(0.0), way_m, b).T for way_m, b in ways)
+    assert alone * (1.0 - 1e-6) <= moves[0].T
+
+
+def test_who_is_there_already_waits_for_nobody() -> None:
+    b = Bounds(0.5, 5.0, 100.0)
+    assert alike([0.3, 0.0], [b, b])[0] == b
+    assert alike([0.0, 0.0], [b, b]) == [b, b]
