@@ -146,9 +146,9 @@ def test_replies_come_by_number_and_whoever_goes_hangs_up() -> None:
         desk.ends[0].sendall(json.dumps(refusal).encode() + b"\n")
         await asyncio.sleep(0.05)
         await hand.ask("goto", 2, {"x_mm": 1.0})
-        assert hand.attends
+        attends = [hand.attends]
         await hand.let_go()
-        assert not hand.attends
+        assert [*attends, hand.attends] == [True, False]
         assert desk.heard(), "what was asked"
         assert desk.ends[0].recv(1) == b"", "the end of the connection"
 

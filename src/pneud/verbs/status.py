@@ -23,7 +23,9 @@ def status(
     """How the axis is."""
     with Client(socket, axis) as client:
         found = client.ask("status")
-    each = [{**one, "lease": found["lease"]} for one in found.get("axes", {"": found}).values()]
+    each = [found]
+    if "axes" in found:
+        each = [{**one, "lease": found["lease"]} for one in found["axes"].values()]
     if json:
         print(json_.dumps(found))
     elif openmetrics:

@@ -104,12 +104,16 @@ class Axis:
 
     async def look(self, now_s: float) -> None:
         """Read what the loop has left."""
-        if self._ring is None:
+        ring, reader = self._ring, self._reader
+        if ring is None:
             return
-        if self._reader is None:
+        if reader is None:
             self._heard_s = now_s
-            self._reader, self.strip = await asyncio.to_thread(_begun, self._ring)
-        records = self._reader.poll()
+            reader, strip = await asyncio.to_thread(_begun, ring)
+            if ring is not self._ring:  # another daemon has come meanwhile
+                return
+            self._reader, self.strip = reader, strip
+        records = reader.poll()
         if records:
             self.strip.add(records)
             self._last, self._heard_s = records[-1], now_s
