@@ -109,10 +109,11 @@ class Axis:
             return
         if reader is None:
             self._heard_s = now_s
-            reader, strip = await asyncio.to_thread(_begun, ring)
+            begun = await asyncio.to_thread(_begun, ring)
             if ring is not self._ring:  # another daemon has come meanwhile
                 return
-            self._reader, self.strip = reader, strip
+            self._reader, self.strip = begun
+            reader = begun[0]
         records = reader.poll()
         if records:
             self.strip.add(records)
