@@ -6,6 +6,7 @@ import os
 import re
 import shlex
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -71,6 +72,14 @@ def _of_fence(number: int, language: str, rest: str, inside: list[str]) -> Itera
         yield Step(number, language, text)
 
 
+def _answers(address: tuple[str, int]) -> bool:
+    try:
+        socket.create_connection(address, timeout=5.0).close()
+    except OSError:
+        return False
+    return True
+
+
 class Desk:
     """A folder, and what is typed in it; a daemon goes on beside until the next one or the end.
 
@@ -131,6 +140,13 @@ class Desk:
             assert process.poll() is None, f"{plain}\n{process.communicate()[0]}"
             assert time.monotonic() < deadline, f"{plain}: {self._status()}"
             time.sleep(0.2)
+        if plain.startswith("pneud web"):
+            listen = re.search(r"--listen (\S+):(\d+)", plain)
+            address = (listen[1], int(listen[2])) if listen else ("127.0.0.1", 8770)
+            while not _answers(address):
+                assert process.poll() is None, f"{plain}\n{process.communicate()[0]}"
+                assert time.monotonic() < deadline, plain
+                time.sleep(0.2)
         time.sleep(0.5)
 
     def _status(self) -> str:

@@ -443,6 +443,7 @@ MUTE = {
     "plant",
     "top",
     "view",
+    "web",
     "reproduce",
     "identify",
     "restart",

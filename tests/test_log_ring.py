@@ -252,7 +252,10 @@ def test_who_skims_sees_the_same_records() -> None:
     reader.poll()
     seen, read = skimmer.skim(), reader.poll()
     assert len(read) == 40
-    assert seen == [Skimmed(r.tick.measurement, r.timing.lateness_ns, r.timing.latency_ns) for r in read]
+    assert seen == [
+        Skimmed(r.tick.measurement, r.timing.lateness_ns, r.timing.latency_ns, r.tick.command.saturated)
+        for r in read
+    ]
     for record in noisy(200):
         ring.put(record)
     skimmer.skim()

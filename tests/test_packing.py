@@ -61,7 +61,9 @@ def test_a_record_comes_back_to_the_bit(way: str, record: Record) -> None:
     assert found is not None
     assert bits(unpacked(found)) == bits(record)
     timing = record.timing
-    assert bits(skimmed(found)) == bits((record.tick.measurement, timing.lateness_ns, timing.latency_ns))
+    assert bits(skimmed(found)) == bits(
+        (record.tick.measurement, timing.lateness_ns, timing.latency_ns, record.tick.command.saturated)
+    )
 
 
 @given(TREES)

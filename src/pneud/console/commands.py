@@ -64,6 +64,7 @@ class AxisDesk:
             "log_written": recorder.written,
             "log_dropped": recorder.lost,
             "log_error": recorder.error_text or None,
+            "log_bytes": recorder.file_bytes,
             "config": str(r.path),
             "config_changed": self._tuning.changed_on_disk(),
         }

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import sys
 import time
+from bisect import bisect_left
+from itertools import accumulate
 from typing import Any
 
 from pneud.axis.state import learnt_so_far
@@ -16,6 +18,8 @@ from pneud.safety.cause import first_cause
 from pneud.safety.faults import LOG_LOST, TABLE
 from pneud.signals import HUNTING_CURES, Hunting, State
 
+_BOUNDS_US = (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 100_000)
+
 
 class StatusWatch:
     """Follows the records of one run."""
@@ -26,7 +30,7 @@ class StatusWatch:
         self._ring = ring
         self._amiss = Amiss(sync)
         self._reader = ring.reader()
-        self._skipped = 0
+        self._skipped = self._saturated = 0
         self._lateness = Histogram()
         self._latency = Histogram()
         self._log_lost = 0
@@ -36,8 +40,9 @@ class StatusWatch:
 
         Standard error, under systemd the journal, gets a line when the log is lost and when it goes on.
         """
-        for m, lateness_ns, latency_ns in self._reader.skim():
+        for m, lateness_ns, latency_ns, saturated in self._reader.skim():
             self._skipped += m.skipped
+            self._saturated += saturated
             self._amiss.add(m)
             self._lateness.add(lateness_ns)
             if latency_ns >= 0:
@@ -72,10 +77,16 @@ class StatusWatch:
             "silent_s": None,
             "ticks": self._ring.put_count,
             "skipped": self._skipped,
+            "saturated": self._saturated,
             "amiss": self._amiss.all._asdict(),
             "amiss_last_minute": self._amiss.lately()._asdict(),
+            "amiss_because": {"corrupt": self._amiss.corrupt, "frozen": self._amiss.frozen},
             "lateness_us": _percentiles_us(self._lateness),
             "sensor_to_command_us": _percentiles_us(self._latency),
+            "histograms": {
+                "lateness": _counts_us(self._lateness),
+                "sensor_to_command": _counts_us(self._latency),
+            },
         }
         last = self._reader.latest()
         if last is None:
@@ -118,6 +129,18 @@ def faults(present: int, latched: int) -> list[dict[str, Any]]:
 
 def _scaled(value: float, factor: float) -> float | None:
     return round(value * factor, 6) if math.isfinite(value) else None
+
+
+def _counts_us(h: Histogram) -> dict[str, Any]:
+    """How many values are no larger than each bound, and the sum of all."""
+    counts = dict.fromkeys(_BOUNDS_US, 0)
+    for low, high, count in h.counts():
+        at = bisect_left(_BOUNDS_US, 0.5e-3 * (low + high))
+        if at < len(_BOUNDS_US):
+            counts[_BOUNDS_US[at]] += count
+    at_most = list(accumulate(counts.values()))
+    sum_us = round(h.mean * h.count * 1e-3, 3) if h.count else 0.0
+    return {"le_us": list(_BOUNDS_US), "count": at_most, "all": h.count, "sum_us": sum_us}
 
 
 def _percentiles_us(h: Histogram) -> dict[str, float] | None:

@@ -1,7 +1,9 @@
 """How the axis of the running daemon is: state, faults with cures, position, pressures, timing, log."""
 
 import json as json_
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from pneud.console.client import Client
 from pneud.verbs import AxisOption, JsonOption, SocketOption
@@ -10,17 +12,28 @@ from pneud.view.learnt import in_brief
 _SILENT_S = 0.5
 
 
-def status(axis: AxisOption = None, socket: SocketOption = None, json: JsonOption = False) -> int:
+def status(
+    axis: AxisOption = None,
+    socket: SocketOption = None,
+    json: JsonOption = False,
+    openmetrics: Annotated[
+        bool, typer.Option("--openmetrics", help="Print numbers as monitoring reads them.")
+    ] = False,
+) -> int:
     """How the axis is."""
     with Client(socket, axis) as client:
         found = client.ask("status")
+    each = [found]
+    if "axes" in found:
+        each = [{**one, "lease": found["lease"]} for one in found["axes"].values()]
     if json:
         print(json_.dumps(found))
-    elif "axes" in found:
-        lease = {"lease": found["lease"]}
-        print("\n\n".join("\n".join(in_words({**one, **lease})) for one in found["axes"].values()))
+    elif openmetrics:
+        from pneud.web.metrics import text_of  # noqa: PLC0415 - for those who ask for it
+
+        print(text_of(each, openmetrics=True), end="")
     else:
-        print("\n".join(in_words(found)))
+        print("\n\n".join("\n".join(in_words(one)) for one in each))
     return 0
 
 

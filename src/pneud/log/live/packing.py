@@ -81,13 +81,20 @@ class Skimmed(NamedTuple):
     measurement: Measurement
     lateness_ns: int
     latency_ns: int
+    saturated: int
 
 
-_MEASUREMENT = Tick._fields.index("measurement")
+_MEASUREMENT, _COMMAND = map(Tick._fields.index, ("measurement", "command"))
+_SATURATED = Command._fields.index("saturated")
 _LATENESS, _LATENCY = map(Timing._fields.index, ("lateness_ns", "latency_ns"))
 
 
 def skimmed(data: bytes) -> Skimmed:
     """As `unpacked`, but for a few fields, at a fraction of the cost."""
     tick, timing, *_ = loads(data)
-    return Skimmed(Measurement._make(tick[_MEASUREMENT]), timing[_LATENESS], timing[_LATENCY])
+    return Skimmed(
+        Measurement._make(tick[_MEASUREMENT]),
+        timing[_LATENESS],
+        timing[_LATENCY],
+        tick[_COMMAND][_SATURATED],
+    )

@@ -1,0 +1,76 @@
+"""Where the page is to be: an address that is free, and what it takes to be seen from elsewhere."""
+
+from __future__ import annotations
+
+import socket
+import stat
+from pathlib import Path
+from typing import NamedTuple
+
+from pneud.web.admission import Place
+
+SHORTEST = 12  # letters of a password
+_BACKLOG = 32
+
+
+class ListenError(Exception):
+    """The page cannot be there; the text is one line for a person."""
+
+    exit_code = 2
+
+
+class Listener(NamedTuple):
+    """A socket that listens."""
+
+    socket: socket.socket
+    place: Place
+
+
+def listen(where: str, tls: bool, names: tuple[str, ...]) -> Listener:
+    """Take an address.
+
+    Args:
+        where: ADDRESS:PORT; port 0 for any.
+        tls: there is a certificate.
+        names: by which others know it.
+
+    Raises:
+        ListenError: it is none, or taken, or others reach it without a certificate.
+    """
+    host, colon, port = where.rpartition(":")
+    if not colon or not host or not port.isdecimal() or int(port) >= 65536:
+        raise ListenError(f"--listen {where}: must be ADDRESS:PORT, such as 127.0.0.1:8770")
+    host = host.strip("[]")
+    six = ":" in host
+    try:
+        listener = socket.create_server(
+            (host, int(port)), family=socket.AF_INET6 if six else socket.AF_INET, backlog=_BACKLOG
+        )
+    except (OSError, UnicodeError, OverflowError) as e:
+        why = e.strerror if isinstance(e, OSError) else "no such name"
+        raise ListenError(f"--listen {where}: cannot listen there: {why}; name another") from None
+    address, bound = listener.getsockname()[:2]
+    place = Place(address, bound, tls, tuple(name.lower() for name in names))
+    if not place.local and not tls:
+        listener.close()
+        raise ListenError(
+            f"--listen {where}: others reach it: give --tls-cert, --tls-key and --password-file, or go"
+            " through a tunnel: ssh -L 8770:localhost:8770 HOST"
+        )
+    return Listener(listener, place)
+
+
+def password_of(path: Path) -> str:
+    """The password in the first line of a file that is its owner's alone.
+
+    Raises:
+        ListenError: others may read it, or it is too short.
+        OSError: it cannot be read.
+    """
+    with path.open(encoding="utf-8") as file:
+        if stat.S_IMODE(path.stat().st_mode) & (stat.S_IRWXO | stat.S_IWGRP):
+            raise ListenError(f"{path}: anybody may read the password: chmod 600 {path}")
+        found = file.readline().strip()
+    if len(found) < SHORTEST:
+        raise ListenError(f"{path}: a password has {SHORTEST} letters at least")
+    return found

@@ -1,0 +1,201 @@
+"""The server's life: its socket, its certificate, those who come and say nothing, and its end."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import ssl
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import uvicorn
+from starlette.types import ASGIApp
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+
+from pneud.console.endpoint import find
+from pneud.web.admission import Door
+from pneud.web.app import LONGEST, Pages
+from pneud.web.axis import Axis
+from pneud.web.hand import Hand, Tell
+from pneud.web.live import Gallery
+from pneud.web.metrics import text_of
+from pneud.web.places import Listener
+from pneud.web.reports import Reports
+
+CONNECTIONS = 64
+_HEAD_S = 5.0  # to say what one wants
+_LINGER_S = 1.0  # for last words
+_LONGEST_HEAD = 16_384
+_END_S = 2
+_FILE_S = 10.0  # between two writings of metrics
+_NICE = 5
+
+
+class Caller(H11Protocol):
+    """Somebody who has connected, and has to say what for."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin; one too many ends at once."""
+        if len(self.connections) >= CONNECTIONS:
+            transport.abort()
+            return
+        super().connection_made(transport)
+        self.loop.call_later(_HEAD_S, self._hurry)
+
+    def _hurry(self) -> None:
+        asked: Any = self.scope  # None until then, whatever its type says
+        if asked is None:
+            self.transport.abort()
+
+
+class Line(WebSocketsSansIOProtocol):
+    """A WebSocket, whose end waits for nobody."""
+
+    async def run_asgi(self) -> None:
+        """Serve it."""
+        await super().run_asgi()
+        self.loop.call_later(_LINGER_S, self.transport.abort)
+
+
+class Server(uvicorn.Server):
+    """One that leaves signals to whoever runs it."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Any:
+        """Take none."""
+        yield
+
+
+class Certificate(NamedTuple):
+    """Of a place that others reach."""
+
+    chain: Path
+    key: Path
+
+
+def checked(certificate: Certificate) -> Certificate:
+    """A certificate that can be served with.
+
+    Raises:
+        OSError: a file cannot be read, or is none, or the two do not belong together.
+    """
+    for path in certificate:
+        path.open("rb").close()
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(
+            certificate.chain, certificate.key, lambda: ""
+        )
+    except (ssl.SSLError, ValueError):
+        why = "no certificate with its key beside it; a key with a passphrase cannot be used"
+        raise OSError(None, why, str(certificate.chain), None, str(certificate.key)) from None
+    return certificate
+
+
+def serve(
+    axis: Axis,
+    socket_path: str | None,
+    name: str | None,
+    door: Door,
+    listener: Listener,
+    certificate: Certificate | None,
+    metrics: Path | None,
+) -> None:
+    """Serve until a signal says that it is enough.
+
+    Args:
+        axis: attached.
+        socket_path: of the daemon's console.
+        name: of the axis, where there are several.
+        door: who comes in.
+        listener: where they come.
+        certificate: for TLS.
+        metrics: a file that is to have them, too.
+    """
+    if not door.operate:  # a stop goes through here
+        os.nice(_NICE)
+    gallery, reports = Gallery(axis), Reports()
+
+    def hand(tell: Tell) -> Hand:
+        return Hand(lambda: find(socket_path), tell, name)
+
+    app = Pages(axis, door, gallery, reports, hand).app()
+    work: list[Callable[[], Coroutine[Any, Any, None]]] = [axis.follow, gallery.paint]
+    if metrics is not None:
+        work.append(lambda: _write_metrics(axis, metrics))
+    try:
+        asyncio.run(_run(app, listener, certificate, work))
+    finally:
+        reports.close()
+        axis.close()
+        if metrics is not None:
+            metrics.unlink(missing_ok=True)
+
+
+async def _run(
+    app: ASGIApp,
+    listener: Listener,
+    certificate: Certificate | None,
+    work: list[Callable[[], Coroutine[Any, Any, None]]],
+) -> None:
+    server = Server(
+        uvicorn.Config(
+            app,
+            http=Caller,
+            ws=Line,
+            ws_max_size=LONGEST,
+            ws_per_message_deflate=False,
+            lifespan="off",
+            log_config=None,
+            log_level="critical",
+            access_log=False,  # a log of who asked for what would have keys in it, sooner or later
+            proxy_headers=False,
+            server_header=False,
+            h11_max_incomplete_event_size=_LONGEST_HEAD,
+            timeout_graceful_shutdown=_END_S,
+            ssl_certfile=certificate.chain if certificate else None,
+            ssl_keyfile=certificate.key if certificate else None,
+        )
+    )
+
+    def leave() -> None:
+        server.should_exit = True
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        asyncio.get_running_loop().add_signal_handler(number, leave)
+    tasks = [asyncio.create_task(one()) for one in work]
+    for task in tasks:
+        task.add_done_callback(lambda _: leave())  # none of them ends by itself
+    await server.serve(sockets=[listener.socket])
+    ended = [task for task in tasks if task.done()]
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
+    for task in ended:
+        task.result()
+
+
+async def _write_metrics(axis: Axis, path: Path) -> None:
+    """Keep a file of metrics, for ever."""
+    while True:
+        await asyncio.to_thread(write_metrics, path, text_of(axis.statuses))
+        await asyncio.sleep(_FILE_S)
+
+
+def write_metrics(path: Path, text: str) -> None:
+    """Put a file in its place whole; who reads all of a folder's .prom sees no other.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    beside = path.with_name(f"{path.name}.{os.getpid()}")
+    try:
+        beside.write_text(text, encoding="utf-8")
+        beside.chmod(0o644)
+        beside.replace(path)
+    except OSError:
+        beside.unlink(missing_ok=True)
+        raise

@@ -1,0 +1,202 @@
+"""What pages are told and may ask: curves, the hand that asks, and files of metrics."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import socket
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from log_samples import tick_at
+from pneud.console.endpoint import PlaceError
+from pneud.console.protocol import parse
+from pneud.signals import Record, Timing
+from pneud.web.hand import ORDERS, Hand
+from pneud.web.serving import write_metrics
+from pneud.web.strip import SIGNALS, Strip
+
+FIELDS: dict[str, dict[str, Any]] = {
+    "goto": {"x_mm": 100.0},
+    "jog": {"velocity_mm_s": 5.0},
+    "tune_set": {"gains": {"k1": 1.0}},
+    "mark": {"text": "x"},
+}
+
+
+def record(t_ms: float, position_m: float) -> Record:
+    tick = tick_at(1)._replace(t_ns=round(t_ms * 1e6))
+    tick = tick._replace(estimate=tick.estimate._replace(position_m=position_m))
+    return Record(tick, Timing(0, 0, 0, 0, 0, 0), (), 0, (), 0.0)
+
+
+def test_a_spike_of_one_tick_is_in_the_curve() -> None:
+    strip = Strip()
+    strip.add(record(t, 0.7 if t == 33 else 0.1) for t in range(100))
+    found = strip.since(-1)
+    assert found["t"] == [0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07]  # the fifth is still open
+    assert found["position_mm"] == [100.0, 100.0, 100.0, 700.0, 100.0, 100.0, 100.0, 100.0]
+    assert all(len(found[name]) == len(found["t"]) for name in SIGNALS)
+
+
+def test_extremes_keep_their_order_and_gaps_are_gaps() -> None:
+    strip = Strip()
+    strip.add(
+        [
+            record(0, 0.3),
+            record(1, 0.1),
+            record(20, math.nan),
+            record(40, 0.1),
+            record(41, 0.3),
+            record(60, 0),
+        ]
+    )
+    assert strip.since(-1)["position_mm"] == [300.0, 100.0, None, None, 100.0, 300.0]
+    assert strip.since(0)["position_mm"] == [None, None, 100.0, 300.0]
+    assert strip.since(strip.newest)["t"] == []
+
+
+def test_a_strip_is_bounded() -> None:
+    strip = Strip()
+    strip.add(record(20 * n, 0.1) for n in range(5000))
+    assert len(strip.since(-1)["t"]) < 1500
+
+
+# the hand
+
+
+class Desk:
+    """The other end of a hand's connection."""
+
+    def __init__(self) -> None:
+        self.told: list[dict[str, Any]] = []
+        self.ends: list[socket.socket] = []
+
+    def connect(self) -> socket.socket:
+        ours, theirs = socket.socketpair()
+        ours.setblocking(False)
+        self.ends.append(ours)
+        return theirs
+
+    def heard(self) -> list[bytes]:
+        try:
+            return self.ends[-1].recv(1 << 16).splitlines()
+        except BlockingIOError:
+            return []
+
+
+def served(talk: Callable[[Desk, Hand], Coroutine[Any, Any, None]]) -> Desk:
+    desk = Desk()
+
+    async def main() -> None:
+        hand = Hand(desk.connect, desk.told.append)
+        await talk(desk, hand)
+        await hand.let_go()
+
+    asyncio.run(main())
+    for end in desk.ends:
+        end.close()
+    return desk
+
+
+@pytest.mark.parametrize("verb", ORDERS)
+def test_an_order_is_a_request_that_the_console_knows(verb: str) -> None:
+    async def talk(desk: Desk, hand: Hand) -> None:
+        await hand.ask(verb, 7, dict(FIELDS.get(verb, {})))
+        (line,) = desk.heard()
+        request = parse(line)
+        assert (request.verb, request.id) == (verb, 7)
+        if verb in ("goto", "track"):
+            assert getattr(request, "attended") is True, "it ends, held, with the page"  # noqa: B009
+
+    assert served(talk).told == []
+
+
+@pytest.mark.parametrize(
+    ("verb", "given"),
+    [
+        *(
+            (verb, {})
+            for verb in ("restart", "attach", "probe", "upload", "tune_reload", "observe", "status", "")
+        ),
+        ("goto", {"x_mm": 1.0, "attended": False}),
+        ("jog", {"velocity_mm_s": 1.0, "lease_s": 1.0}),
+        ("stop", {"id": 3}),
+        ("stop", {"verb": "restart"}),
+        ("goto", {"x_mm": math.nan}),
+    ],
+)
+def test_a_page_asks_for_nothing_else(verb: str, given: dict[str, Any]) -> None:
+    async def talk(desk: Desk, hand: Hand) -> None:
+        await hand.ask(verb, 7, given)
+        assert not desk.ends or desk.heard() == []
+
+    (told,) = served(talk).told
+    assert (told["reply"], told["ok"]) == (7, False)
+
+
+def test_replies_come_by_number_and_whoever_goes_hangs_up() -> None:
+    async def talk(desk: Desk, hand: Hand) -> None:
+        await hand.ask("arm", 1, {})
+        refusal = {"v": 1, "id": 1, "ok": False, "error": {"type": "busy", "message": "another commands"}}
+        desk.ends[0].sendall(json.dumps(refusal).encode() + b"\n")
+        await asyncio.sleep(0.05)
+        await hand.ask("goto", 2, {"x_mm": 1.0})
+        attends = [hand.attends]
+        await hand.let_go()
+        assert [*attends, hand.attends] == [True, False]
+        assert desk.heard(), "what was asked"
+        assert desk.ends[0].recv(1) == b"", "the end of the connection"
+
+    assert served(talk).told == [{"reply": 1, "ok": False, "message": "another commands"}]
+
+
+def test_whoever_asks_faster_than_the_console_takes_is_told() -> None:
+    async def talk(desk: Desk, hand: Hand) -> None:
+        for number in range(5000):
+            await hand.ask("mark", number, {"text": "x" * 200})
+
+    told = served(talk).told
+    assert told
+    assert {one["message"] for one in told} == {"too many requests wait"}
+
+
+def test_a_console_that_is_gone_is_said_and_found_again() -> None:
+    gone = True
+
+    async def main() -> None:
+        desk = Desk()
+
+        def connect() -> socket.socket:
+            if gone:
+                raise PlaceError("no running daemon found")
+            return desk.connect()
+
+        hand = Hand(connect, desk.told.append)
+        await hand.ask("stop", 1, {})
+        assert desk.told == [{"reply": 1, "ok": False, "message": "nobody hears: no running daemon found"}]
+        nonlocal gone
+        gone = False
+        await hand.ask("stop", 2, {})
+        assert len(desk.heard()) == 1
+        desk.ends[0].close()
+        await asyncio.sleep(0.05)
+        await hand.ask("stop", 3, {})
+        assert len(desk.heard()) == 1
+        await hand.let_go()
+
+    asyncio.run(main())
+
+
+def test_a_file_of_metrics_is_whole_or_not_there(tmp_path: Path) -> None:
+    file = tmp_path / "pneud.prom"
+    write_metrics(file, "a 1\n")
+    write_metrics(file, "a 2\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["pneud.prom"]
+    assert file.read_text() == "a 2\n"
+    with pytest.raises(OSError, match=r"No such file"):
+        write_metrics(tmp_path / "no" / "pneud.prom", "")
