@@ -160,7 +160,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 class Daemon:
     """Whom `track` and `tune` ask."""
 
-    def __init__(self, _: str | None) -> None:
+    def __init__(self, *_: str | None) -> None:
         pass
 
     def __enter__(self) -> Daemon:
@@ -431,6 +431,7 @@ WORKING = [*SAYING, "sim --duration 0.01 --json", "sim --help", "doctor", "docto
 WORKING += ["replay LOG --json", "replay LOG --against LOG", "replay LOG --set control.k1=9e4"]
 WORKING += ["export LOG -o OUT.csv", "export LOG -o OUT.log", "import RECORDING --dbc DBC -o OUT.mcap"]
 WORKING += ["scenarios", "scenarios --json", "logs .", "logs . --json", "nodes explain canopen.toml"]
+WORKING += ["map RECORDING", "map LOG --json"]
 WORKING += ["commission --virtual --movement-test", "commission --virtual --movement-test --json"]
 WORKING += ["recover LOG -o OUT.mcap", "report LOG -o OUT.html", "install-service --destdir OUT"]
 WORKING += [f"learnt {GOLDEN}", f"learnt {GOLDEN} --json", NEW, f"{NEW} --json"]

@@ -178,7 +178,7 @@ def test_a_fault_has_its_moment_and_its_stop(lost: LoggedRun) -> None:
     assert first.seen_s == first.latched_s
     assert first.stop is not None
     assert first.stop.speed_m_s == pytest.approx(0.157, abs=0.01)
-    assert math.isnan(first.stop.time_s)  # the log ends before it stands
+    assert 0.1 < first.stop.time_s < 0.2
     assert 0.01 < first.stop.farthest_m < 0.02
     assert lost.fault_name(second.bit) == "supply_pressure"
     assert second.stop is None

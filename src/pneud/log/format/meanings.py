@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-SCHEMA = 4  # number of the fields that there are
-READABLE = frozenset({"2", "3", "4"})  # fields that a message of one of them lacks are read as 0
+SCHEMA = 5  # number of the fields that there are
+READABLE = frozenset({"2", "3", "4", "5"})  # fields that a message of one of them lacks are read as 0
 
 MEANINGS: dict[str, str] = {
     "t_ns": "this tick's SYNC, CLOCK_MONOTONIC",
