@@ -7,8 +7,12 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 from commands import Figures
+
+settings.register_profile("busy", deadline=None)  # how long an example takes is the machine's matter
+settings.load_profile("busy")
 
 
 @pytest.fixture
