@@ -16,6 +16,7 @@ from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LogReader, read_log
 from pneud.log.files.recovery import recover
 from pneud.log.format.header import Detail
+from pneud.log.format.meanings import SCHEMA
 from pneud.log.format.records import COARSE_ERROR, FLOAT_ERROR, crc_of
 from pneud.signals import Answer, Host, Record, Request, RequestKind, State, Timing
 
@@ -224,7 +225,7 @@ def test_foreign_files_are_refused_in_one_line(tmp_path: Path) -> None:
         (text, "not an MCAP file"),
         (empty, "is empty"),
         (foreign, "no log of pneud"),
-        (newer, "has log schema 9, this pneud reads 4"),
+        (newer, f"has log schema 9, this pneud reads {SCHEMA}"),
     ):
         with pytest.raises(LogError, match=words) as caught:
             read_log(path)
