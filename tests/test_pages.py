@@ -54,6 +54,7 @@ GIVEN = {
     "identification.md": [
         "pneud sim -o run.mcap --duration 4",
         f"pneud export run.mcap -o bus.log && cp {ROOT}/configs/pneud.dbc .",
+        "mkdir logs && cp run.mcap logs/",
     ],
     "log.md": [
         "pneud sim -o run.mcap --duration 6",

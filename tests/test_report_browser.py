@@ -19,7 +19,7 @@ from mangled import simulated
 from pneud.bench import chart
 from pneud.bench.tables import in_words
 from pneud.log.files.reader import read_log
-from pneud.report.figures import FIGURES
+from pneud.report.figures import FIGURES, TIMED
 from pneud.report.gather import gather
 from pneud.report.page import page
 from pneud.study import comparison_page, paper_page
@@ -31,6 +31,7 @@ from test_reproduction import reproduction
 
 pytestmark = pytest.mark.slow
 
+SHOWN = sum(any(curve.column not in TIMED for curve in f.series) for f in FIGURES)  # of simulated time
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 QUIET = [
     *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
@@ -150,7 +151,7 @@ def test_zoom_and_cursor_are_shared(text: str, tmp_path: Path) -> None:
     (found,) = re.findall(r'<output id="found">(.*?)</output>', done.stdout)
     state: dict[str, Any] = json.loads(html.unescape(found))
     assert state["errors"] == []
-    plots = len(FIGURES) + 1  # and the timeline
+    plots = SHOWN + 1  # and the timeline
     assert int(state["drawn"]) >= plots + 1 + 6  # and the phase plot, and maps
     assert len(state["times"]) == plots
     times = [float(t.removesuffix(" s")) for t in state["times"]]
@@ -167,9 +168,9 @@ SEEN = [(width, dark) for width in (375, 900, 1600) for dark in (False, True)]
 def test_every_figure_shows_its_lines(text: str, tmp_path: Path, width: int, dark: bool) -> None:
     """Both runs' colours are in every canvas, nothing is wider than the window, the page suits the system."""
     (state,) = tell(tmp_path, [text], width, dark)
-    planes = int(state["drawn"]) - len(FIGURES) - 2
+    planes = int(state["drawn"]) - SHOWN - 2
     assert planes >= 6
-    assert len(state["canvases"]) == len(FIGURES) + 2 + planes
+    assert len(state["canvases"]) == SHOWN + 2 + planes
     figures = state["canvases"][1:]  # behind the timeline
     assert all(blue > 20 for blue, _ in figures), figures
     assert sum(red > 20 for _, red in figures) >= len(figures) - 2, figures

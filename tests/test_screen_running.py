@@ -18,7 +18,7 @@ import pytest
 from commands import PNEUD, children, eventually
 from running import patient_axis
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 _CODES = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]|\x1b\][^\x07]*\x07")
 
 
