@@ -238,6 +238,7 @@ def operate(
         return
     end, next_sample, held = time.monotonic() + duration_s, 0.0, 0.0
     refusal, tracked = "none", False
+    client.ask("status")  # once it answers, it is there
     recorder, keeper = children(daemon.pid)
     (console,) = children(keeper)
     processes = {"control": daemon.pid, "recorder": recorder, "console": console, "plant": plant.pid}

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from pages import PAGES, ROOT, Desk, Step, steps
-from pneud.config.reading import parse
+from pneud.config.reading import AXIS, parse
 
 # Commands that are not run here, and why. Each line has to fit a command of a document.
 NOT_HERE = {
@@ -183,7 +183,9 @@ def sections_exist(text: str) -> None:
     from pneud.config.toml import changed_text, tables_of  # noqa: PLC0415
 
     base = (resources.configs() / "virtual.toml").read_text(encoding="utf-8")
-    parse(changed_text(base, tables_of(text)), "the page")
+    tables = tables_of(text)
+    for own in tables.pop(AXIS, [{}]):
+        parse(changed_text(changed_text(base, tables), own), "the page")
 
 
 def compiles(folder: Path, text: str) -> None:
