@@ -69,6 +69,7 @@ MAY_END_WITH_1 = (  # the answer is no, and the page says so
     r"pneud replay .* --set .*",
     r"pneud doctor.*",
     r"pneud design .* --simulate",
+    r"pneud nodes set-id (?!.* --of ).*",
 )
 IS_REFUSED = {("device.md", "pneud check press.toml"): 1}  # the first so many times, with 2, as the page says
 CHECKOUT = {"write-a-law.md"}  # pages that change the program; in a copy of it
