@@ -128,11 +128,14 @@ def test_a_put_keeps_no_memory(way: str) -> None:
     gc.collect()
     tracemalloc.start()
     try:
-        before = tracemalloc.get_traced_memory()[0]
-        for _ in range(10):
-            for record in records:
-                ring.put(record)
-        assert tracemalloc.get_traced_memory()[0] - before < 2000
+        kept = []
+        for _ in range(3):  # other threads of whoever runs the tests may keep something meanwhile
+            before = tracemalloc.get_traced_memory()[0]
+            for _ in range(10):
+                for record in records:
+                    ring.put(record)
+            kept.append(tracemalloc.get_traced_memory()[0] - before)
+        assert min(kept) < 2000
     finally:
         tracemalloc.stop()
 

@@ -135,6 +135,8 @@ A node that goes by another rule than the configuration, or by other identifiers
 In C, none of it with a table:
 
 ```c
+#include <stdint.h>
+
 uint8_t crc8(uint8_t polynomial, uint8_t crc, const uint8_t *data, unsigned bytes)
 {{
     while (bytes--) {{
