@@ -10,6 +10,7 @@ from typing import NamedTuple
 from urllib.parse import quote
 
 from pneud.config.sections import ConfigError
+from pneud.rt.addresses import AddressError, in_url, is_loopback, listening, parsed
 from pneud.view.admission import VIEWERS, Admission, is_origin
 
 FOXGLOVE = "https://app.foxglove.dev/~/view"
@@ -41,41 +42,30 @@ def viewers_place(where: str, origins: tuple[str, ...]) -> ViewersPlace:
     Raises:
         ConfigError: it is none, or taken, or an origin is none, or the package that serves is missing.
     """
-    host, colon, port = where.rpartition(":")
-    if not colon or not host or not port.isdecimal() or not 0 < int(port) < 65536:
-        raise ConfigError(f"--live-at {where}: must be ADDRESS:PORT, such as 127.0.0.1:8765")
+    try:
+        host, port = parsed(where, "127.0.0.1:8765")
+    except AddressError as e:
+        raise ConfigError(f"--live-at {where}: {e}") from None
     for origin in origins:
         if not is_origin(origin):
             raise ConfigError(f"--live-origin {origin}: must be as browsers say it, https://example.org")
     if importlib.util.find_spec("foxglove") is None:
         raise ConfigError("--live needs foxglove-sdk; install it with: pip install 'pneud[live]'")
-    listener = _listen(host.strip("[]"), int(port), where)
+    try:
+        listener = listening(host, port, both=True)
+    except AddressError as e:
+        raise ConfigError(f"--live-at {where}: {e}") from None
     address = listener.getsockname()[0]
-    if ipaddress.ip_address(address.partition("%")[0]).is_loopback:
-        url = f"ws://{_in_url(address)}:{port}"
+    if is_loopback(address):
+        url = f"ws://{in_url(address)}:{port}"
         return ViewersPlace(listener, Admission(None, VIEWERS.union(origins)), f"viewers look at {url}", url)
     token = secrets.token_urlsafe(16)
     url = f"ws://{_reachable(address)}:{port}/?token={token}"
     return ViewersPlace(listener, Admission(token, VIEWERS.union(origins)), f"viewers look at {url}", url)
 
 
-def _listen(host: str, port: int, where: str) -> socket.socket:
-    six = ":" in host
-    try:
-        return socket.create_server(
-            (host, port), family=socket.AF_INET6 if six else socket.AF_INET, backlog=32, dualstack_ipv6=six
-        )
-    except (OSError, UnicodeError) as e:
-        why = e.strerror if isinstance(e, OSError) else "no such name"
-        raise ConfigError(f"--live-at {where}: cannot listen there: {why}; name another") from None
-
-
 def _reachable(address: str) -> str:
     """What stands in the URL: this machine's name where it listens at all of its addresses."""
     if ipaddress.ip_address(address.partition("%")[0]).is_unspecified:
         return socket.gethostname()
-    return _in_url(address)
-
-
-def _in_url(address: str) -> str:
-    return f"[{address}]" if ":" in address else address
+    return in_url(address)

@@ -16,6 +16,8 @@ from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 from typing import NamedTuple
 
+from pneud.rt.addresses import in_url, is_loopback
+
 _SESSIONS = 64
 _PEERS = 256  # whose wrong tries are remembered
 _PAUSE_S = 1.0  # behind a wrong try
@@ -35,13 +37,12 @@ class Place(NamedTuple):
     @property
     def local(self) -> bool:
         """Whether only this machine reaches it."""
-        return ipaddress.ip_address(self.address.partition("%")[0]).is_loopback
+        return is_loopback(self.address)
 
     @property
     def url(self) -> str:
         """What a browser opens."""
-        address = f"[{self.address}]" if ":" in self.address else self.address
-        host = self.names[0] if self.names and not self.local else address
+        host = self.names[0] if self.names and not self.local else in_url(self.address)
         return f"{'https' if self.tls else 'http'}://{host}:{self.port}/"
 
     def is_here(self, host: str) -> bool:

@@ -7,10 +7,10 @@ import stat
 from pathlib import Path
 from typing import NamedTuple
 
+from pneud.rt.addresses import AddressError, listening, parsed
 from pneud.web.admission import Place
 
 SHORTEST = 12  # letters of a password
-_BACKLOG = 32
 
 
 class ListenError(Exception):
@@ -37,18 +37,10 @@ def listen(where: str, tls: bool, names: tuple[str, ...]) -> Listener:
     Raises:
         ListenError: it is none, or taken, or others reach it without a certificate.
     """
-    host, colon, port = where.rpartition(":")
-    if not colon or not host or not port.isdecimal() or int(port) >= 65536:
-        raise ListenError(f"--listen {where}: must be ADDRESS:PORT, such as 127.0.0.1:8770")
-    host = host.strip("[]")
-    six = ":" in host
     try:
-        listener = socket.create_server(
-            (host, int(port)), family=socket.AF_INET6 if six else socket.AF_INET, backlog=_BACKLOG
-        )
-    except (OSError, UnicodeError, OverflowError) as e:
-        why = e.strerror if isinstance(e, OSError) else "no such name"
-        raise ListenError(f"--listen {where}: cannot listen there: {why}; name another") from None
+        listener = listening(*parsed(where, "127.0.0.1:8770", least_port=0))
+    except AddressError as e:
+        raise ListenError(f"--listen {where}: {e}") from None
     address, bound = listener.getsockname()[:2]
     place = Place(address, bound, tls, tuple(name.lower() for name in names))
     if not place.local and not tls:
