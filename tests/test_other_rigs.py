@@ -24,19 +24,12 @@ from pneud.study.commissioning import estimated
 from pneud.study.identification import estimating, explaining, table
 from pneud.study.identification import parameters as key
 from pneud.study.identification.estimating import Identified
+from test_identify import TRUTH
 
 pytestmark = pytest.mark.slow
 PLACES = "100@500,900@400,300@200,350@30,340@10,345@10,150@500"
 WAYS = "200@500,800@500,400@300,500@100"
 LOGGED_S, WAYS_S = 20.0, 8.0
-TRUTH: dict[str, Any] = {
-    "cylinder": {"moving_mass_kg": 19.0, "load_n": 12.0, "dead_length_1_m": 0.02},
-    "valve": {
-        "orifice_area_m2": 2.3e-5, "bandwidth_hz": 80.0,
-        "dead_zone_positive_v": 0.2, "dead_zone_negative_v": 0.05, "centre_v": 0.04,
-    },
-    "friction": {"coulomb_n": 55.0, "static_n": 75.0, "viscous_n_s_m": 80.0},
-}  # fmt: skip
 
 
 def true(**tables: dict[str, Any]) -> dict[str, Any]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import signal
 import struct
 import subprocess
-import time
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 from commands import PNEUD, eventually
+from dumped import dumped, frames
 from pneud import resources
 from pneud.loading import load, plans_of_nodes
 from pneud.log.files.reader import read_log
@@ -58,25 +58,20 @@ def test_candump_the_plan_and_the_log_agree(tmp_path: Path) -> None:
     axis, log = tmp_path / "axis.toml", tmp_path / "run.mcap"
     text = "".join(line for line in text.splitlines(keepends=True) if not line.startswith("dbc ="))
     axis.write_text(text.replace("\n[control]\n", NODES, 1))
-    with (tmp_path / "candump.log").open("w+") as seen:
-        candump = subprocess.Popen(["candump", "-L", "vcan0"], stdout=seen)
+    seen = tmp_path / "candump.log"
+    with dumped(seen):
         common = ["--config", str(axis), "--bus", "socketcan:vcan0"]
         plant = subprocess.Popen([*PNEUD, "plant", *common], stderr=subprocess.PIPE)
         run = subprocess.Popen([*PNEUD, *common, "--headless", "--log", str(log)], stderr=subprocess.PIPE)
         try:
-            eventually(lambda: (tmp_path / "candump.log").read_text().count(" 281#") > POSITIONS, 170.0)
+            eventually(lambda: seen.read_text().count(" 281#") > POSITIONS, 170.0)
         finally:
             run.send_signal(signal.SIGINT)
             _, err = run.communicate(timeout=60)
             plant.terminate()
             _, said = plant.communicate(timeout=60)
-            time.sleep(1.0)  # candump shares the one CPU, and has yet to write what it received
-            candump.send_signal(signal.SIGINT)
-            candump.wait(10)
             print(err, said)
-        seen.seek(0)
-        parts = [line.split()[2].partition("#") for line in seen]
-    heard = [(int(can_id, 16), bytes.fromhex(data)) for can_id, _, data in parts]
+    heard = [(int(can_id, 16), bytes.fromhex(data)) for can_id, data in frames(seen)]
     assert b"nodes: 1, 2, 3 configured and started" in err
 
     # nothing is sampled before all nodes are configured, and each has all of what was planned

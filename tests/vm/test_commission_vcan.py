@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from dumped import dumped
 from pneud import resources
 from pneud.config.toml import changed_text
 from pneud.loading import load
@@ -64,12 +65,8 @@ def rig(folder: Path, truth: dict[str, Any], log: str = "run.mcap") -> Iterator[
 
 def test_a_rig_on_vcan_is_commissioned_and_candump_tells_it_again(tmp_path: Path) -> None:
     seen = tmp_path / "bus.log"
-    with rig(tmp_path, {}) as socket, seen.open("w") as log:
-        candump = subprocess.Popen(["candump", "-L", "vcan0"], stdout=log)
+    with rig(tmp_path, {}) as socket, dumped(seen):
         done = pneud("commission", "--movement-test", "--yes", "--json", "--socket", socket, cwd=tmp_path)
-        time.sleep(1.0)  # candump shares the one CPU
-        candump.send_signal(signal.SIGINT)
-        candump.wait(10)
     print(done.stdout, done.stderr, (tmp_path / "said.txt").read_text())
     assert done.returncode == 0
     assert json.loads(done.stdout)["findings"] == []

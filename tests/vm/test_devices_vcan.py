@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import json
-import signal
 import subprocess
 import sys
-import time
-from collections import Counter
 from pathlib import Path
 
 import pytest
 
 from device_sets import device_sets
+from dumped import dumped, identifiers
 
 pytestmark = pytest.mark.vm
 PNEUD = [sys.executable, "-m", "pneud.cli"]
@@ -32,22 +30,15 @@ def pneud(*args: object) -> subprocess.CompletedProcess[str]:
 def test_a_device_set_tracks_over_vcan0(name: str, ids: set[str], tmp_path: Path) -> None:
     file = device_sets()[name].write(tmp_path, name, base="vcan.toml")
     log = tmp_path / "run.mcap"
-    with (tmp_path / "candump.log").open("w+") as seen:
-        candump = subprocess.Popen(["candump", "-L", "vcan0"], stdout=seen)
-        try:
-            done = pneud(
-                "--virtual", "--config", file, "--bus", "socketcan:vcan0", "--duration", 8, "--headless",
-                "--json", "--log", log,
-            )  # fmt: skip
-            time.sleep(1.0)  # candump shares the one CPU, and has yet to write what it received
-        finally:
-            candump.send_signal(signal.SIGINT)
-            candump.wait(10)
-        seen.seek(0)
-        found = Counter(line.split()[2].split("#")[0] for line in seen)
+    seen = tmp_path / "candump.log"
+    with dumped(seen):
+        done = pneud(
+            "--virtual", "--config", file, "--bus", "socketcan:vcan0", "--duration", 8, "--headless",
+            "--json", "--log", log,
+        )  # fmt: skip
     print(done.stdout, done.stderr)
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
     assert (summary["state"], summary["faults"]) == ("tracking", [])
-    assert set(found) == ids
+    assert set(identifiers(seen)) == ids
     assert json.loads(pneud("replay", log, "--json").stdout)["identical"] is True

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-import signal
 import subprocess
 import sys
 import time
-from collections import Counter
 from pathlib import Path
 
 import pytest
 
+from dumped import dumped, identifiers
 from pneud import resources
 
 pytestmark = pytest.mark.vm
@@ -30,19 +29,13 @@ def gentle() -> Path:
 
 def test_a_virtual_run_over_vcan0_tracks_and_candump_sees_the_frames(tmp_path: Path, gentle: Path) -> None:
     log = tmp_path / "run.mcap"
-    with (tmp_path / "candump.log").open("w+") as seen:
-        candump = subprocess.Popen(["candump", "-L", "vcan0"], stdout=seen)
-        try:
-            done = pneud(
-                "--virtual", "--config", gentle, "--bus", "socketcan:vcan0", "--duration", 8, "--headless",
-                "--json", "--log", log,
-            )  # fmt: skip
-            time.sleep(1.0)  # candump shares the one CPU, and has yet to write what it received
-        finally:
-            candump.send_signal(signal.SIGINT)
-            candump.wait(10)
-        seen.seek(0)
-        ids = Counter(line.split()[2].split("#")[0] for line in seen)
+    seen = tmp_path / "candump.log"
+    with dumped(seen):
+        done = pneud(
+            "--virtual", "--config", gentle, "--bus", "socketcan:vcan0", "--duration", 8, "--headless",
+            "--json", "--log", log,
+        )  # fmt: skip
+    ids = identifiers(seen)
     print(done.stdout, done.stderr)
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)

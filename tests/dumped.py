@@ -1,0 +1,35 @@
+"""What candump hears of vcan0."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def dumped(file: Path) -> Iterator[None]:
+    """Have candump write what is on vcan0 meanwhile."""
+    with file.open("w") as seen:
+        candump = subprocess.Popen(["candump", "-L", "vcan0"], stdout=seen)
+        try:
+            yield
+        finally:
+            time.sleep(1.0)  # it may share the one CPU, and has yet to write what it received
+            candump.send_signal(signal.SIGINT)
+            candump.wait(10)
+
+
+def frames(file: Path) -> list[tuple[str, str]]:
+    """The identifiers and data, as it writes them, in order."""
+    parts = (line.split()[2].partition("#") for line in file.read_text().splitlines())
+    return [(can_id, data) for can_id, _, data in parts]
+
+
+def identifiers(file: Path) -> Counter[str]:
+    """How often each identifier was heard."""
+    return Counter(can_id for can_id, _ in frames(file))
