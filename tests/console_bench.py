@@ -16,8 +16,9 @@ from pneud.config.reading import load_config
 from pneud.console import handoff
 from pneud.console.beside import Beside
 from pneud.console.commands import AxisDesk
+from pneud.console.connected import BOUNDS, ClientBounds
 from pneud.console.facts import RunFacts
-from pneud.console.server import BOUNDS, ClientBounds, Server
+from pneud.console.server import Server
 from pneud.console.status_reply import StatusWatch
 from pneud.log.live.ring import Ring
 from pneud.signals import Answer, Request, State

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from pneud.bus.codec import Codecs, codecs_from
-from pneud.config.models import BusConfig
+from pneud.config.bus_tables import BusConfig
 
 OTHERS = """
 BO_ 128 SYNC: 1 CONTROLLER

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pneud import resources
 from pneud.bus import crc8
 from pneud.bus.codec import Codec, Codecs, DatabaseError, load_codecs
-from pneud.config.models import BusConfig
+from pneud.config.bus_tables import BusConfig
 
 DBC = resources.configs() / "pneud.dbc"
 CODECS = load_codecs(BusConfig(), DBC)

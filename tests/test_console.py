@@ -22,11 +22,11 @@ from fuzzing import hostile, well_formed
 from log_samples import tick_at
 from pneud import crew, resources
 from pneud.console import handoff, server
+from pneud.console.connected import BOUNDS
 from pneud.console.lease import Lease
 from pneud.console.line_stream import MAX_LINE
 from pneud.console.peer import Peer, may_command
 from pneud.console.protocol import VERBS, Error, parse
-from pneud.console.server import BOUNDS
 from pneud.safety.faults import F
 from pneud.signals import HUNTING_CURES, Answer, Hunting, Record, Request, RequestKind, State, Timing
 from pneud.verbs.status import in_words

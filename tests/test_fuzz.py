@@ -19,7 +19,7 @@ from axis_rig import ARM, CLEAR, Rig, loaded
 from commands import Figures, pneud_here
 from pneud import resources
 from pneud.bus.inbox import Inbox
-from pneud.config.models import BusConfig
+from pneud.config.bus_tables import BusConfig
 from pneud.safety.faults import F
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Frame, State

@@ -13,7 +13,7 @@ from pneud import resources
 from pneud.bus.codec import load_codecs
 from pneud.bus.inbox import NEVER_NS, Counts, Inbox
 from pneud.bus.wire import CAN_ERR_FLAG, wire_time_ns
-from pneud.config.models import BusConfig, FrameConfig, FramesConfig
+from pneud.config.bus_tables import BusConfig, FrameConfig, FramesConfig
 from pneud.signals import ALL_SOURCES, Defect, Frame, Host, Measurement, Source
 
 BUS = BusConfig()

@@ -20,7 +20,7 @@ from pneud import resources
 from pneud.bus.codec import Codec, Codecs, load_codecs
 from pneud.bus.inbox import Inbox, InboxState
 from pneud.bus.lag import AGREE, LATE, PROMPT, UNREAD, UNTOLD, LagState, told_by
-from pneud.config.models import BusConfig
+from pneud.config.bus_tables import BusConfig
 from pneud.loading import load
 from pneud.log.format.snapshot import from_json, to_json
 from pneud.loop.turn import Turn

@@ -17,7 +17,8 @@ from pneud import resources
 from pneud.bus.codec import ROW, Answer, Codecs, DatabaseError, codecs_from
 from pneud.bus.mapped_inbox import MappedInbox, inbox_of
 from pneud.bus.wire import CAN_EFF_FLAG, wire_time_ns
-from pneud.config.models import BusConfig, GasConfig
+from pneud.config.bus_tables import BusConfig
+from pneud.config.models import GasConfig
 from pneud.config.toml import changed_text, tables_of
 from pneud.loading import devices_of, load
 from pneud.replay.lockstep import Simulation, backend_of

@@ -15,7 +15,7 @@ from pneud import resources
 from pneud.bus.codec import Codecs, load_codecs
 from pneud.bus.inbox import Inbox
 from pneud.bus.wire import wire_time_ns
-from pneud.config.models import BusConfig
+from pneud.config.bus_tables import BusConfig
 from pneud.rig.answering import serve
 from pneud.rig.dynamics import advance, initial_state
 from pneud.rig.node import PlantNode

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from pneud.bus.codec import Codec, Codecs, DatabaseError
 from pneud.bus.inbox import Inbox
 from pneud.bus.protection import CCITT, H2F, J1850
-from pneud.config.models import BusConfig
+from pneud.config.bus_tables import BusConfig
 from pneud.report.health import valid
 from pneud.signals import Frame
 from protected import LAYOUTS, RULES, codecs_with

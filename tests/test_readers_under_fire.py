@@ -27,7 +27,7 @@ from log_samples import header, noisy
 from mangled import simulated
 from pneud import resources
 from pneud.bus.codec import DatabaseError, load_codecs
-from pneud.config.models import BusConfig
+from pneud.config.bus_tables import BusConfig
 from pneud.config.sections import ConfigError
 from pneud.loading import load
 from pneud.log.files.columns import blocks

@@ -15,7 +15,7 @@ from plant_reference import REALISTIC
 from pneud import resources
 from pneud.bus.codec import Codecs, load_codecs
 from pneud.bus.wire import CAN_ERR_FLAG
-from pneud.config.models import BusConfig
+from pneud.config.bus_tables import BusConfig
 from pneud.config.reading import parse
 from pneud.config.sections import ConfigError
 from pneud.config.toml import toml_text

@@ -18,8 +18,9 @@ from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from pneud.config.bus_tables import FrameConfig, FramesConfig
 from pneud.config.mapping import MessageConfig, SignalConfig, SignalsConfig
-from pneud.config.models import Config, FrameConfig, FramesConfig
+from pneud.config.models import Config
 from pneud.config.sections import Section
 
 HEAD = """\

@@ -11,7 +11,7 @@ from pneud.bus.crc8 import FINAL_XOR, POLYNOMIAL, START, crc8, identifier_state,
 from pneud.bus.lag import AGREE, MOST
 from pneud.bus.protection import RULES as BITS
 from pneud.bus.protection import checksum
-from pneud.config.models import BusConfig
+from pneud.config.bus_tables import BusConfig
 from pneud.config.protection import DataIdMode, Protection
 from pneud.rig.valvenode import ValveNode
 from pneud.signals import ValveState

@@ -9,7 +9,7 @@ from generators.tables import HEAD, table
 from pneud.bus.codec import ROLES
 from pneud.bus.database import MessageSpec, Signal, messages
 from pneud.bus.wire import wire_time_ns
-from pneud.config.models import FramesConfig
+from pneud.config.bus_tables import FramesConfig
 from pneud.resources import configs
 from pneud.signals import EncoderStatus, ValveState
 

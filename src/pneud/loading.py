@@ -12,7 +12,8 @@ from pneud.bus.codec import SOURCES, Codecs, DatabaseError, codecs_from, load_co
 from pneud.bus.load import overload
 from pneud.bus.shared import why_not_together
 from pneud.config.axes import Part, axes_of, name_of, one_of, proof_file
-from pneud.config.models import BusConfig, Config, GasConfig
+from pneud.config.bus_tables import BusConfig
+from pneud.config.models import Config, GasConfig
 from pneud.config.nodes import GENERATED
 from pneud.config.reading import explain, parse
 from pneud.config.sections import ConfigError, check_channel

@@ -17,8 +17,9 @@ from pneud.bus.database import MessageSpec, Signal
 from pneud.bus.dbc_layout import Guard, SignalField, bit_range, compile_functions
 from pneud.bus.protection import RULES, checksum
 from pneud.bus.wire import CAN_EFF_FLAG
+from pneud.config.bus_tables import BusConfig, FrameConfig
 from pneud.config.mapping import MessageConfig
-from pneud.config.models import BusConfig, FrameConfig, GasConfig
+from pneud.config.models import GasConfig
 from pneud.rt.inputs import read_whole
 
 _KILO, _MILLI, _MICRO = Fraction(1000), Fraction(1, 1000), Fraction(1, 1_000_000)

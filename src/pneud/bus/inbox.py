@@ -25,7 +25,7 @@ from pneud.bus.wire import (
     ERR_RESTARTED,
     wire_time_ns,
 )
-from pneud.config.models import BusConfig
+from pneud.config.bus_tables import BusConfig
 from pneud.signals import ALL_SOURCES, Defect, Frame, Host, Measurement, Source
 
 NEVER_NS = 1 << 62  # the age of a source that has not been heard of yet

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from pneud.bus.codec import ROW, SOURCES, Codecs
 from pneud.bus.inbox import CORRUPT, FROZEN, NEVER_NS, Inbox, InboxState, Origin, OriginState
-from pneud.config.models import BusConfig
+from pneud.config.bus_tables import BusConfig
 from pneud.signals import EncoderStatus, Frame, Measurement, ValveState
 
 _POSITION, _STATUS, _AGE, _SECOND, _P1, _P2, _DIFFERENCE, _SUPPLY, _APPLIED, _STATE = range(len(ROW))

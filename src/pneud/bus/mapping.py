@@ -27,8 +27,9 @@ from pneud.bus.codec import (
 from pneud.bus.database import MessageSpec, Signal
 from pneud.bus.dbc_layout import Code, Guard, SignalField, bit_range, compile_functions, reader
 from pneud.bus.wire import CAN_EFF_FLAG
+from pneud.config.bus_tables import BusConfig
 from pneud.config.mapping import OWN, MessageConfig, SignalConfig, SignalsConfig
-from pneud.config.models import BusConfig, GasConfig
+from pneud.config.models import GasConfig
 from pneud.signals import EncoderStatus, ValveState
 
 SYNC_ID = 0x080  # CANopen's

@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
+from pneud.config.bus_tables import FramesConfig
 from pneud.config.conversions import COMPUTING_S, FRAME_BITS, STUFFING
-from pneud.config.models import Config, FramesConfig
+from pneud.config.models import Config
 from pneud.config.places import line_of
 from pneud.config.reading import AXIS, explain, parse, text_of
 from pneud.config.sections import ConfigError

@@ -8,10 +8,11 @@ from typing import Any
 from pneud.axis.standing import Expected
 from pneud.axis.state import AxisParameters, Gate
 from pneud.config import flow
+from pneud.config.bus_tables import BusConfig
 from pneud.config.detail import detail_of
 from pneud.config.learnt import adaptation_of, start_of
 from pneud.config.measured import edges_of, with_map
-from pneud.config.models import BusConfig, Config, ControlConfig, CylinderConfig, RealtimeConfig, ValveConfig
+from pneud.config.models import Config, ControlConfig, CylinderConfig, RealtimeConfig, ValveConfig
 from pneud.config.plant import FrictionConfig, PlantConfig, PlantValveConfig, PlantWiringConfig
 from pneud.control import model
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer

@@ -12,8 +12,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+from pneud.config.bus_tables import BusConfig
 from pneud.config.flow import RATINGS
-from pneud.config.models import BusConfig, Config
+from pneud.config.models import Config
 from pneud.config.protection import ProtectionConfig
 from pneud.rt.outputs import replacing
 

@@ -103,9 +103,7 @@ class Client:
         self._number += 1
         fields = {"v": VERSION, "id": self._number, "verb": verb, **self._axis, **fields}
         with contextlib.suppress(OSError):  # a refusal may lie there to be read
-            self._connection.sendall(
-                line({"v": VERSION, "id": self._number, "verb": verb, **self._axis, **fields})
-            )
+            self._connection.sendall(line(fields))
         return self._number
 
     def replies(self) -> list[dict[str, Any]]:

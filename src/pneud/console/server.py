@@ -13,11 +13,12 @@ import socket
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from pneud.console import handoff, protocol, together
 from pneud.console.beside import Beside, Then
-from pneud.console.lease import LEASE_S, Lease
+from pneud.console.connected import BOUNDS, ClientBounds, Connected, Job
+from pneud.console.lease import Lease
 from pneud.console.line_stream import MAX_LINE
 from pneud.console.orders import Desk, Orders
 from pneud.console.peer import GROUP, Peer, commanding_group, may_command, peer_of
@@ -34,76 +35,6 @@ _RENEWED = (RequestKind.JOG, RequestKind.PROBE)  # by the same again, which is n
 _CHUNK = 16 * 1024
 _ACCEPTS = 16  # new clients in a turn
 _QUIET_S = 1.0  # between two words for the log about the same client's mistakes
-
-
-class ClientBounds(NamedTuple):
-    """What clients may use up."""
-
-    clients: int = 32
-    rate_hz: float = 100.0  # requests a second of one client, when it has used up the burst
-    burst: float = 200.0
-    jobs: int = 64  # that wait for the loop
-    unsent_bytes: int = 256 * 1024
-    unsent_s: float = 5.0  # after which who does not read is dropped
-    silent_s: float = 1.0  # after which the loop counts as silent
-    look_s: float = 0.2  # that a status waits for a file; then it has what was read before
-    read_s: float = 3.0  # that a reload waits for a file
-    lease_s: float = LEASE_S
-
-
-BOUNDS = ClientBounds()
-
-
-class _Client:
-    def __init__(self, connection: socket.socket, peer: Peer, read_only: bool, now_s: float, burst: float):
-        self.connection = connection
-        self.peer = peer
-        self.read_only = read_only
-        self.received = bytearray()
-        self.unsent = bytearray()
-        self.tokens = burst
-        self.paced_s = self.active_s = self.sent_s = now_s
-        self.interest = selectors.EVENT_READ
-        self.ended = False  # sends what is left, then goes
-        self.mistakes = 0  # not yet in the log
-        self.quiet_until_s = 0.0
-
-    def next_line(self) -> bytes | None:
-        """The next line that is complete.
-
-        Raises:
-            ProtocolError: it is, or is going to be, too long.
-        """
-        end = self.received.find(b"\n", 0, MAX_LINE)
-        if end < 0:
-            if len(self.received) >= MAX_LINE:
-                raise ProtocolError(
-                    Error.TOO_LONG, f"a line has at most {MAX_LINE} bytes; the connection ends here"
-                )
-            return None
-        found = bytes(self.received[:end])
-        del self.received[: end + 1]
-        return found
-
-
-class _Job:
-    """A plan under way; its client may have gone (None) meanwhile."""
-
-    def __init__(
-        self,
-        client: _Client | None,
-        number: int | None,
-        plan: Orders,
-        label: str,
-        refused: Callable[[ProtocolError], None] | None = None,
-    ) -> None:
-        self.client = client
-        self.number = number
-        self.plan = plan
-        self.label = label
-        self.refused = refused
-        self.next = 0
-        self.ended = False  # its client has been told that it is not done
 
 
 class Server:
@@ -143,14 +74,14 @@ class Server:
         self._bounds = bounds
         self._clock = clock
         self._group = commanding_group()
-        self._clients: set[_Client] = set()
-        self._lease: Lease[_Client] = Lease(bounds.lease_s)
-        self._jobs: deque[_Job] = deque()
-        self._flight: tuple[int, _Job, float] | None = None  # number, whose, given up at
+        self._clients: set[Connected] = set()
+        self._lease: Lease[Connected] = Lease(bounds.lease_s)
+        self._jobs: deque[Job] = deque()
+        self._flight: tuple[int, Job, float] | None = None  # number, whose, given up at
         self._number = first
-        self._attending: dict[int, _Client] = {}  # to a motion of an axis that ends with him
+        self._attending: dict[int, Connected] = {}  # to a motion of an axis that ends with him
         self._files = files or Beside(self._read, clock)
-        self._unfinished: tuple[_Client | None, Orders] | None = None
+        self._unfinished: tuple[Connected | None, Orders] | None = None
         self._renewed: dict[int, str] = {}  # by axis
         self._order: dict[int, dict[str, Any]] = {}  # of motion of an axis, the last one that was taken
         self._selector = selectors.DefaultSelector()
@@ -208,7 +139,7 @@ class Server:
             refused(e)
             return
         if plan.requests:
-            self._jobs.append(_Job(None, None, plan, label, refused))
+            self._jobs.append(Job(None, None, plan, label, refused))
             return
         self._say(INFO, f"{label}: {plan.words}")
         if plan.done is not None:
@@ -241,7 +172,7 @@ class Server:
                 self._displace_one()
             now_s = self._clock()
             read_only = not may_command(peer, self._group)
-            client = _Client(connection, peer, read_only, now_s, self._bounds.burst)
+            client = Connected(connection, peer, read_only, now_s, self._bounds.burst)
             self._clients.add(client)
             self._selector.register(connection, client.interest, client)
 
@@ -251,7 +182,7 @@ class Server:
         self._send(idle, self._refusal(ProtocolError(Error.DISPLACED, "too many clients; yours was idle")))
         self._drop(idle)
 
-    def _drop(self, client: _Client) -> None:
+    def _drop(self, client: Connected) -> None:
         if client not in self._clients:
             return
         self._clients.discard(client)
@@ -270,7 +201,7 @@ class Server:
         for axis in [axis for axis, who in self._attending.items() if who is client]:
             self._unattended(axis, client.peer.label)
 
-    def _receive(self, client: _Client) -> None:
+    def _receive(self, client: Connected) -> None:
         try:
             data = client.connection.recv(_CHUNK)
         except BlockingIOError:
@@ -283,7 +214,7 @@ class Server:
             client.received += data
             client.active_s = self._clock()
 
-    def _serve(self, client: _Client, now_s: float) -> None:
+    def _serve(self, client: Connected, now_s: float) -> None:
         """Take the lines that have come, at the pace that is due to a client."""
         b = self._bounds
         client.tokens = min(b.burst, client.tokens + (now_s - client.paced_s) * b.rate_hz)
@@ -323,7 +254,7 @@ class Server:
                 self._selector.modify(client.connection, wanted, client)
             client.interest = wanted
 
-    def _send(self, client: _Client | None, data: bytes) -> None:
+    def _send(self, client: Connected | None, data: bytes) -> None:
         if client is None or client not in self._clients:
             return
         if not client.unsent:
@@ -334,7 +265,7 @@ class Server:
             client.ended = True
             client.unsent.clear()
 
-    def _flush(self, client: _Client) -> None:
+    def _flush(self, client: Connected) -> None:
         try:
             while client.unsent:
                 sent = client.connection.send(client.unsent)
@@ -346,7 +277,7 @@ class Server:
             client.ended = True
             client.unsent.clear()
 
-    def _refuse(self, client: _Client, error: ProtocolError, words: str = "") -> None:
+    def _refuse(self, client: Connected, error: ProtocolError, words: str = "") -> None:
         """Tell a client, and the log: commands one by one, mere mistakes once a second."""
         if words:
             self._say(WARNING, f"{client.peer.label}: {words} → {error.kind}")
@@ -359,7 +290,7 @@ class Server:
                 self._say(WARNING, f"{client.peer.label}: refused: {error.kind}: {error.message}")
         self._send(client, self._refusal(error))
 
-    def _report_mistakes(self, client: _Client) -> None:
+    def _report_mistakes(self, client: Connected) -> None:
         if client.mistakes:
             self._say(WARNING, f"{client.peer.label}: refused {client.mistakes} more")
             client.mistakes = 0
@@ -381,7 +312,7 @@ class Server:
 
     # requests
 
-    def _take(self, client: _Client, line: bytes) -> None:
+    def _take(self, client: Connected, line: bytes) -> None:
         try:
             message = protocol.parse(line)
         except ProtocolError as e:
@@ -403,7 +334,7 @@ class Server:
             case _:
                 self._read_first(message, lambda read: self._command(client, message, read))
 
-    def _one(self, client: _Client, message: protocol.Request) -> int | None:
+    def _one(self, client: Connected, message: protocol.Request) -> int | None:
         """The one axis that is meant; None where none is, which the client has been told."""
         try:
             return together.meant(self._desks, message)[0]
@@ -412,7 +343,7 @@ class Server:
             self._refuse(client, e)
             return None
 
-    def _tell_status(self, client: _Client, message: protocol.Request) -> None:
+    def _tell_status(self, client: Connected, message: protocol.Request) -> None:
         lease = self._lease_fields()
         if message.axis is not None or len(self._desks) == 1:
             if (axis := self._one(client, message)) is not None:
@@ -436,7 +367,7 @@ class Server:
         left_s = round(self._lease.left_s(now_s), 3)
         return {"uid": holder.peer.uid, "pid": holder.peer.pid, "left_s": left_s}
 
-    def _attach(self, client: _Client, axis: int, number: int) -> None:
+    def _attach(self, client: Connected, axis: int, number: int) -> None:
         """Reply with a descriptor, which goes with the first byte of the line."""
         try:
             fields, descriptor = self._desks[axis].attach()
@@ -470,7 +401,7 @@ class Server:
             )
         return together.plan(self._desks, message)
 
-    def _command(self, client: _Client, message: protocol.Request, read: bool) -> None:
+    def _command(self, client: Connected, message: protocol.Request, read: bool) -> None:
         if client not in self._clients:  # has gone meanwhile
             return
         number = message.id
@@ -502,7 +433,7 @@ class Server:
             e.number = number
             self._refuse(client, e, words)
             return
-        job = _Job(client, number, plan, client.peer.label)
+        job = Job(client, number, plan, client.peer.label)
         if plan.urgent:
             self._jobs.appendleft(job)
         else:
@@ -537,7 +468,7 @@ class Server:
 
         orders = Orders(f"undo {plan.words}", (plan.undo,), done=undone, axes=plan.axes)
         # before what the client has sent behind it
-        self._jobs.appendleft(_Job(None, None, orders, label, refused))
+        self._jobs.appendleft(Job(None, None, orders, label, refused))
 
     def _unattended(self, axis: int, label: str) -> None:
         """Have an axis hold: whose motion it was has gone."""
@@ -545,7 +476,7 @@ class Server:
         self._attending.pop(axis, None)
         self._renewed.pop(axis, None)
         hold = Orders("hold", (Request(RequestKind.HOLD),), axes=(axis,))
-        self._jobs.append(_Job(None, None, hold, why))
+        self._jobs.append(Job(None, None, hold, why))
 
     # the loop
 
@@ -592,16 +523,16 @@ class Server:
             error.axis = self._desks[axis].name if len(self._desks) > 1 else ""
             self._end(job, error)
 
-    def _give_up(self, job: _Job) -> None:
+    def _give_up(self, job: Job) -> None:
         self._flight = None
         self._forget(job)
         self._end(job, ProtocolError(Error.SILENT, "the loop does not answer; it may have been done or not"))
 
-    def _forget(self, job: _Job) -> None:
+    def _forget(self, job: Job) -> None:
         with contextlib.suppress(ValueError):
             self._jobs.remove(job)
 
-    def _done(self, job: _Job, outcome: handoff.RequestOutcome) -> None:
+    def _done(self, job: Job, outcome: handoff.RequestOutcome) -> None:
         more = job.plan.done() if job.plan.done is not None else {}
         kind = job.plan.requests[0].kind
         moves = kind in _MOTION or kind in _RENEWED
@@ -622,7 +553,7 @@ class Server:
         state = State(outcome.state).label
         self._send(job.client, self._reply(job.number, job.plan.axes, **more, state=state))
 
-    def _attend(self, axis: int, job: _Job, renewed: str) -> None:
+    def _attend(self, axis: int, job: Job, renewed: str) -> None:
         """See whether the motion that an axis has begun ends with a client."""
         self._renewed[axis] = renewed
         self._attending.pop(axis, None)
@@ -631,12 +562,12 @@ class Server:
         elif job.plan.attended:
             self._unattended(axis, job.label)
 
-    def _end(self, job: _Job, error: ProtocolError) -> None:
+    def _end(self, job: Job, error: ProtocolError) -> None:
         job.ended = True
         self._undo(job.plan, job.label)
         self._tell(job, error)
 
-    def _tell(self, job: _Job, error: ProtocolError) -> None:
+    def _tell(self, job: Job, error: ProtocolError) -> None:
         error.number = job.number
         self._say(WARNING, f"{job.label}: {self._of(job.plan)}{job.plan.words} → {error.kind}")
         self._send(job.client, self._refusal(error))
