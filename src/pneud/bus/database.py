@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import logging
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,7 +19,6 @@ from pneud.rt.folders import cache_folder
 from pure2c.cache import Cache
 
 _KEPT = 32  # databases that stay
-_SILENCE = logging.NullHandler()
 _OWN = Path(__file__).read_bytes()  # of what runs, whatever becomes of the file
 
 
@@ -74,11 +72,13 @@ def messages(dbc: bytes, *, keep: bool = False) -> list[MessageSpec]:
 
 
 def _parsed(dbc: bytes) -> list[MessageSpec]:
-    import cantools  # noqa: PLC0415 - slow to import, and needed by nothing but this
+    import logging  # noqa: PLC0415 - slow to import, and needed by nothing but this
+
+    import cantools  # noqa: PLC0415
     from cantools.database.can import Database  # noqa: PLC0415
 
     # what it warns of is nothing, or is said by whoever uses the message
-    logging.getLogger("cantools").addHandler(_SILENCE)
+    logging.getLogger("cantools").setLevel(logging.CRITICAL)
     text = io.TextIOWrapper(io.BytesIO(dbc), encoding=_encoding(dbc), errors="replace")
     database = cantools.database.load(text, database_format="dbc")
     assert isinstance(database, Database)
