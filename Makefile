@@ -28,7 +28,8 @@ install-service: $(if $(PNEUD),,$(RUNTIME)) ## the systemd units of the installe
 	@exec $(or $(PNEUD),$(BIN)/pneud) install-service $(if $(DESTDIR),--destdir '$(DESTDIR)') $(ARGS)
 
 # Each has tests that are neighbours, so that what those share is made once, until it takes some of the other's.
-WORKERS := -n 2 --dist worksteal
+# One worker more than there are processors: many tests wait for time to pass.
+WORKERS := -n $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1) --dist worksteal
 # Tests start many processes: each would compile all over again where the environment forbids to keep that.
 test ci-tests coverage lowest: export PYTHONDONTWRITEBYTECODE :=
 
