@@ -35,6 +35,7 @@ NOT_HERE = {
     r"pneud sim --compare.*": "minutes; tests/test_compare.py",
     r"pneud identify ((monday|last|bus)\.mcap.*|.*--against .*)": "ten seconds each; tests/test_identify.py",
     r"pneud report .* --reference .*": "bench takes minutes; tests/test_reporting.py",
+    r"pneud mqtt .*mqtts://.*": "a broker with TLS; tests/test_mqtt.py has one",
     r"pneud web .*--tls-cert .*": "a certificate; tests/test_web_page.py makes one",
     r"pneud map --bus socketcan:can0 .*": "a rig; tests/test_map.py listens on unixcan",
     r"candump .*|pneud .*socketcan:vcan0.*": "SocketCAN; tests/vm runs daemon and rig over vcan0",
@@ -62,7 +63,8 @@ GIVEN = {
     ],
 }
 GOES_ON = re.compile(
-    r"pneud (--virtual(?!.* --scenario)|--config|plant|web)\b(?!.* --duration)|python -m can\.logger"
+    r"pneud (--virtual(?!.* --scenario)|--config|plant|web|mqtt)\b(?!.* --duration)|python -m can\.logger"
+    r"|mosquitto "
 )
 MAY_END_WITH_1 = (  # the answer is no, and the page says so
     r"pneud (sim|--virtual) .*--scenario .*",
