@@ -62,6 +62,8 @@ GIVEN = {
         f"ln -s {ROOT}/configs .",
     ],
 }
+# Programs of others that a page has its reader start
+NEEDS = {"mqtt.md": ("mosquitto", "mosquitto_sub")}
 GOES_ON = re.compile(
     r"pneud (--virtual(?!.* --scenario)|--config|plant|web|mqtt)\b(?!.* --duration)|python -m can\.logger"
     r"|mosquitto "
@@ -105,7 +107,7 @@ def test_what_is_not_run_is_there() -> None:
     assert len(commands) > 100
     for pattern in (*NOT_HERE, *MAY_END_WITH_1, *RIG.values()):
         assert any(re.fullmatch(pattern, command) for command in commands), pattern
-    assert {*ELSEWHERE, *GIVEN, *RIG, *CHECKOUT} <= {named(page) for page in PAGES}
+    assert {*ELSEWHERE, *GIVEN, *RIG, *CHECKOUT, *NEEDS} <= {named(page) for page in PAGES}
 
 
 def lively() -> Iterator[Any]:
@@ -125,6 +127,8 @@ def lively() -> Iterator[Any]:
 def test_a_reader_can_do_what_a_page_says(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    if missing := [program for program in NEEDS.get(named(page), ()) if shutil.which(program) is None]:
+        pytest.skip(f"no {' and no '.join(missing)} here: apt install mosquitto mosquitto-clients")
     desk = Desk(tmp_path)
     refused = {words: times for (of, words), times in IS_REFUSED.items() if of == named(page)}
     names: dict[str, object] = {"__name__": "__main__"}
