@@ -136,11 +136,16 @@ class Bridge:
         ) as client:
             self._told = {}
             self._praise("broker", b.url)
+            gone = asyncio.create_task(_until_gone(client))
             try:
                 while not self._leave.is_set():
                     await self._look(client, online)
-                    await self._rest(self._every_s)
+                    await self._rest(self._every_s, gone)
+                    if gone.done():
+                        gone.result()
             finally:
+                gone.cancel()
+                await asyncio.gather(gone, return_exceptions=True)
                 # in order, so that the broker does not have to find out that nobody is there
                 with contextlib.suppress(aiomqtt.MqttError):
                     await self._tell(client, online, "false")
@@ -163,9 +168,11 @@ class Bridge:
             await client.publish(topic, payload, qos=1, retain=True)
             self._told[topic] = payload
 
-    async def _rest(self, longest_s: float) -> None:
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._leave.wait(), longest_s)
+    async def _rest(self, longest_s: float, *others: asyncio.Task[None]) -> None:
+        """Until it is time, or something happens."""
+        leaving = asyncio.create_task(self._leave.wait())
+        await asyncio.wait({leaving, *others}, timeout=longest_s, return_when=asyncio.FIRST_COMPLETED)
+        leaving.cancel()
 
     def _complain(self, about: str, words: str) -> None:
         """Say it once, as long as it stays so."""
@@ -176,6 +183,12 @@ class Bridge:
     def _praise(self, about: str, whom: str) -> None:
         if self._complaints.pop(about, None) is not None:
             print(f"pneud: {whom} is back", file=sys.stderr, flush=True)
+
+
+async def _until_gone(client: aiomqtt.Client) -> None:
+    """Raises MqttError when the broker has gone, though nothing was to be told; it has nothing to say."""
+    async for _ in client.messages:
+        pass
 
 
 def _words(e: aiomqtt.MqttError) -> str:
