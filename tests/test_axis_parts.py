@@ -10,6 +10,7 @@ import pytest
 from axis_rig import PERIOD_NS, loaded, ready, tracking
 from pneud.axis.cycle import CENTRED_COMMAND, actuate, put_away
 from pneud.axis.guidance import LOSES_REFERENCE, Course, guide, redirect
+from pneud.axis.mileage import Odometer
 from pneud.axis.requests import NOTHING, Asked
 from pneud.axis.sensing import Belief, Driven, believe, sense
 from pneud.axis.standing import Standing
@@ -325,7 +326,7 @@ def test_homing_asks_without_the_law(monkeypatch: pytest.MonkeyPatch) -> None:
     assert names(actuate(course, int(State.HOMING), m, belief, 0.0, state.law, P).faults) == ["not_finite"]
 
 
-DOUBT, STANDING = Doubt(encoder_share=0.1), Standing(turns=2)
+DOUBT, STANDING, ODOMETER = Doubt(encoder_share=0.1), Standing(turns=2), Odometer(heading=-1)
 
 
 def kept(state: AxisState, m: Measurement, after: State, **asked: Any) -> AxisState:
@@ -346,6 +347,7 @@ def kept(state: AxisState, m: Measurement, after: State, **asked: Any) -> AxisSt
         DOUBT,
         0.001,
         STANDING,
+        ODOMETER,
     )
 
 
@@ -359,6 +361,7 @@ def test_all_of_a_tick_is_remembered() -> None:
     assert (after.plan, after.controller, after.plan.phase) == (course.plan, course.controller, JOINING)
     assert (after.profile, after.reference, after.watch) == (state.profile, state.reference, state.watch)
     assert (after.doubt, after.outside_m, after.standing) == (DOUBT, 0.001, STANDING)
+    assert after.odometer == ODOMETER
 
 
 def test_an_axis_that_is_not_engaged_keeps_no_plan() -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +16,10 @@ import pytest
 from console_bench import Bench, bench
 from log_samples import tick_at
 from pneud import resources
+from pneud.log.live.ring import Kept, Since
+from pneud.rt.processes import children_of, counters_of
 from pneud.safety.faults import F
-from pneud.signals import Record, State, Timing
+from pneud.signals import Mileage, Record, State, Timing
 from pneud.web.metrics import families, text_of
 
 SHIPPED = resources.configs() / "monitoring"
@@ -35,6 +39,8 @@ def filled(b: Bench) -> dict[str, Any]:
         tick = tick_at(number)._replace(state=int(State.FAULT), latched=1 << F.TRAVEL)
         tick = tick._replace(command=tick.command._replace(saturated=1))
         b.ring.put(Record(tick, Timing(late_ns, 0, 0, 0, 250_000, 0), (), 0, (), 0.0))
+    b.ring.set_since(Since(Mileage(1), 1e9, Kept.KEPT))
+    b.ring.set_status(b.ring.status()._replace(pid=os.getpid()))
     for _ in range(2):
         b.watch.poll()
     return b.ask(b.connect(), "status")
@@ -129,6 +135,66 @@ def test_prometheus_takes_rules_and_metrics(status: dict[str, Any]) -> None:
     assert rules.returncode == 0, rules.stderr
     metrics = promtool("check", "metrics", text=text_of([status]))
     assert (metrics.returncode, metrics.stdout + metrics.stderr) == (0, "")
+
+
+def test_prometheus_takes_every_expression_of_the_dashboard(tmp_path: Path) -> None:
+    board = json.loads((SHIPPED / "dashboard.json").read_text())
+    asked = [target["expr"] for panel in board["panels"] for target in panel["targets"]]
+    plain = [e.replace("$__rate_interval", "1m").replace("$axis", ".*") for e in asked]
+    assert not any("$" in expression for expression in plain)
+    rules = [{"record": f"x{n}", "expr": expression} for n, expression in enumerate(plain)]
+    file = tmp_path / "dashboard.yml"
+    file.write_text(json.dumps({"groups": [{"name": "dashboard", "rules": rules}]}))
+    done = promtool("check", "rules", str(file))
+    assert done.returncode == 0, done.stderr
+
+
+def test_an_axis_says_what_it_has_done_and_every_process_what_it_has_used(tmp_path: Path) -> None:
+    with bench(tmp_path) as b:
+        b.ring.set_since(Since(Mileage(10, 2.0, 0.01, 30.0, 9.0), 1e9, Kept.KEPT))
+        b.ring.set_mileage(Mileage(5, 1.0, 0.02, 10.0, 4.0))
+        b.ring.set_status(b.ring.status()._replace(pid=os.getpid()))
+        found = samples(text_of([b.ask(b.connect(), "status")]))
+    axis = 'axis="virtual"'
+    assert found[f"pneud_strokes_total{{{axis}}}"] == 15.0
+    assert found[f"pneud_travel_meters_total{{{axis}}}"] == 3.0
+    assert found[f"pneud_air_cubic_meters_total{{{axis}}}"] == pytest.approx(0.03)
+    assert found[f"pneud_engaged_seconds_total{{{axis}}}"] == pytest.approx(40.0, abs=0.01)
+    assert found[f"pneud_hardest_stop_meters_per_second_squared{{{axis}}}"] == 9.0
+    assert found[f"pneud_mileage_kept{{{axis}}}"] == 1.0
+    own = [name for name in found if "pneud_process_" in name]
+    kinds = {name.partition("{")[0].removeprefix("pneud_process_") for name in own}
+    assert kinds == {"cpu_seconds_total", "waited_seconds_total", "context_switches_total",
+                     "page_faults_total", "resident_memory_bytes", "threads"}  # fmt: skip
+
+
+def test_a_process_is_counted_as_linux_counts_it() -> None:
+    before = counters_of(os.getpid(), "me")
+    assert before is not None
+    begun = os.times()
+    while os.times().user < begun.user + 0.03:
+        pass
+    now = counters_of(os.getpid())
+    assert now is not None
+    assert (before["name"], before["pid"]) == ("me", os.getpid())
+    assert now["threads"] >= threading.active_count()
+    assert now["user_s"] == pytest.approx(os.times().user, abs=0.02)
+    assert now["resident_bytes"] > 10_000_000
+    assert now["page_faults"]["minor"] > 0
+    assert counters_of(2**22 + 1) is None
+
+
+def test_odd_names_and_old_kernels_are_no_obstacle(tmp_path: Path) -> None:
+    folder = tmp_path / "7"
+    folder.mkdir()
+    numbers = " ".join(map(str, range(3, 52)))
+    (folder / "stat").write_text(f"7 (pneud-a) b (c) S {numbers}")
+    (folder / "status").write_text("voluntary_ctxt_switches:\t5\nnonvoluntary_ctxt_switches:\t6\n")
+    found = counters_of(7, proc=tmp_path)
+    assert found is not None
+    assert (found["name"], found["waited_s"]) == ("a) b (c", None)
+    assert found["switches"] == {"voluntary": 5, "involuntary": 6}
+    assert children_of(7, tmp_path) == []
 
 
 def test_alerts_come_when_they_should(tmp_path: Path) -> None:

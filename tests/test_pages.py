@@ -35,6 +35,7 @@ NOT_HERE = {
     r"pneud sim --compare.*": "minutes; tests/test_compare.py",
     r"pneud identify ((monday|last|bus)\.mcap.*|.*--against .*)": "ten seconds each; tests/test_identify.py",
     r"pneud report .* --reference .*": "bench takes minutes; tests/test_reporting.py",
+    r"pneud mqtt .*mqtts://.*": "a broker with TLS; tests/test_mqtt.py has one",
     r"pneud web .*--tls-cert .*": "a certificate; tests/test_web_page.py makes one",
     r"pneud map --bus socketcan:can0 .*": "a rig; tests/test_map.py listens on unixcan",
     r"candump .*|pneud .*socketcan:vcan0.*": "SocketCAN; tests/vm runs daemon and rig over vcan0",
@@ -61,8 +62,11 @@ GIVEN = {
         f"ln -s {ROOT}/configs .",
     ],
 }
+# Programs of others that a page has its reader start
+NEEDS = {"mqtt.md": ("mosquitto", "mosquitto_sub")}
 GOES_ON = re.compile(
-    r"pneud (--virtual(?!.* --scenario)|--config|plant|web)\b(?!.* --duration)|python -m can\.logger"
+    r"pneud (--virtual(?!.* --scenario)|--config|plant|web|mqtt)\b(?!.* --duration)|python -m can\.logger"
+    r"|mosquitto "
 )
 MAY_END_WITH_1 = (  # the answer is no, and the page says so
     r"pneud (sim|--virtual) .*--scenario .*",
@@ -103,7 +107,7 @@ def test_what_is_not_run_is_there() -> None:
     assert len(commands) > 100
     for pattern in (*NOT_HERE, *MAY_END_WITH_1, *RIG.values()):
         assert any(re.fullmatch(pattern, command) for command in commands), pattern
-    assert {*ELSEWHERE, *GIVEN, *RIG, *CHECKOUT} <= {named(page) for page in PAGES}
+    assert {*ELSEWHERE, *GIVEN, *RIG, *CHECKOUT, *NEEDS} <= {named(page) for page in PAGES}
 
 
 def lively() -> Iterator[Any]:
@@ -123,6 +127,8 @@ def lively() -> Iterator[Any]:
 def test_a_reader_can_do_what_a_page_says(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    if missing := [program for program in NEEDS.get(named(page), ()) if shutil.which(program) is None]:
+        pytest.skip(f"no {' and no '.join(missing)} here: apt install mosquitto mosquitto-clients")
     desk = Desk(tmp_path)
     refused = {words: times for (of, words), times in IS_REFUSED.items() if of == named(page)}
     names: dict[str, object] = {"__name__": "__main__"}

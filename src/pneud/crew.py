@@ -20,6 +20,7 @@ _PR_SET_PDEATHSIG = 1
 _LOOK_S = 0.005  # how often a child that is to end is looked at
 _REAP_S = 1.0  # longest that a killed process should take to go
 _LOW = 5  # niceness, as that of whoever looks on
+_NAME_LETTERS = 15  # that the kernel takes
 _LEAVE_S = 10.0  # patience with a program that has been asked to end
 
 Main = Callable[[], int | None]
@@ -44,6 +45,7 @@ def fork(
     keep: Iterable[int] = (),
     terminal: bool = False,
     orphaned: int | None = signal.SIGKILL,
+    name: str = "",
     known: tuple[type[Exception], ...] = (),
 ) -> int:
     """Run `main` in a child process that ends with it.
@@ -57,6 +59,7 @@ def fork(
         terminal: it needs standard input and output; else they are /dev/null.
         orphaned: the signal that it gets when its parent dies. None for a child that sees by itself when it
             is to go: it ignores SIGTERM, too.
+        name: what those who list processes see it as; that of its parent if empty.
         known: errors whose text is all that a person needs; others leave a traceback, but for what the
             machine refuses, which is one line.
 
@@ -73,6 +76,8 @@ def fork(
         return child
     status = 1
     try:
+        if name:
+            _call_itself(name)
         ignore_group_signals()
         if orphaned is not None:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -91,6 +96,12 @@ def fork(
             _flush()
         finally:
             os._exit(status)
+
+
+def _call_itself(name: str) -> None:
+    """Name this process, for those who list processes; pneud stands before it."""
+    with contextlib.suppress(OSError):  # a system may show no processes
+        Path("/proc/self/comm").write_text(f"pneud-{name}"[:_NAME_LETTERS])
 
 
 def _flush() -> None:

@@ -282,6 +282,16 @@ class Tick(NamedTuple):
         return state_name(self.state)
 
 
+class Mileage(NamedTuple):
+    """What an axis has done: what wears counts in it, and it only ever grows."""
+
+    strokes: int = 0  # times that the load has turned
+    travel_m: float = 0.0  # to and fro
+    air_m3: float = 0.0  # from the supply, by the model; as volume of the reference atmosphere (ANR)
+    engaged_s: float = 0.0
+    hardest_stop_m_s2: float = 0.0  # the greatest deceleration
+
+
 class Frame(NamedTuple):
     """A classic CAN frame on its way: kernel receive stamp, or the time of send() for a sent one."""
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from pneud.axis.doubt import listen
 from pneud.axis.guidance import NO_REFERENCE, Course, guide, redirect
+from pneud.axis.mileage import LOOK_NS, SETTLED_NS, Odometer, count
 from pneud.axis.requests import ARM, BLOCKED, HOME, NOTHING, PROBE, TAKEN, Asked, ask
 from pneud.axis.sensing import NAN, NO_ESTIMATE, Belief, Driven, drive, sense
 from pneud.axis.standing import AT_WORK, Standing, judge
@@ -21,7 +22,7 @@ from pneud.safety.faults import F
 from pneud.safety.output import emit
 from pneud.safety.supervisor import DISARMED, HOLDING, HOMING, PROBING, Supervisor, advance, is_engaged, trip
 from pneud.safety.watch import Watch, forget_position, remember
-from pneud.signals import Command, Estimate, Measurement, Reference, Request, RequestKind, Tick
+from pneud.signals import Command, Estimate, Measurement, Mileage, Reference, Request, RequestKind, Tick
 
 __all__ = ["FOLLOWING", "Axis", "AxisParameters", "AxisState"]
 
@@ -90,6 +91,13 @@ def cycle(
     if present & NOT_FINITE:
         driven = driven._replace(controller=None)  # it would remember
     standing = stand(state, after.state, belief.estimate, course.reference, driven.command, t_ns, p)
+    odometer = state.odometer
+    if t_ns - odometer.looked_ns >= LOOK_NS:
+        known = belief.controller is not None and not course.found
+        settled = belief.sampled_ns - belief.started_ns > SETTLED_NS
+        odometer = count(
+            odometer, t_ns, belief.estimate, m, known, settled, is_engaged(after.state), state.law
+        )
     tick = Tick(
         t_ns=t_ns,
         measurement=m,
@@ -105,7 +113,7 @@ def cycle(
         hunting=standing.hunting,
     )
     state = put_away(
-        state, t_ns, belief, watch, course, asked, law, after, driven, doubt, outside_m, standing
+        state, t_ns, belief, watch, course, asked, law, after, driven, doubt, outside_m, standing, odometer
     )
     return state, tick
 
@@ -176,6 +184,7 @@ def put_away(
     doubt: Doubt,
     outside_m: float,
     standing: Standing,
+    odometer: Odometer,
 ) -> AxisState:
     """All that has to be remembered of this tick.
 
@@ -192,6 +201,7 @@ def put_away(
         doubt: of readings.
         outside_m: where it lies outside, from `stops.outside`.
         standing: at its target.
+        odometer: what the axis has done.
     """
     plan, profile, reference = course.plan, state.profile, state.reference
     if plan.phase != NONE and not is_engaged(after.state):
@@ -224,6 +234,7 @@ def put_away(
         outside_m=outside_m,
         learnt=learnt_so_far(state),
         probe=course.probe,
+        odometer=odometer,
     )
 
 
@@ -257,6 +268,11 @@ class Axis:
     def plan(self) -> Plan:
         """What its reference is doing."""
         return self._state.plan
+
+    @property
+    def mileage(self) -> Mileage:
+        """What it has done in this run."""
+        return self._state.odometer.done
 
     def freeze(self) -> AxisState:
         """The whole state, to be logged or kept."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from pneud.axis.mileage import Odometer
 from pneud.axis.standing import AT_WORK, Expected, Standing
 from pneud.control.adaptation import Learnt
 from pneud.control.homing import NOWHERE, Homing, HomingParameters
@@ -89,6 +90,7 @@ class AxisState(NamedTuple):
     outside_m: float = INSIDE  # innermost position since it has been armed outside its travel
     learnt: Learnt = Learnt()  # up to the last tick, for a controller that starts anew
     probe: Probe = NO_PROBE
+    odometer: Odometer = Odometer()
 
     @property
     def phase(self) -> int:

@@ -72,7 +72,7 @@ def fork_keeper(channel: str, plans: Sequence[Plan], readiness: Readiness) -> in
         keeper = Keeper(channel, plans, readiness, crew.asked_to_leave(signal.SIGTERM))
         keeper.run()
 
-    return crew.fork(main, known=(LinkError, MissingLibraryError))
+    return crew.fork(main, name="nodes", known=(LinkError, MissingLibraryError))
 
 
 class Keeper:

@@ -11,11 +11,13 @@ from pneud.console.facts import RunFacts
 from pneud.console.handoff import RequestOutcome
 from pneud.console.memory import Memory
 from pneud.console.orders import Orders
+from pneud.console.processes import Processes
 from pneud.console.protocol import Error, ProtocolError
 from pneud.console.status_reply import StatusWatch, faults
 from pneud.console.tuning import Tuning
 from pneud.control.reference import Bounds, unhurried
 from pneud.log.live.ring import Ring
+from pneud.rt.processes import counters_of
 from pneud.safety.faults import CENTRES, STOPS, F
 from pneud.safety.supervisor import BLOCKS
 from pneud.signals import Answer, Request, RequestKind, State
@@ -35,12 +37,29 @@ _PLAIN = {verb: RequestKind[verb.upper()] for verb in ("clear", "hold", "home", 
 class AxisDesk:
     """The desk of one axis."""
 
-    def __init__(self, run: RunFacts, ring: Ring, watch: StatusWatch, memory: Memory | None = None) -> None:
+    def __init__(
+        self,
+        run: RunFacts,
+        ring: Ring,
+        watch: StatusWatch,
+        memory: Memory | None = None,
+        processes: Processes | None = None,
+    ) -> None:
+        """The desk of an axis that runs.
+
+        Args:
+            run: what runs.
+            ring: where its records are.
+            watch: follows them.
+            memory: what the console before has left.
+            processes: of the daemon; of several axes, the first one has them.
+        """
         self.name = run.config.name
         self._run = run
         self._ring = ring
         self._watch = watch
         self._memory = memory
+        self._processes = processes
         self._tuning = Tuning(run.config, run.path, run.text, memory, run.own)
 
     def read(self) -> None:
@@ -67,7 +86,14 @@ class AxisDesk:
             "log_bytes": recorder.file_bytes,
             "config": str(r.path),
             "config_changed": self._tuning.changed_on_disk(),
+            "processes": self._counters(recorder.pid),
         }
+
+    def _counters(self, recorder: int) -> list[dict[str, Any]]:
+        """What the daemon's processes have used of the machine, the axis's own recorder among them."""
+        found = [] if self._processes is None else self._processes.counters()
+        own = counters_of(recorder) if recorder else None
+        return [*found, own] if own is not None else found
 
     def _limits(self) -> dict[str, float]:
         """What may be asked for."""

@@ -55,7 +55,8 @@ def fork_shared(listener: socket.socket, loop: socket.socket, name: str, seats: 
         OSError: no more processes.
     """
     daemon, post = os.getpid(), Post(listener, loop, name, seats)
-    child = crew.fork(lambda: _Keeper(post, daemon).run(), keep=post.descriptors, orphaned=None)
+    main = _Keeper(post, daemon).run
+    child = crew.fork(main, keep=post.descriptors, orphaned=None, name="keeper")
     for end in (listener, loop, *(seat.words for seat in seats)):
         end.close()
     return child
@@ -103,13 +104,13 @@ class _Keeper:
                 os.kill(self._console, signal.SIGHUP)
 
     def _start(self) -> None:
-        keeper, post, place = os.getpid(), self._post, self._before
+        keeper, daemon, post, place = os.getpid(), self._daemon, self._post, self._before
 
         def console() -> None:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, _WAKE)
-            serve(post, keeper, place)
+            serve(post, daemon, keeper, place)
 
-        self._console = crew.fork(console, keep=post.descriptors, orphaned=None)
+        self._console = crew.fork(console, keep=post.descriptors, orphaned=None, name="console")
         self._before += 1
 
     def _watch(self) -> str:

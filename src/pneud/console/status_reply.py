@@ -12,6 +12,7 @@ from typing import Any
 from pneud.axis.state import learnt_so_far
 from pneud.control.adaptation import Learnt
 from pneud.log.live.amiss import Amiss
+from pneud.log.live.mileage import whole_life
 from pneud.log.live.ring import Ring
 from pneud.rt.histogram import Histogram
 from pneud.safety.cause import first_cause
@@ -54,6 +55,10 @@ class StatusWatch:
         if last is not None:
             self._say_of_the_log(last.tick.present & LOG_LOST)
 
+    def _mileage(self) -> dict[str, Any]:
+        """What the axis has done in its life."""
+        return whole_life(self._ring.mileage, self._ring.since())
+
     def _say_of_the_log(self, lost: int) -> None:
         """Tell the journal when the log is lost, and when it goes on: the recorder may be past telling."""
         came, went, self._log_lost = lost & ~self._log_lost, self._log_lost & ~lost, lost
@@ -87,6 +92,7 @@ class StatusWatch:
                 "lateness": _counts_us(self._lateness),
                 "sensor_to_command": _counts_us(self._latency),
             },
+            "mileage": self._mileage(),
         }
         last = self._reader.latest()
         if last is None:

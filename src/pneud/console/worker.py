@@ -74,7 +74,7 @@ def load() -> None:
     from pneud.console import commands, protocol, server, status_reply  # noqa: F401, PLC0415
 
 
-def serve(post: Post, keeper: int, place: int) -> None:
+def serve(post: Post, daemon: int, keeper: int, place: int) -> None:
     """Serve until the ring is closed or the loop is gone; SIGHUP takes gains and reference of the file."""
     reload = False
 
@@ -87,6 +87,7 @@ def serve(post: Post, keeper: int, place: int) -> None:
     # the keeper has loaded them, beside the loop's own start
     from pneud.console import protocol  # noqa: PLC0415
     from pneud.console.commands import AxisDesk  # noqa: PLC0415
+    from pneud.console.processes import Processes  # noqa: PLC0415
     from pneud.console.server import Server  # noqa: PLC0415
     from pneud.console.status_reply import StatusWatch  # noqa: PLC0415
 
@@ -95,8 +96,10 @@ def serve(post: Post, keeper: int, place: int) -> None:
 
     seats, ring = post.seats, post.ring
     watches = [StatusWatch(seat.ring, seat.run.config.bus.sync) for seat in seats]
+    processes = Processes(daemon, lambda: [seat.ring.status().pid for seat in seats])
     desks = [
-        AxisDesk(seat.run, seat.ring, watch, seat.memory) for seat, watch in zip(seats, watches, strict=True)
+        AxisDesk(seat.run, seat.ring, watch, seat.memory, processes if seat is seats[0] else None)
+        for seat, watch in zip(seats, watches, strict=True)
     ]
     first = place * _NUMBERS
     server = Server(post.listener, post.loop, desks, post.say, first=first, name=post.name)

@@ -19,7 +19,7 @@ from pneud.config.proof import Proof, digest, proven
 from pneud.config.sections import ConfigError
 from pneud.console import endpoint
 from pneud.loading import Loaded, Together, bus_name, listening_s, plans_of_nodes
-from pneud.log.files.naming import LogError, open_log
+from pneud.log.files.naming import LogError, mileage_file, open_log
 from pneud.scenario import verdict
 from pneud.scenario.files import load_all, load_scenario, place_of
 from pure2c import BuildError
@@ -59,6 +59,7 @@ class AxisReady(NamedTuple):
     log_file: Path
     descriptor: int  # of the log file
     unproven: bool  # it has to pass its movement test before it is armed
+    mileage: Path | None  # where it is kept what the axis has done
 
 
 class Ready(NamedTuple):
@@ -155,7 +156,8 @@ def _axis(o: RunOptions, axis: Loaded, channel: str, whose: str) -> AxisReady:
         check_library()
         plans_of_nodes(axis)
     lacks = lacks_proof(o, axis, channel, whose)
-    return AxisReady(axis, how, how.axis(p), *open_log(o.log, config.name), lacks)
+    mileage = mileage_file(o.log, config.name, airless=o.virtual or is_airless(channel))
+    return AxisReady(axis, how, how.axis(p), *open_log(o.log, config.name), lacks, mileage)
 
 
 def lacks_proof(o: RunOptions, axis: Loaded, channel: str, whose: str = "") -> bool:
@@ -168,11 +170,15 @@ def lacks_proof(o: RunOptions, axis: Loaded, channel: str, whose: str = "") -> b
     words = {Proof.FAILED: "failed", Proof.CHANGED: "was with another rig", Proof.MISSING: "is lacking"}[
         found
     ]
-    airless = found != Proof.FAILED and channel.startswith(("unixcan:", "socketcan:vcan"))
-    if o.unproven or airless:
+    if o.unproven or (found != Proof.FAILED and is_airless(channel)):
         print(f"pneud: {whose}the movement test {words}; pneud commission makes it", file=sys.stderr)
         return False
     return True
+
+
+def is_airless(channel: str) -> bool:
+    """Whether no rig with air can be on a bus."""
+    return channel.startswith(("unixcan:", "socketcan:vcan"))
 
 
 def _named(o: RunOptions) -> tuple[Scenario | None, Together, str]:

@@ -193,6 +193,7 @@ class Session:
             heard,
             _rotation(axis.ready, self.ready.options),
             axis.config.realtime.recorder_nice,
+            axis.ready.mileage,
         )
         ends.callback(axis.end_recorder)
 

@@ -134,7 +134,7 @@ class Lane:
         if self._truth is not None:
             self._truth_m = self._truth.get(self.turn.t_ns, sync_ns)
 
-    def record(self, sync: Frame, lateness_ns: int, set_ns: int, *, freeze: bool) -> None:
+    def record(self, sync: Frame, lateness_ns: int, set_ns: int, *, freeze: bool, report: bool) -> None:
         """Hand the tick over, after its command was sent.
 
         Args:
@@ -142,6 +142,7 @@ class Lane:
             lateness_ns: of the wake-up, after the first of the grid points that it missed.
             set_ns: when the set was complete or given up.
             freeze: hand the state over, too.
+            report: say what the axis has done so far.
         """
         turn, ring = self.turn, self.recorder.ring
         newest_ns, sent_ns, begun_ns = turn.newest_ns, turn.sent_ns, time.monotonic_ns()
@@ -157,9 +158,11 @@ class Lane:
         )
         record = turn.record(timing, sync, self._truth_m)
         ring.put(record)
-        if freeze:
+        if freeze or (self._shut and self._idle == 1):  # the last state tells what the run has come to
             short = len(turn.axis.state.profile) <= SNAPSHOT_PIECES
             ring.put_state(turn.t_ns, turn.freeze() if short else None)
+        if report:
+            ring.set_mileage(turn.axis.mileage)
         self._record_ns = time.monotonic_ns() - begun_ns
         if self._asked and self._console is not None:
             self._console.answer(turn.tick)

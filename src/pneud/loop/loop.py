@@ -143,8 +143,9 @@ class Loop:
         # record
         lateness_ns = late_ns + skipped * self._period_ns  # since the first of the grid points missed
         freeze = count % self._snapshot_ticks == self._snapshot_ticks - 1
+        report = self._ending or count % self._check_ticks == 0
         for lane in lanes:
-            lane.record(sync, lateness_ns, set_ns, freeze=freeze)
+            lane.record(sync, lateness_ns, set_ns, freeze=freeze, report=report)
         # account
         return self._account(t_ns, skipped)
 

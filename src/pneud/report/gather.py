@@ -19,6 +19,7 @@ from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LogReader
 from pneud.log.format.records import LoggedEvent
 from pneud.loop.tracking import AGAINST, Tracking
+from pneud.replay.mileage import done_by
 from pneud.replay.motions import Motion, Motions
 from pneud.report.closeup import Closeup
 from pneud.report.decimate import Envelope, Path, Points
@@ -30,7 +31,17 @@ from pneud.report.spans import Span, Spans
 from pneud.report.spread import Spread
 from pneud.report.stops import Seen, Stops, seen
 from pneud.safety.supervisor import is_engaged
-from pneud.signals import Answer, Reference, Request, RequestKind, State, Timing, error_m, true_error_m
+from pneud.signals import (
+    Answer,
+    Mileage,
+    Reference,
+    Request,
+    RequestKind,
+    State,
+    Timing,
+    error_m,
+    true_error_m,
+)
 
 EVENTS = 1000  # kept of the first ones, the rest is counted
 MARKS = 400
@@ -97,6 +108,7 @@ class LoggedRun(NamedTuple):
     health: Health
     readings: Readings
     learning: Learning
+    mileage: Mileage | None  # of the run, up to its last snapshot
     error_against: str
     tracking_mm: dict[str, Any]  # as in the summary of the run, like the next one
     command_v: dict[str, float] | None
@@ -160,6 +172,7 @@ class _Gatherer:
         self.timing = {name: Spread() for name in Timing._fields}
         self.tracking = Tracking(False)
         self.counted = Counted(-1, 0, 0, 0)
+        self.mileage: Mileage | None = None
         self.marks: list[RunMark] = []
         self.events: list[LoggedEvent] = []
         self.more_marks = self.more_events = 0
@@ -232,6 +245,7 @@ class _Gatherer:
             t_s = 1e-9 * state.log_time_ns - self.start_unix_s
             if window.begin_s <= t_s < window.end_s:
                 self.learning.add(t_s, state)
+                self.mileage = done_by(state) or self.mileage
 
     def _take(self, block: Block, t_s: NDArray[np.float64]) -> None:
         ticks = block.ticks

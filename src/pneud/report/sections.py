@@ -14,7 +14,9 @@ from pneud.config.conversions import controller_of
 from pneud.config.writing import noted
 from pneud.control.tunables import LAWS, names_of, tunables
 from pneud.log.format.schema import Level
+from pneud.log.live.mileage import fields_of, total
 from pneud.loop.tracking import over_in_words
+from pneud.replay.mileage import done_before
 from pneud.replay.motions import Motion
 from pneud.report.colours import colours_of
 from pneud.report.differences import OF_EACH_RUN, differences
@@ -26,6 +28,7 @@ from pneud.report.spread import Spread
 from pneud.report.stops import Seen
 from pneud.safety.faults import TABLE
 from pneud.signals import HUNTING_CURES, Timing, state_name
+from pneud.view import mileage
 
 Reference = Mapping[str, Any]  # the object that `pneud bench --json` prints
 
@@ -190,10 +193,25 @@ def summary(runs: Sequence[LoggedRun], names: Sequence[str]) -> str:
         ("command max [V]", [figure(run.command_v, "max", ".3f") for run in runs]),
         ("command mean step [V]", [figure(run.command_v, "mean_step", ".4f") for run in runs]),
         ("air [normal litres]", [f"{1e3 * sum(m.air_anr_m3 for m in run.motions):.2f}" for run in runs]),
+        ("done in the run", [_done(run) for run in runs]),
+        ("done in its life", [_done_ever(run) for run in runs]),
         ("wake-up lateness p50 / p99 / max [µs]", [_three(run, "lateness_ns") for run in runs]),
         ("sensor to command p50 / p99 / max [µs]", [_three(run, "latency_ns") for run in runs]),
     ]
     return compared(names, rows, "summary") if len(runs) > 1 else facts_list([(k, v) for k, (v,) in rows])
+
+
+def _done(run: LoggedRun) -> str:
+    """What wears, counted up to the last snapshot."""
+    return "–" if run.mileage is None else mileage.in_words(fields_of(run.mileage))
+
+
+def _done_ever(run: LoggedRun) -> str:
+    """The same with all runs before, where that is kept."""
+    before = done_before(run.log)
+    if before is None or run.mileage is None:
+        return "–"
+    return f"{mileage.in_words(fields_of(total(before[0], run.mileage)))}; since {before[1][:10]}"
 
 
 def _seconds_of(spans: Sequence[Span]) -> float:

@@ -86,7 +86,7 @@ def fork_plant(
             play.over()
 
     keep = play.descriptors if play is not None else ()
-    return crew.fork(main, keep=keep, known=(LinkError,))
+    return crew.fork(main, keep=keep, name="plant", known=(LinkError,))
 
 
 def answer(

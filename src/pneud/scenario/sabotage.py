@@ -92,7 +92,7 @@ def fork_saboteur(scenario: Scenario, orders: int, victims: Victims) -> int:
             for _, undo in undone:
                 _attempt(undo)
 
-    return crew.fork(main, keep=(orders,), orphaned=signal.SIGTERM)
+    return crew.fork(main, keep=(orders,), orphaned=signal.SIGTERM, name="saboteur")
 
 
 def act(fault: Any, victims: Victims) -> Undo | None:

@@ -7,6 +7,7 @@ import typer
 
 from pneud.console.client import Client
 from pneud.verbs import AxisOption, JsonOption, SocketOption
+from pneud.view import mileage
 from pneud.view.learnt import in_brief
 
 _SILENT_S = 0.5
@@ -73,6 +74,7 @@ def in_words(s: dict[str, Any]) -> list[str]:
             )
     lines.append(f"{s['ticks']} ticks at {s['rate_hz']:g} Hz, {s['skipped']} skipped{timing}")
     lines += _readings(s) + _learnt(s)
+    lines.append(f"done: {mileage.in_words(s['mileage'])}; {mileage.whence(s['mileage'])}")
     lease = s["lease"]
     lines.append(
         f"commanded by uid {lease['uid']} pid {lease['pid']} for {lease['left_s']:.1f} s more"

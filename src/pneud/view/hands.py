@@ -107,6 +107,11 @@ class Hands:
         return self._operator.status.get("learnt") if self._operator is not None else None
 
     @property
+    def mileage(self) -> Any:
+        """Likewise."""
+        return self._operator.status.get("mileage") if self._operator is not None else None
+
+    @property
     def others(self) -> str:
         """The other axes of the daemon, as the status has them; empty for none."""
         found = self._operator.status.get("others") or {} if self._operator is not None else {}

@@ -37,6 +37,7 @@ class ScreenInfo(NamedTuple):
     log_path: str
     sync: bool = True  # every source answers every SYNC
     learnt: Mapping[str, Mapping[str, Any]] | None = None  # as in the status, values by name
+    mileage: Mapping[str, Any] | None = None  # as in the status
     blocks_arm: int = 0  # bits of the faults that keep an axis from being armed
     first_cause: Callable[[Collection[str]], Cause | None] = _no_cause  # of faults by their names
     speed_m_s: float = math.nan  # the most that is allowed

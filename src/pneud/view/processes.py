@@ -46,7 +46,7 @@ class Screen:
             keep: descriptors that it needs.
         """
         self._keyboard = termios.tcgetattr(0) if sys.stdin is not None and sys.stdin.isatty() else None
-        self.pid = crew.fork(main, keep=keep, terminal=True, orphaned=signal.SIGTERM)
+        self.pid = crew.fork(main, keep=keep, terminal=True, orphaned=signal.SIGTERM, name="screen")
 
     def wait(self) -> None:
         """Wait until it has ended, and leave the terminal as it was whatever has become of it."""
@@ -133,4 +133,4 @@ def fork_viewers(
         viewers.serve(ring.reader().poll, header, parameters, listener, admission, lambda: ring.closed)
 
     with listener:
-        return crew.fork(main, keep=[listener.fileno()], orphaned=signal.SIGTERM)
+        return crew.fork(main, keep=[listener.fileno()], orphaned=signal.SIGTERM, name="viewers")

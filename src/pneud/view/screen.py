@@ -14,7 +14,7 @@ from rich.segment import Segment
 
 from pneud.rt.histogram import Histogram
 from pneud.signals import Answer, Hunting, Record, RequestKind, State
-from pneud.view import margins
+from pneud.view import margins, mileage
 from pneud.view.banner import Banner, Level, banner_of, faults_of
 from pneud.view.curves import curve_width, curves_of, draw
 from pneud.view.history import Event, History, shape
@@ -210,6 +210,9 @@ def _estimates(scene: _Scene, rows: Rows) -> None:
     ):
         rows.put(f"{label} ", DIM)
         rows.put(text + gap)
+    if (done := scene.snapshot.info.mileage) is not None and scene.short:
+        (_, strokes), (_, travel), *_ = mileage.in_brief(done)
+        _aside(rows, f"done {strokes} strokes, {travel}")
     if learnt is None:
         return
     rows.row("learnt")
@@ -261,6 +264,9 @@ def _loop(scene: _Scene, rows: Rows) -> None:
         ("dropped", "-" if dropped is None else f"{dropped:,}", bool(dropped)),
         *(("disk", disk, little), ("frames in", f"{h.received:,}", False)),
     )
+    if info.mileage is not None and not scene.short:
+        done = mileage.in_brief(info.mileage)
+        _counts(rows, look, "done", *((label, text, False) for label, text in done))
 
 
 def _lately(h: History) -> tuple[str, str, bool]:

@@ -83,6 +83,8 @@ class Show:
             self._disk.look(now_s, file_bytes)
         if (learnt := hands.learnt) is not None:
             self._info = self._info._replace(learnt=learnt)
+        if (mileage := hands.mileage) is not None:
+            self._info = self._info._replace(mileage=mileage)
         if (others := hands.others) != self._info.others:
             self._info = self._info._replace(others=others)
         keys = banner_of(history.last, self._info, history.silent_s).keys

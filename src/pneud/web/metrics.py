@@ -1,7 +1,7 @@
 """A status as metrics: Prometheus's text, which node exporter reads from files, and OpenMetrics.
 
 Units are those of SI, names as both have them; what a status does not know has no sample. Counters begin with
-the run, and again with the next one.
+the run, and again with the next one, but for what an axis does in its life.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -38,17 +38,7 @@ def families(status: Mapping[str, Any] | None) -> list[Family]:
     up = _gauge("up", "Whether a daemon answers", [({}, float(status is not None))])
     if status is None:
         return [up]
-    s = status
-    info = {"bus": str(s["bus"]), "version": __version__}
-    return [
-        up,
-        _gauge("info", "What runs", [(info, 1.0)]),
-        *_state(s),
-        *_load(s),
-        *_timing(s),
-        *_readings(s),
-        *_log(s),
-    ]
+    return [up, *chain.from_iterable(group(status) for group in GROUPS.values())]
 
 
 def text_of(statuses: Sequence[Mapping[str, Any]], openmetrics: bool = False) -> str:
@@ -82,7 +72,9 @@ def _head(name: str, family: Family, openmetrics: bool) -> list[str]:
     ]
 
 
-_UNITS = re.compile(r"_(seconds|meters|meters_per_second|pascals|volts|bytes|ratio)$")
+_UNITS = re.compile(
+    r"_(seconds|meters|meters_per_second|meters_per_second_squared|cubic_meters|pascals|volts|bytes|ratio)$"
+)
 
 
 def _labels(labels: Mapping[str, str]) -> str:
@@ -105,6 +97,10 @@ def _counter(name: str, words: str, samples: list[Sample]) -> Family:
 
 def _value(value: Any, factor: float = 1.0) -> list[Sample]:
     return [({}, math.nan if value is None else float(value) * factor)]
+
+
+def _info(s: Mapping[str, Any]) -> Iterator[Family]:
+    yield _gauge("info", "What runs", [({"bus": str(s["bus"]), "version": __version__}, 1.0)])
 
 
 def _state(s: Mapping[str, Any]) -> Iterator[Family]:
@@ -174,3 +170,64 @@ def _log(s: Mapping[str, Any]) -> Iterator[Family]:
         return
     yield _gauge("log_disk_free_bytes", "Left on the log's disk", _value(disk.f_bavail * disk.f_frsize))
     yield _gauge("log_disk_size_bytes", "Size of the log's disk", _value(disk.f_blocks * disk.f_frsize))
+
+
+def _mileage(s: Mapping[str, Any]) -> Iterator[Family]:
+    done = s["mileage"]
+    for name, key, factor, words in (
+        ("strokes", "strokes", 1.0, "Times that the load has turned, in the life of the axis"),
+        ("travel_meters", "travel_m", 1.0, "Way of the load to and fro, in the life of the axis"),
+        (
+            "air_cubic_meters",
+            "air_normal_l",
+            1e-3,
+            "Air from the supply as volume of the reference atmosphere, in the life of the axis",
+        ),
+        ("engaged_seconds", "engaged_h", 3600.0, "Time that the axis was engaged, in its life"),
+    ):
+        yield _counter(name, words, _value(done[key], factor))
+    name, words = "hardest_stop_meters_per_second_squared", "Greatest deceleration in the life of the axis"
+    yield _gauge(name, words, _value(done["hardest_stop_m_s2"]))
+    yield _gauge(
+        "mileage_kept",
+        "1 where that outlives the run",
+        _value(None if done["kept"] == "no" else done["kept"] == "kept"),
+    )
+
+
+def _processes(s: Mapping[str, Any]) -> Iterator[Family]:
+    each = [({"process": str(p["name"])}, p) for p in s["processes"]]
+    for name, keys, label, words in (
+        ("cpu_seconds", {"user": "user_s", "system": "system_s"}, "mode", "Time of a processor"),
+        ("waited_seconds", {"": "waited_s"}, "", "Time in which others had the processor"),
+    ):
+        samples = [
+            ({**of, **({label: value} if label else {})}, _value(p[key])[0][1])
+            for of, p in each
+            for value, key in keys.items()
+        ]
+        yield _counter(f"process_{name}", words, samples)
+    for name, key, words in (
+        ("context_switches", "switches", "Times that another one got the processor"),
+        ("page_faults", "page_faults", "Times that memory was not at hand"),
+    ):
+        samples = [({**of, "kind": kind}, float(n)) for of, p in each for kind, n in p[key].items()]
+        yield _counter(f"process_{name}", words, samples)
+    for name, key, words in (
+        ("resident_memory_bytes", "resident_bytes", "Memory"),
+        ("threads", "threads", "Threads"),
+    ):
+        yield _gauge(f"process_{name}", words, [(of, float(p[key])) for of, p in each])
+
+
+GROUPS: dict[str, Callable[[Mapping[str, Any]], Iterator[Family]]] = {
+    "info": _info,
+    "state": _state,
+    "load": _load,
+    "timing": _timing,
+    "readings": _readings,
+    "log": _log,
+    "mileage": _mileage,
+    "processes": _processes,
+}
+"""All metrics of a status, by what they are about."""

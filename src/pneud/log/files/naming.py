@@ -47,13 +47,38 @@ def log_path(option: str | None, name: str, now: float | None = None) -> Path:
     except OSError as e:
         raise LogError(f"{folder}: cannot be made: {e.strerror}; choose a folder with --log") from None
     stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(now))
-    stem = f"{re.sub(r'[^A-Za-z0-9._-]+', '-', name).strip('-.') or 'log'}-{stamp}"
+    stem = f"{_stem(name)}-{stamp}"
     path = folder / f"{stem}.mcap"
     count = 1
     while path.exists():
         count += 1
         path = folder / f"{stem}-{count}.mcap"
     return path
+
+
+def mileage_file(option: str | None, name: str, airless: bool) -> Path | None:
+    """Where it is kept what an axis has done: in the default folder of logs, wherever those are.
+
+    Args:
+        option: where the log goes, as for `log_path`.
+        name: of the axis.
+        airless: nothing wears: it counts apart from an axis of that name that has air, and not at all where
+            its log is sent elsewhere.
+
+    Returns:
+        The path; None where there is none.
+    """
+    if airless and option:
+        return None
+    try:
+        return log_folder(None) / f"{_stem(name)}{'.airless' if airless else ''}.mileage.json"
+    except LogError:
+        return None
+
+
+def _stem(name: str) -> str:
+    """An axis's name as names of files have it."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "log"
 
 
 def open_log(option: str | None, name: str, now: float | None = None) -> tuple[Path, int]:

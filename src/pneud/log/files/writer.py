@@ -71,6 +71,11 @@ class LogWriter:
         self._part = self._begin(descriptor)
 
     @property
+    def axis(self) -> str:
+        """Whose log it is."""
+        return self._header.name
+
+    @property
     def written(self) -> int:
         """Records that the file has taken."""
         return self._accepted - self._unsettled

@@ -7,6 +7,8 @@ from typing import Literal, NamedTuple
 
 SNAPSHOT_S = 2.0  # how often a log gets the state of the axis, so that a replay can begin there
 
+MILEAGE_BEFORE = "mileage_before"  # key of the set-up for what the axis had done before the run
+
 Detail = Literal["compact", "full"]
 
 

@@ -12,19 +12,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pneud import crew
-from pneud.log.format.header import LogHeader, Rotation
+from pneud.log.format.header import MILEAGE_BEFORE, LogHeader, Rotation
 from pneud.log.live.notes import Note, NotesListener
-from pneud.log.live.ring import RECORDER_FAILED, RecorderStatus, Ring, RingReader
+from pneud.log.live.ring import RECORDER_FAILED, Kept, RecorderStatus, Ring, RingReader
 from pneud.rt.inputs import read_whole
 from pneud.signals import Record
 
 if TYPE_CHECKING:
     from pneud.log.files.writer import LogWriter
+    from pneud.log.live.mileage import MileageFile
 
 _POLL_S = 0.04  # with an open chunk of 100 ms, a kill costs less than 0.2 s
 _LOOK_POLLS = 25  # how often the watched files are looked at
 NICE = 0  # a recorder that is starved loses records
-_ERROR = 4  # a `Level`; their module is heavy to load
+_WARNING, _ERROR = 3, 4  # `Level`s; their module is heavy to load
 
 
 def start_recorder(
@@ -35,6 +36,7 @@ def start_recorder(
     words: socket.socket | None = None,
     rotation: Rotation | None = None,
     nice: int = NICE,
+    mileage: Path | None = None,
 ) -> int:
     """Fork the recorder.
 
@@ -48,6 +50,7 @@ def start_recorder(
         words: the recorder's end of `notes.pair`; closed here.
         rotation: how the log is split and what is kept; None for one file.
         nice: its niceness.
+        mileage: a file for what the axis has done in its life; None to keep none.
 
     Returns:
         The child's process id; wait for it after `ring.set_closed()`.
@@ -65,14 +68,15 @@ def start_recorder(
             from pneud.log.files.writer import LogWriter  # noqa: PLC0415
 
             listener = NotesListener(words) if words is not None else None
-            return _Recorder(ring, LogWriter(descriptor, header, rotation), parent, files, listener).run()
+            writer = LogWriter(descriptor, header, rotation)
+            return _Recorder(ring, writer, parent, files, listener, mileage).run()
         except Exception:
             traceback.print_exc(file=sys.stderr)
             ring.set_status(ring.status()._replace(error=RECORDER_FAILED, failing=1))
             return 1
 
     keep = [descriptor] if words is None else [descriptor, words.fileno()]
-    child = crew.fork(main, keep=keep, orphaned=None)
+    child = crew.fork(main, keep=keep, orphaned=None, name="recorder")
     os.close(descriptor)
     if words is not None:
         words.close()
@@ -87,6 +91,7 @@ class _Recorder:
         parent: int,
         files: tuple[Path, ...],
         listener: NotesListener | None,
+        mileage: Path | None,
     ) -> None:
         self._ring = ring
         self._reader: RingReader = ring.reader()
@@ -99,6 +104,12 @@ class _Recorder:
         self._last_ns = -1  # t_ns of the record written last
         self._files = {path: _content(path) for path in files}
         self._changed = False
+        self._mileage: MileageFile | None = None
+        if mileage is not None:
+            from pneud.log.live.mileage import MileageFile  # noqa: PLC0415 - behind the loop's own start
+
+            self._mileage = MileageFile(mileage, writer.axis, self._warn)
+            ring.set_since(self._mileage.since)
 
     def run(self) -> int:
         self._report()
@@ -109,10 +120,12 @@ class _Recorder:
                 self._listener = None
                 self._say_that_the_console_is_gone()
             self._writer.attend()
+            self._count()
             self._report()
             time.sleep(_POLL_S)
         self._take(self._reader.drain())
         self._listen()
+        self._count(ended=True)
         complete = self._writer.close()
         self._report(finished=complete)
         status = self._ring.status()
@@ -122,7 +135,7 @@ class _Recorder:
         if not self._noted:
             notes = self._ring.notes()
             if notes is not None:
-                self._writer.note(notes)
+                self._writer.note({**notes, **self._before()})
                 self._noted = True
         # Where records were dropped, it was before the first of these, but for rare cases.
         missed = self._reader.dropped - self._dropped
@@ -136,6 +149,28 @@ class _Recorder:
             self._last_ns = record.tick.t_ns
             if self._last_ns in states:
                 self._writer.snapshot(states[self._last_ns])
+
+    def _count(self, *, ended: bool = False) -> None:
+        """Keep what the axis has done, and tell the others what it had done before."""
+        if self._mileage is None:
+            return
+        before = self._mileage.since
+        if ended:
+            self._mileage.close(self._ring.mileage)
+        else:
+            self._mileage.attend(self._ring.mileage)
+        if self._mileage.since != before:
+            self._ring.set_since(self._mileage.since)
+
+    def _before(self) -> dict[str, str]:
+        """What the axis had done before, for the log."""
+        if self._mileage is None or self._mileage.since.kept != Kept.KEPT:
+            return {}
+        return {MILEAGE_BEFORE: self._mileage.in_json()}
+
+    def _warn(self, words: str) -> None:
+        self._writer.say(Note(time.monotonic_ns(), _WARNING, "mileage", words))
+        print(f"pneud: {words}", file=sys.stderr, flush=True)
 
     def _listen(self) -> None:
         if self._listener is not None:
@@ -168,6 +203,7 @@ class _Recorder:
                 int(finished),
                 w.file_bytes,
                 int(self._changed),
+                os.getpid(),
             )
         )
 

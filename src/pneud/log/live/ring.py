@@ -20,23 +20,29 @@ import pickle
 import struct
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from enum import IntEnum
 from typing import Any, NamedTuple, TypeVar
 
 from pneud.log.format.record_layout import NUMBERS
 from pneud.log.live.packing import REFUSALS, Pack, Skimmed, packed, skimmed, unpacked
-from pneud.signals import Frame, Record, Tick
+from pneud.signals import Frame, Mileage, Record, Tick
 
 # 64-bit words of the head of the mapping; the loop's, the console's and the recorder's lie in different cache
 # lines.
 _HEAD, _NUMBER, _CLOSED, _NEWEST = 0, 1, 2, 3
 _CONSOLE, _CONSOLES_GONE = 8, 9
 _HEARTBEAT = 16
-_NOTES_LENGTH = 32
-_NOTES_BYTE = 33 * 8
-_HEAD_BYTES = 16_384
+_MILEAGE = 32  # of the run, by the loop
+_BEFORE = 40  # of the runs before it, by the recorder
+_NOTES_LENGTH = 64
+_NOTES_BYTE = 65 * 8
+_HEAD_BYTES = 20_480
 _PREFIX = struct.Struct("QQII")  # sequence, record (0 for a state), part, parts
 _LEAST_BYTES = 128  # of a slot
+
+_COUNTERS = struct.Struct(f"={len(Mileage._fields)}d")
+_SINCE = struct.Struct(f"={len(Mileage._fields)}ddq")
 
 RECORDER_FAILED = -1
 CONSOLE_GONE = 1  # the console's last word, as old as any
@@ -58,6 +64,7 @@ class RecorderStatus(NamedTuple):
     finished: int  # 1 once the file is complete
     file_bytes: int
     config_changed: int = 0  # 1 where a file that the run began with is no longer as it was
+    pid: int = 0  # its process id; 0 before it runs
 
     @property
     def lost(self) -> int:
@@ -71,6 +78,28 @@ class RecorderStatus(NamedTuple):
             return ""
         words = {RECORDER_FAILED: "the recorder failed", errno.ENOENT: "its file or folder was removed"}
         return words.get(self.error) or os.strerror(self.error)
+
+
+class Since(NamedTuple):
+    """What an axis has done before a run."""
+
+    before: Mileage
+    since_s: float  # Unix time from which on it was counted; 0 as long as nobody has said so
+    kept: int  # a `Kept`
+
+
+class Kept(IntEnum):
+    """Whether what an axis does outlives its run."""
+
+    NO = 0  # there is no place for it, or nobody has looked yet
+    KEPT = 1
+    ELSEWHERE = 2  # another daemon keeps an axis of that name
+    FAILING = 3  # the disk does not take it
+
+    @property
+    def label(self) -> str:
+        """As a status has it."""
+        return self.name.lower()
 
 
 class Ring:
@@ -145,7 +174,15 @@ class Ring:
     @staticmethod
     def layout() -> str:
         """A name of what lies where; only rings with the same one can read each other."""
-        what = (_HEAD_BYTES, _PREFIX.format, NUMBERS, Tick._fields, Record._fields, Frame._fields)
+        what = (
+            _HEAD_BYTES,
+            _PREFIX.format,
+            NUMBERS,
+            Tick._fields,
+            Record._fields,
+            Frame._fields,
+            Mileage._fields,
+        )
         return hashlib.sha256(f"{sys.implementation.cache_tag} {what}".encode()).hexdigest()[:16]
 
     def put(self, record: Record) -> None:
@@ -267,6 +304,24 @@ class Ring:
         notes: dict[str, str] = json.loads(self._memory[_NOTES_BYTE : _NOTES_BYTE + length])
         return notes
 
+    def set_mileage(self, done: Mileage) -> None:
+        """For the loop: say what the axis has done in this run. All of it grows, so none is ever torn."""
+        _COUNTERS.pack_into(self._memory, _MILEAGE * 8, *done)
+
+    def set_since(self, since: Since) -> None:
+        """For the recorder: say what it had done before."""
+        _SINCE.pack_into(self._memory, _BEFORE * 8, *since.before, since.since_s, since.kept)
+
+    def since(self) -> Since:
+        """What it had done before; nothing where that is not known, or not yet."""
+        *before, since_s, kept = _SINCE.unpack_from(self._memory, _BEFORE * 8)
+        return Since(_mileage(before), since_s, kept)
+
+    @property
+    def mileage(self) -> Mileage:
+        """What it has done in this run, as of half a second ago at most."""
+        return _mileage(_COUNTERS.unpack_from(self._memory, _MILEAGE * 8))
+
     def set_status(self, status: RecorderStatus) -> None:
         """For the recorder: say how it is."""
         for index, value in enumerate(status):
@@ -302,6 +357,11 @@ class Ring:
                 return None
             data += rest[3]
         return number, parts, data
+
+
+def _mileage(numbers: Sequence[float]) -> Mileage:
+    strokes, *rest = numbers
+    return Mileage(int(strokes), *rest)
 
 
 class RingReader:
