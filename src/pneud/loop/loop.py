@@ -136,7 +136,7 @@ class Loop:
             link.reopen()
         for lane in lanes:
             turn = lane.turn
-            turn.decide(skipped, lane.host(t_ns, host), lane.request)
+            turn.decide(skipped, lane.host(t_ns, host), lane.request, lane.told)
             lane.decided_ns = clock()
             turn.sent(link.send(turn.command_id, turn.command(index + 1, count)))
             lane.done_ns = clock()
