@@ -37,6 +37,11 @@ class Loaded(NamedTuple):
     codecs: Codecs
 
     @property
+    def part(self) -> Part:
+        """As it is among others."""
+        return Part(self.config, self.text, self.path)
+
+    @property
     def proof_file(self) -> Path:
         """The file beside which it is kept that the movement test was passed."""
         return proof_file(self.path, self.config.name)

@@ -40,7 +40,7 @@ def axes_of(file: str | Path) -> tuple[Part, ...]:
     """
     folder = Path(file)
     if not folder.is_dir():
-        return _paired(_named(tuple(_parts(*text_of(file))), str(file)))
+        return parts_of(*text_of(file))
     files = sorted(folder.glob("*.toml"))
     if not files:
         raise ConfigError(f"{file}: a folder without a configuration; one .toml for each axis")
@@ -63,6 +63,15 @@ def one_of(parts: Sequence[Part], axis: str | None, name: str) -> Part:
     if axis is None:
         raise ConfigError(f"{name}: has several axes ({found}); choose one, with --axis")
     raise ConfigError(f"--axis {axis}: {name} has no such axis; it has {found}")
+
+
+def parts_of(text: str, path: Path) -> tuple[Part, ...]:
+    """The axes of a file's text, as `axes_of`.
+
+    Raises:
+        ConfigError: one cannot be used, or two have one name.
+    """
+    return _paired(_named(tuple(_parts(text, path)), str(path)))
 
 
 def name_of(file: str | Path, parts: Sequence[Part]) -> str:

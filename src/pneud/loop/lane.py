@@ -136,13 +136,16 @@ class Lane:
         if self._truth is not None:
             self._truth_m = self._truth.get(self.turn.t_ns, sync_ns)
 
-    def record(self, sync: Frame, lateness_ns: int, set_ns: int, *, freeze: bool, report: bool) -> None:
+    def record(
+        self, sync: Frame, lateness_ns: int, set_ns: int, called_ns: int, *, freeze: bool, report: bool
+    ) -> None:
         """Hand the tick over, after its command was sent.
 
         Args:
             sync: as it was sent.
             lateness_ns: of the wake-up, after the first of the grid points that it missed.
             set_ns: when the set was complete or given up.
+            called_ns: when it was the axis's turn: then, or when the command of the one before had been sent.
             freeze: hand the state over, too.
             report: say what the axis has done so far.
         """
@@ -153,7 +156,7 @@ class Lane:
         timing = Timing(
             lateness_ns,
             set_ns - turn.t_ns,
-            self.decided_ns - set_ns,
+            self.decided_ns - called_ns,
             self.done_ns - self.decided_ns,
             sent_ns - newest_ns if newest_ns and sent_ns > 0 else -1,
             self._record_ns,
