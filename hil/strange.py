@@ -238,10 +238,12 @@ def course(left: Run) -> Course:
     fields = ("reference.position_m", "reference.velocity_m_s", "measurement.position_m", "command.voltage_v")
     reals: dict[str, list[Floats]] = {name: [] for name in fields}
     whole: dict[str, list[NDArray[Any]]] = {
-        n: [] for n in ("t_ns", "state", "latched", "measurement.encoder_offset_ns", "measurement.fresh")
+        n: [] for n in ("t_ns", "state", "measurement.encoder_offset_ns", "measurement.fresh")
     }
-    gotos, count = [], 0
+    gotos, count, bits = [], 0, 0
     for block in blocks(read_log(left.log)):
+        for first, words in block.faults("latched"):
+            bits |= int(np.bitwise_or.reduce(words, initial=0)) << first
         for name, parts in reals.items():
             parts.append(block.real(name))
         for name, many in whole.items():
@@ -253,12 +255,11 @@ def course(left: Run) -> Course:
         ]
         count += len(block.number)
     target, speed, x, u = (np.concatenate(reals[name]) for name in fields)
-    t_ns, state, latched, offset_ns, fresh = (np.concatenate(many) for many in whole.values())
+    t_ns, state, offset_ns, fresh = (np.concatenate(many) for many in whole.values())
     x = np.where(fresh & Source.ENCODER, x, math.nan)
     if left.truth.exists():
         at, true = np.fromfile(left.truth).reshape(-1, 2).T
         x = np.interp((t_ns + offset_ns) - at[0], at - at[0], true)
-    bits = int(np.bitwise_or.reduce(latched, initial=0))
     return Course(1e-9 * (t_ns - t_ns[0]), state, 1e3 * target, 1e3 * speed, 1e3 * x, u, bits, gotos)
 
 

@@ -33,6 +33,7 @@ from pneud.signals import (
     State,
     Tick,
     Timing,
+    Told,
 )
 from pure2c import load_source
 
@@ -133,7 +134,7 @@ def write_log(path: Path, records: list[Record], detail: Detail = "full", per_ch
 _floats = st.floats(width=64)
 _ns = st.integers(-(2**61), 2**62)
 _word = st.integers(0, 2**32 - 1)
-_mask = st.integers(0, 2**64 - 1)
+_mask = st.one_of(st.integers(0, 2**63 - 1), st.integers(0, 2**126 - 1))
 _t = st.integers(0, 2**61)
 
 
@@ -167,6 +168,7 @@ _ticks = st.builds(
     st.sampled_from(Answer).map(int),
     st.integers(0, 1),
     st.sampled_from(Hunting).map(int),
+    st.none() | _filled(Told),
 )
 
 

@@ -62,7 +62,7 @@ def test_what_stands_above_holds_for_all_and_an_axis_has_its_own() -> None:
 def test_the_text_of_an_axis_is_that_of_one_axis() -> None:
     for number, axis in enumerate(load_axes("two-axes.toml")):
         assert parse(axis.text, "x") == axis.config
-        assert own_text(axis.config.name, number, 2, TEXT) == axis.text
+        assert own_text(axis.config.name, number, 2, {}, TEXT) == axis.text
 
 
 def test_a_command_waits_for_the_answers_of_all_and_the_commands_before_it() -> None:
@@ -141,7 +141,7 @@ def test_check_says_what_the_bus_carries(file: Path) -> None:
 def test_what_a_file_says_of_a_running_axis_is_taken_by_its_name(file: Path) -> None:
     file.write_text(TEXT)
     _, y = load_axes(file)
-    own = partial(own_text, "y", 1, 2)
+    own = partial(own_text, "y", 1, 2, {})
     tuning = Tuning(y.config, y.path, y.text, None, own)
     tuning.read()
     assert not tuning.changed_on_disk()

@@ -32,7 +32,9 @@ def check(block: columns.Block, ticks: list[LoggedTick]) -> None:
         assert block.number[i] == tick.number
         assert block.log_time_ns[i] == tick.log_time_ns
         assert requests.get(i) == tick.request or same(repr(requests.get(i)), repr(tick.request))
-        for name in block.ticks.dtype.names or ():
+        for name in ("present", "latched"):
+            assert sum(int(words[i]) << first for first, words in block.faults(name)) == getattr(tick, name)
+        for name in set(block.ticks.dtype.names or ()) - {"present", "latched"}:
             group, _, field = name.rpartition(".")
             value = getattr(getattr(tick, group) if group else tick, field)
             assert same(block.ticks[name][i].item(), value), name

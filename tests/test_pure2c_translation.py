@@ -196,6 +196,28 @@ def both_of_one_name(x: float) -> float:
 NUMBERS = ((0,), (1,), (5,), (7,), (-1,), (62,), (63,), (64,), (-(1 << 63),))
 
 
+WIDE = 1 << 70 | 5
+WIDE_MASKS = {1: WIDE, 5: 4, 7: ~(1 << 90)}
+
+
+def masked(n: int) -> int:
+    return n & WIDE | (n & ~WIDE) * 2
+
+
+def with_a_bit_beyond(n: int) -> int:
+    if n > 60:
+        n |= WIDE
+    return n
+
+
+def masked_by_a_table(n: int) -> bool:
+    return n in WIDE_MASKS and not n & WIDE_MASKS[n]
+
+
+def perhaps_shifted_far(n: int) -> int:
+    return (n > 60) << 70
+
+
 def turned(p: Pair, n: int) -> Pair:
     """Changes its own record, never the caller's."""
     while n > 0:
@@ -223,6 +245,10 @@ SAME: dict[Callable[..., Any], tuple[tuple[Any, ...], ...]] = {
     both: ((0, 2), (3, 4)),
     shifted: NUMBERS,
     negated: NUMBERS,
+    masked: NUMBERS,
+    with_a_bit_beyond: NUMBERS,
+    masked_by_a_table: NUMBERS,
+    perhaps_shifted_far: NUMBERS,
     first_and_last: ((START,), (LOOSE,), (LONG,), (WRONG,)),
     summed: ((START,), (LOOSE,), (LONG,), (WRONG,), (Chain(0.0, [Pair(1.0, 2.0)]),)),  # type: ignore[arg-type]
     walked: ((START,), (LOOSE,), (LONG,), (WRONG,)),

@@ -187,18 +187,23 @@ def test_a_fault_has_its_moment_and_its_stop(lost: LoggedRun) -> None:
     assert 'class="closeup"' in text
 
 
-def test_how_far_a_load_goes_on_behind_a_fault() -> None:
+@pytest.mark.parametrize("bit", [21, 70])
+def test_how_far_a_load_goes_on_behind_a_fault(bit: int) -> None:
     stops = Stops(load_config("virtual.toml"))
     t = np.arange(0.0, 6.0, 1e-3)
     x = 0.1 + np.where(t < 1.0, 0.2 * t, 0.2 + np.where(t < 1.2, 0.2 * (t - 1.0), 0.04))
     ticks = np.zeros(len(t), dtype=[("latched", "u8"), ("state", "u4")])
     ticks["state"] = np.where(t < 1.0, State.TRACKING, State.STOPPING)
-    ticks["latched"][t >= 1.0] = 1 << 21
+    beyond = np.zeros(len(t), dtype=np.uint64)
+    words = beyond if bit >= 63 else ticks["latched"]
+    words[t >= 1.0] = 1 << bit % 63
     for part in np.array_split(np.arange(len(t)), 7):
-        stops.add(cast(Block, SimpleNamespace(ticks=ticks[part])), t[part], x[part])
+        more = {"latched_more": beyond[part]} if bit >= 63 else {}
+        none: Any = ()
+        stops.add(Block(part, part, ticks[part], none, none, none, none, more), t[part], x[part])
     (stop,) = stops.finish()
     assert stop.t_s == 1.0
-    assert stop.latched == 1 << 21
+    assert stop.latched == 1 << bit
     assert stop.speed_m_s == pytest.approx(0.2)
     assert stop.time_s == pytest.approx(0.2, abs=0.01)
     assert stop.distance_m == pytest.approx(0.04, abs=1e-3)

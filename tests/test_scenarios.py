@@ -44,6 +44,8 @@ FROM_WITHIN = {
     "operator_lost": "takes an operator who jogs and goes away: the tests of the console have one",
     "homing_failed": "takes an operator who homes: the tests of the axis have one",
     "unproven": "takes a bus on which air can be: a test of commissioning has it",
+    "skew": "takes two axes that carry one load: their tests have them",
+    "led_beyond": "takes an axis that follows another: their tests have them",
     "disk_full": "takes a file system of its own: the campaign has a case for it",
 }
 

@@ -37,6 +37,11 @@ class Loaded(NamedTuple):
     codecs: Codecs
 
     @property
+    def part(self) -> Part:
+        """As it is among others."""
+        return Part(self.config, self.text, self.path)
+
+    @property
     def proof_file(self) -> Path:
         """The file beside which it is kept that the movement test was passed."""
         return proof_file(self.path, self.config.name)
@@ -85,6 +90,10 @@ def load_axes(
     axes = Together(_loaded(part, rate_hz, change) for part in parts)
     axes.name = name_of(config_file, parts)
     why = why_not_together([(axis.config, axis.codecs) for axis in axes]) if len(axes) > 1 else ""
+    if any(axis.config.reference.follow is not None for axis in axes):
+        from pneud.config.following import why_not_led  # noqa: PLC0415 - for a few files only
+
+        why = why or why_not_led([axis.config for axis in axes])
     if why:
         raise ConfigError(f"{config_file}: {why}")
     return axes

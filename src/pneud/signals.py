@@ -255,6 +255,18 @@ class Command(NamedTuple):
     ustar: float  # u* of (19)
 
 
+class Told(NamedTuple):
+    """What another axis of the same daemon came to in its last tick; in its own stroke coordinate."""
+
+    t_ns: int  # the instant that all of it belongs to
+    position_m: float  # of its reference, NaN where it has none
+    velocity_m_s: float
+    acceleration_m_s2: float
+    jerk_m_s3: float
+    measured_m: float  # its estimates
+    measured_m_s: float
+
+
 class Tick(NamedTuple):
     """Everything one cycle read and decided."""
 
@@ -270,6 +282,7 @@ class Tick(NamedTuple):
     answer: int = 0  # an `Answer`: what became of the request
     in_position: int = 0  # 1 where the load has come to rest at the end of the reference
     hunting: int = 0  # a `Hunting`: why it does not
+    told: Told | None = None  # by another axis, to one that is led by it
 
     @property
     def error_m(self) -> float:

@@ -46,7 +46,14 @@ static inline long within_(long index, long count) {
   return 0;
 }
 
+/* Bits of an integer that a mask has, of which those beyond C's integers are cut off. */
+static inline long masked_(long a, long mask) {
+  if (a < 0) failed_ = 1;
+  return a & mask;
+}
+
 static inline long shifted_(long a, long b) {
+  if (0 <= b && a == 0) return 0;
   if (0 <= b && b < 63 && labs(a) <= LONG_MAX >> b) return a * (1L << b);
   failed_ = 1;
   return 0;

@@ -23,7 +23,7 @@ from types import NoneType
 from typing import Any, TypeGuard, get_type_hints
 
 from pure2c.arithmetic import binary, builtin
-from pure2c.types import PLAIN, Many, Maybe, TranslationError, Type, Typed, fields_of, plain
+from pure2c.types import MOST, PLAIN, Many, Maybe, TranslationError, Type, Typed, fields_of, is_whole, plain
 
 _HELPERS = Path(__file__).with_name("helpers.h")
 _PLACE = re.compile(r"(\w+|\(\*\w+\))(\.\w+)*")  # C that stands for a variable or a part of one
@@ -134,7 +134,7 @@ class Translator:
             )
         if t is float and isinstance(value, int):
             value = float(value)  # a float's place may hold an integer
-        if isinstance(value, int) and -(1 << 63) < value < 1 << 63:
+        if isinstance(value, int) and is_whole(value):
             return f"{int(value)}L"
         if not isinstance(value, float):
             raise TranslationError(f"{value!r} has no counterpart in C")
@@ -399,6 +399,10 @@ class _Function:
                 return Typed(f"({'-' if isinstance(op, ast.USub) else '+'}{inner.code})", inner.type)
             case ast.UnaryOp(op=ast.Not(), operand=operand):
                 return Typed(f"(!{self._truth(operand)})", int)
+            case ast.BinOp(left=left, op=ast.BitAnd() | ast.BitOr() as op, right=right) if (
+                masked := self._with_mask(left, op, right)
+            ) is not None:
+                return masked
             case ast.BinOp(left=left, op=op, right=right):
                 return self._done(binary(self._number(left), op, self._number(right)), node)
             case ast.BoolOp(op=op, values=values):
@@ -436,6 +440,34 @@ class _Function:
             pick = f"{name} : {chosen.code}" if isinstance(op, ast.Or) else f"{chosen.code} : {name}"
             chosen = Typed(f"({{ const {c} {name} = {one.code}; {name} ? {pick}; }})", one.type)
         return chosen
+
+    def _with_mask(self, left: ast.expr, op: ast.operator, right: ast.expr) -> Typed | None:
+        """An integer's bits and those of a constant that C has not all of; None where it has.
+
+        What C holds is not negative, or is left to Python: it has none of the bits that are cut off.
+        """
+        for node, other in ((right, left), (left, right)):
+            mask = self._constant(node)
+            if isinstance(mask, int) and not is_whole(mask):
+                if isinstance(op, ast.BitOr):
+                    return Typed("((void)(failed_ = 1), 0L)", int)
+                return Typed(f"masked_({self._number(other).code}, {mask & MOST}L)", int)
+            table = self._table(node)
+            if table is not None and not all(is_whole(value) for value in table.values()):
+                cut = {key: value & MOST for key, value in table.items()}
+                if isinstance(op, ast.BitOr) or not isinstance(node, ast.Subscript):
+                    raise self._fail(node)
+                code = self._looked_up(cut, self._expr(node.slice)).code
+                return Typed(f"masked_({self._number(other).code}, {code})", int)
+        return None
+
+    def _table(self, node: ast.expr) -> dict[Any, int] | None:
+        """The constant dictionary of integers that an element is asked of."""
+        if not isinstance(node, ast.Subscript) or not isinstance(node.value, ast.Name):
+            return None
+        found = self._globals.get(node.value.id)
+        whole = isinstance(found, dict) and all(isinstance(value, int) for value in found.values())
+        return found if whole else None
 
     def _done(self, found: Typed | None, node: ast.expr) -> Typed:
         """What has been found; it has to be something."""

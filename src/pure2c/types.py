@@ -27,6 +27,9 @@ class Many:
 PLAIN = {float: "double", int: "long", object: "struct _object *"}
 """What is no structure in C."""
 
+MOST = (1 << 63) - 1
+"""The greatest integer in C; all bits of those that are not negative."""
+
 
 class BuildError(Exception):
     """There is no compiled version; the text is one line for a person."""
@@ -43,6 +46,11 @@ class Typed(NamedTuple):
 
     code: str
     type: Type
+
+
+def is_whole(value: int) -> bool:
+    """Whether an integer can be written as one in C."""
+    return -MOST <= value <= MOST
 
 
 def fields_of(t: Type) -> list[tuple[str, Type]]:

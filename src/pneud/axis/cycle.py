@@ -15,6 +15,7 @@ from pneud.axis.standing import AT_WORK, Standing, judge
 from pneud.axis.state import INSIDE, AxisParameters, AxisState, Doubt, configured, learnt_so_far, switched_on
 from pneud.axis.stops import UNHELD, excused, gentle, outside
 from pneud.control import homing, probe
+from pneud.control.leading import NOT_LED, aim
 from pneud.control.plan import FOLLOWING, IDLE, NONE, Plan
 from pneud.control.step import Controller, forget
 from pneud.safety import checks
@@ -22,7 +23,17 @@ from pneud.safety.faults import F
 from pneud.safety.output import emit
 from pneud.safety.supervisor import DISARMED, HOLDING, HOMING, PROBING, Supervisor, advance, is_engaged, trip
 from pneud.safety.watch import Watch, forget_position, remember
-from pneud.signals import Command, Estimate, Measurement, Mileage, Reference, Request, RequestKind, Tick
+from pneud.signals import (
+    Command,
+    Estimate,
+    Measurement,
+    Mileage,
+    Reference,
+    Request,
+    RequestKind,
+    Tick,
+    Told,
+)
 
 __all__ = ["FOLLOWING", "Axis", "AxisParameters", "AxisState"]
 
@@ -31,7 +42,12 @@ CENTRED_COMMAND = Command(voltage_v=0.0, enable=0, saturated=0, law_v=NAN, s=NAN
 
 
 def cycle(
-    state: AxisState, m: Measurement, request: Request | None, t_ns: int, p: AxisParameters
+    state: AxisState,
+    m: Measurement,
+    request: Request | None,
+    t_ns: int,
+    p: AxisParameters,
+    told: Told | None,
 ) -> tuple[AxisState, Tick]:
     """One tick: the state after it, and what it came to.
 
@@ -41,6 +57,7 @@ def cycle(
         request: at most one request of the operator.
         t_ns: instant of this tick's SYNC.
         p: parameters.
+        told: by the axis that leads this one, or is beside it; None where there is none.
     """
     before = state.supervisor
     if p.homing.incremental:
@@ -53,7 +70,7 @@ def cycle(
     watch, lasted = remember(state.watch, seen, lasting & UNHELD if spared else lasting, m.t_ns, p.limits)
     present -= present & spared
     present |= lasted | doubtful | checks.of_host(m.host)
-    course = guide(state, belief, m, present, p)
+    course = guide(state, belief, m, present, p, told)
     if course.found:
         watch = forget_position(watch)
     asked = NOTHING
@@ -90,7 +107,8 @@ def cycle(
         present |= SATURATED
     if present & NOT_FINITE:
         driven = driven._replace(controller=None)  # it would remember
-    standing = stand(state, after.state, belief.estimate, course.reference, driven.command, t_ns, p)
+    reference = aim(course.reference, course.led, p.leading)
+    standing = stand(state, after.state, belief.estimate, reference, driven.command, t_ns, p)
     odometer = state.odometer
     if t_ns - odometer.looked_ns >= LOOK_NS:
         known = belief.controller is not None and not course.found
@@ -103,7 +121,7 @@ def cycle(
         measurement=m,
         request=request,
         estimate=belief.estimate,
-        reference=course.reference,
+        reference=reference,
         command=driven.command,
         state=after.state,
         present=present,
@@ -111,6 +129,7 @@ def cycle(
         answer=asked.answer,
         in_position=standing.in_position,
         hunting=standing.hunting,
+        told=told,
     )
     state = put_away(
         state, t_ns, belief, watch, course, asked, law, after, driven, doubt, outside_m, standing, odometer
@@ -168,7 +187,8 @@ def actuate(
         command = Command(out.voltage_v, out.enable, out.saturated, law_v, 0.0, 0.0)
         return Driven(course.controller, command, out.faults)
     assert course.controller is not None
-    return drive(course.controller, e, course.reference, last_v, dt, law, p.output)
+    reference = aim(course.reference, course.led, p.leading)
+    return drive(course.controller, e, reference, last_v, dt, law, p.output)
 
 
 def put_away(
@@ -235,6 +255,7 @@ def put_away(
         learnt=learnt_so_far(state),
         probe=course.probe,
         odometer=odometer,
+        led=course.led if is_engaged(after.state) else NOT_LED,
     )
 
 
@@ -282,7 +303,7 @@ class Axis:
         """Go on from a frozen state."""
         self.state = state
 
-    def cycle(self, m: Measurement, request: Request | None, t_ns: int) -> Tick:
+    def cycle(self, m: Measurement, request: Request | None, t_ns: int, told: Told | None = None) -> Tick:
         """One tick.
 
         An exception in it centres the valve, latches the fault `internal` and is kept in `failure`.
@@ -291,9 +312,10 @@ class Axis:
             m: the newest measurement.
             request: at most one request of the operator.
             t_ns: instant of this tick's SYNC.
+            told: by the axis that leads this one, or is beside it.
         """
         try:
-            self._state, tick = self._cycle(self._state, m, request, t_ns, self.parameters)
+            self._state, tick = self._cycle(self._state, m, request, t_ns, self.parameters, told)
             return tick
         except Exception as e:
             if self.failure is None:
@@ -307,6 +329,7 @@ class Axis:
                 plan=IDLE,
                 last_v=0.0,
                 limited=0,
+                led=NOT_LED,
                 learnt=learnt_so_far(self.state),
             )
             return Tick(
@@ -320,4 +343,5 @@ class Axis:
                 present=bits,
                 latched=after.latched,
                 answer=0 if kind == 0 else TAKEN if kind == RequestKind.SHUTDOWN else BLOCKED,
+                told=told,
             )

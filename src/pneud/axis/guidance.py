@@ -7,15 +7,16 @@ from typing import NamedTuple
 from pneud.axis.requests import Asked
 from pneud.axis.sensing import NAN, Belief
 from pneud.axis.state import AxisParameters, AxisState, configured, learnt_so_far
-from pneud.control import homing, probe
+from pneud.control import homing, leading, probe
 from pneud.control.homing import Homing
-from pneud.control.plan import IDLE, Plan, follow, halting, resting
+from pneud.control.leading import GANTRY, Led, aim, anew, shifted, skew_m
+from pneud.control.plan import IDLE, LED, Plan, follow, halting, resting
 from pneud.control.probe import Probe
 from pneud.control.reference import rest
 from pneud.control.step import ControllerState, change, join, resume
 from pneud.safety.faults import F
 from pneud.safety.supervisor import HOLDING, HOMING, PROBING, STOPPING, is_engaged
-from pneud.signals import Measurement, Reference
+from pneud.signals import Measurement, Reference, Told
 
 # an encoder that was silent, wrong or jumped may have lost count
 LOSES_REFERENCE = sum(
@@ -24,6 +25,7 @@ LOSES_REFERENCE = sum(
 )
 # plain numbers: to get at a member of an enumeration takes longer than most of what is done with it
 TRAVEL, TRACKING_ERROR, OPERATOR_LOST = 1 << F.TRAVEL, 1 << F.TRACKING_ERROR, 1 << F.OPERATOR_LOST
+SKEW, LED_BEYOND = 1 << F.SKEW, 1 << F.LED_BEYOND
 NO_REFERENCE = Reference(NAN, NAN, NAN, NAN)
 
 
@@ -40,9 +42,18 @@ class Course(NamedTuple):
     controller: ControllerState | None
     present: int  # bits of the faults that hold now
     probe: Probe
+    led: Led  # by another axis
+    unled: bool  # which it was, and is no longer
 
 
-def guide(state: AxisState, belief: Belief, m: Measurement, present: int, p: AxisParameters) -> Course:
+def guide(
+    state: AxisState,
+    belief: Belief,
+    m: Measurement,
+    present: int,
+    p: AxisParameters,
+    told: Told | None = None,
+) -> Course:
     """Go on as the ticks before have set it.
 
     Args:
@@ -51,10 +62,16 @@ def guide(state: AxisState, belief: Belief, m: Measurement, present: int, p: Axi
         m: the measurement.
         present: bits of the faults that it shows.
         p: parameters.
+        told: by another axis.
     """
     law, limits, e, before = state.law, p.limits, belief.estimate, state.supervisor.state
     plan, reference, at_rest, way, found = state.plan, NO_REFERENCE, False, state.homing, False
     controller, zero_m, referenced, probed = belief.controller, state.zero_m, state.referenced, state.probe
+    led, unled, skew = state.led, False, NAN
+    if p.leading.how >= GANTRY:
+        skew = skew_m(told, e.position_m, belief.sampled_ns, p.leading)
+        if abs(skew) > p.leading.skew_m:
+            present |= SKEW
     if p.homing.incremental and (not referenced or before == HOMING):
         present &= ~TRAVEL  # the stop lies beyond it
     if before == HOMING:
@@ -70,15 +87,39 @@ def guide(state: AxisState, belief: Belief, m: Measurement, present: int, p: Axi
         present |= (probed.lease < 0) << F.OPERATOR_LOST
         probed, at_rest = probe.proceed(probed, e, m, belief.sampled_ns, law.h, law.cylinder, law.gas)
     elif is_engaged(before):
-        plan, reference, at_rest = follow(plan, belief.sampled_ns, configured(state, p), state.profile)
-        error_m = reference.position_m - e.position_m
+        if plan.phase == LED:
+            guided = leading.follow(
+                led, plan.path, plan.since_ns, told, belief.sampled_ns, p.transfer, p.leading
+            )
+            led, reference, unled = guided.led, guided.reference, guided.lost
+            at_rest = guided.at_rest and before == STOPPING  # there is no end to it else
+            if guided.beyond:
+                present |= LED_BEYOND
+        else:
+            plan, reference, at_rest = follow(plan, belief.sampled_ns, configured(state, p), state.profile)
+        if p.leading.how >= GANTRY:
+            led = shifted(led, reference, skew, belief.sampled_ns, p.leading)
+        error_m = aim(reference, led, p.leading).position_m - e.position_m
         if controller is not None and not abs(error_m) <= limits.tracking_error_m:
             present |= TRACKING_ERROR
         if plan.jog_m_s != 0.0:
             plan = plan._replace(lease=plan.lease - 1 - m.skipped)
     if present & LOSES_REFERENCE:
         referenced = False
-    return Course(plan, reference, at_rest, way, found, zero_m, referenced, controller, present, probed)
+    return Course(
+        plan,
+        reference,
+        at_rest,
+        way,
+        found,
+        zero_m,
+        referenced,
+        controller,
+        present,
+        probed,
+        led,
+        unled,
+    )
 
 
 def redirect(
@@ -102,9 +143,12 @@ def redirect(
     if after == PROBING:
         asked_for = course.probe if asked.probe is None else asked.probe
         return course._replace(probe=asked_for, reference=rest(e.position_m))
+    led = course.led
     if asked.plan is not None:
         plan = asked.plan
-    elif asked.law is None and after == before and plan.lease >= 0:
+        if plan.phase == LED:
+            led = anew(led, p.leading)
+    elif asked.law is None and after == before and plan.lease >= 0 and not course.unled:
         return course  # nothing changes it
     lost = plan.lease < 0
     if lost:
@@ -115,13 +159,19 @@ def redirect(
         plan, reference, _ = follow(plan, now_ns, configured(state, p), state.profile)
     elif after == HOLDING and before != HOLDING:
         plan = resting(reference.position_m, now_ns)
-    elif lost or (after == STOPPING and before != STOPPING):
+    elif lost or course.unled or (after == STOPPING and before != STOPPING and not _is_carried(plan, p)):
         plan = halting(plan, reference, now_ns, p.motion, p.limits.travel_min_m, p.limits.travel_max_m)
+    goal = aim(reference, led, p.leading)
     if before == HOMING or not is_engaged(before):
-        controller = join(controller, e, reference, state.law)
+        controller = join(controller, e, goal, state.law)
     if asked.law is not None:
-        controller = change(controller, e, reference, state.law, asked.law)
-    return course._replace(plan=plan, reference=reference, controller=controller, present=present)
+        controller = change(controller, e, goal, state.law, asked.law)
+    return course._replace(plan=plan, reference=reference, controller=controller, present=present, led=led)
+
+
+def _is_carried(plan: Plan, p: AxisParameters) -> bool:
+    """Whether the other half of a gantry brings the load to rest, too: apart from it would be askew."""
+    return plan.phase == LED and p.leading.how == GANTRY
 
 
 def _homewards(course: Course, before: int, belief: Belief, p: AxisParameters) -> Course:

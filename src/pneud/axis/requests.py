@@ -13,8 +13,9 @@ from typing import NamedTuple
 from pneud.axis.state import AxisParameters
 from pneud.axis.stops import soft_limits, way_inside
 from pneud.control import model
+from pneud.control.leading import GANTRY, POSITION, REFERENCE
 from pneud.control.model import Model
-from pneud.control.plan import COMING_TO_REST, FOLLOWING, GOING, JOINING, Plan, halting, resting
+from pneud.control.plan import COMING_TO_REST, FOLLOWING, GOING, JOINING, LED, Plan, halting, resting
 from pneud.control.probe import Probe, is_allowed
 from pneud.control.profile import (
     LONGEST_S,
@@ -39,6 +40,7 @@ from pneud.control.reference import (
     sine,
     stays,
     still,
+    stop,
     transfer,
     unhurried,
     way,
@@ -59,6 +61,7 @@ HOLD, GOTO, JOG = int(RequestKind.HOLD), int(RequestKind.GOTO), int(RequestKind.
 HOME, PROBE, RESTART = int(RequestKind.HOME), int(RequestKind.PROBE), int(RequestKind.RESTART)
 CENTRE = int(RequestKind.CENTRE)
 TRACK, PIECE, GAINS = int(RequestKind.TRACK), int(RequestKind.PIECE), int(RequestKind.GAINS)
+STEERING = (HOLD, GOTO, JOG, TRACK)
 STEERED = (int(State.TRACKING), int(State.MOVING), int(State.HOLDING))  # may be asked to go elsewhere
 
 CONFIGURED, UPLOADED = 0.0, 1.0  # what TRACK asks for
@@ -158,7 +161,11 @@ def ask(
     if kind in (DISARM, STOP, CENTRE):
         if not is_engaged(s.state):
             return Asked(WRONG_STATE)
+        if p.leading.how == GANTRY and kind == STOP:
+            return Asked(TAKEN)  # the other half stops, and carries it
         return Asked(TAKEN, DISARM if p.stop_centres and kind == STOP else kind)
+    if p.leading.how == GANTRY and kind in STEERING:
+        return Asked(WRONG_STATE if kind != HOLD else TAKEN)  # the other half is asked, and carries it
     if kind == GAINS:
         return _tune(values, plan, now, now_ns, law, p)
     if kind == PIECE:
@@ -191,6 +198,8 @@ def _arm(
         alone = present & BLOCKS_ARM == UNREFERENCED
         return Asked(NOT_REFERENCED if alone else BLOCKED)
     here = rest(e.position_m)
+    if p.leading.how == GANTRY or (track and p.leading.how in (REFERENCE, POSITION)):
+        return Asked(TAKEN, TRACK, Plan(LED, now_ns, still(e.position_m)))
     if not track:
         return Asked(TAKEN, ARM, resting(e.position_m, now_ns))
     first = sine(0.0, configured)
@@ -332,6 +341,9 @@ def _track(
         return Asked(MALFORMED)
     if what == UPLOADED and not ends_at_rest(profile):
         return Asked(NO_PROFILE)
+    if what == CONFIGURED and p.leading.how in (REFERENCE, POSITION):
+        path = stop(now, p.motion, p.limits.travel_min_m, p.limits.travel_max_m)
+        return Asked(TAKEN, TRACK, Plan(LED, now_ns, path))
     first = at(0.0, profile[0]) if what == UPLOADED else sine(0.0, configured)
     joining = _join(first, now, now_ns, p)
     if joining is None:

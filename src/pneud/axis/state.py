@@ -8,6 +8,7 @@ from pneud.axis.mileage import Odometer
 from pneud.axis.standing import AT_WORK, Expected, Standing
 from pneud.control.adaptation import Learnt
 from pneud.control.homing import NOWHERE, Homing, HomingParameters
+from pneud.control.leading import NOT_LED, Leading, Led
 from pneud.control.plan import IDLE, Plan
 from pneud.control.probe import NO_PROBE, Probe
 from pneud.control.profile import Profile
@@ -64,6 +65,7 @@ class AxisParameters(NamedTuple):
     join_at_once: bool  # start on the reference without a transfer
     learnt: Learnt = Learnt()  # in an earlier run: where adaptation starts
     shunned: Shunned = Shunned()  # speeds at which no short way to a position peaks
+    leading: Leading = Leading()  # by another axis
 
 
 class AxisState(NamedTuple):
@@ -91,6 +93,7 @@ class AxisState(NamedTuple):
     learnt: Learnt = Learnt()  # up to the last tick, for a controller that starts anew
     probe: Probe = NO_PROBE
     odometer: Odometer = Odometer()
+    led: Led = NOT_LED  # by another axis
 
     @property
     def phase(self) -> int:

@@ -40,12 +40,12 @@ def axes_of(file: str | Path) -> tuple[Part, ...]:
     """
     folder = Path(file)
     if not folder.is_dir():
-        return _named(tuple(_parts(*text_of(file))), str(file))
+        return parts_of(*text_of(file))
     files = sorted(folder.glob("*.toml"))
     if not files:
         raise ConfigError(f"{file}: a folder without a configuration; one .toml for each axis")
     parts = tuple(part for one in files for part in _parts(*text_of(one)))
-    return _named(tuple(_delayed(part, n, len(parts)) for n, part in enumerate(parts)), str(file))
+    return _paired(_named(tuple(_delayed(part, n, len(parts)) for n, part in enumerate(parts)), str(file)))
 
 
 def one_of(parts: Sequence[Part], axis: str | None, name: str) -> Part:
@@ -63,6 +63,15 @@ def one_of(parts: Sequence[Part], axis: str | None, name: str) -> Part:
     if axis is None:
         raise ConfigError(f"{name}: has several axes ({found}); choose one, with --axis")
     raise ConfigError(f"--axis {axis}: {name} has no such axis; it has {found}")
+
+
+def parts_of(text: str, path: Path) -> tuple[Part, ...]:
+    """The axes of a file's text, as `axes_of`.
+
+    Raises:
+        ConfigError: one cannot be used, or two have one name.
+    """
+    return _paired(_named(tuple(_parts(text, path)), str(path)))
 
 
 def name_of(file: str | Path, parts: Sequence[Part]) -> str:
@@ -83,20 +92,59 @@ def proof_file(path: Path, axis: str) -> Path:
     return path.with_name(f"{path.stem}.{axis}{path.suffix}") if several else path
 
 
-def own_text(axis: str, number: int, axes: int, text: str) -> str:
+def own_text(axis: str, number: int, axes: int, others: dict[str, Any], text: str) -> str:
     """What a file says of one of the axes of a run, as `Part.text`.
 
     Args:
         axis: its name.
         number: its place among them, from 0.
         axes: how many there are.
+        others: tables that it has from another one, as `mirrored`.
         text: of the file, which may have several.
 
     Raises:
         ConfigError: the file cannot be used, or has no such axis.
     """
     part = one_of(tuple(_parts(text, Path("the file"))), axis, "the file")
-    return _delayed(part, number, axes).text
+    return _with(_delayed(part, number, axes), others).text
+
+
+def mirrored(config: Config) -> dict[str, Any]:
+    """Tables that an axis has from another one, since of a gantry, and of a beam, it is said but once."""
+    follow, beam = config.reference.follow, config.plant.beam
+    found: dict[str, Any] = {}
+    if follow is not None and follow.leads:
+        found["reference"] = {"follow": follow.model_dump()}
+    if beam is not None and beam.mirrored:
+        found["plant"] = {"beam": beam.model_dump()}
+    return found
+
+
+def _paired(parts: tuple[Part, ...]) -> tuple[Part, ...]:
+    """The axes, each with what another one's table says of it, too."""
+    told: dict[str, dict[str, Any]] = {}
+    for part in parts:
+        name, follow, beam = part.config.name, part.config.reference.follow, part.config.plant.beam
+        if follow is not None and follow.skew_m is not None and not follow.leads and follow.axis != name:
+            other = follow.model_dump() | {"axis": name, "offset_m": -follow.offset_m, "leads": True}
+            told.setdefault(follow.axis, {})["reference"] = {"follow": other}
+        if beam is not None and beam.axis != name:
+            other = beam.model_dump() | {"axis": name, "load_share": 1.0 - beam.load_share, "mirrored": True}
+            told.setdefault(beam.axis, {})["plant"] = {"beam": other}
+    return tuple(_with(part, _lacking(part.config, told.get(part.config.name, {}))) for part in parts)
+
+
+def _lacking(config: Config, tables: dict[str, Any]) -> dict[str, Any]:
+    """Those of the tables that an axis does not have itself."""
+    has = {"reference": config.reference.follow is not None, "plant": config.plant.beam is not None}
+    return {key: table for key, table in tables.items() if not has[key]}
+
+
+def _with(part: Part, tables: dict[str, Any]) -> Part:
+    if not tables:
+        return part
+    text = toml_text(merged(tables_of(part.text), tables))
+    return Part(parse(text, str(part.path)), text, part.path)
 
 
 def _named(parts: tuple[Part, ...], name: str) -> tuple[Part, ...]:

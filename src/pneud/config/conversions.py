@@ -14,6 +14,7 @@ from pneud.config.learnt import adaptation_of, start_of
 from pneud.config.measured import edges_of, with_map
 from pneud.config.models import Config, ControlConfig, CylinderConfig, RealtimeConfig, ValveConfig
 from pneud.config.plant import FrictionConfig, PlantConfig, PlantValveConfig, PlantWiringConfig
+from pneud.config.sections import GRAVITY_M_S2
 from pneud.control import model
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.feedforward import Creep
@@ -21,6 +22,7 @@ from pneud.control.homing import HomingParameters
 from pneud.control.homogeneous import Feedback, feedback
 from pneud.control.laws.sliding import Sliding
 from pneud.control.laws.slot import IN_SLOT, SLIDING, Slot
+from pneud.control.leading import GANTRY, LEADS, POSITION, REFERENCE, Leading
 from pneud.control.model import Model
 from pneud.control.motion import MotionFilter, kalman
 from pneud.control.reference import Bounds, Shunned, Sine
@@ -28,7 +30,7 @@ from pneud.control.standstill import Standstill
 from pneud.control.step import Controller
 from pneud.physics import cylinder as cyl
 from pneud.physics.friction import Friction
-from pneud.physics.plant import PlantParameters, Wiring
+from pneud.physics.plant import BeamParameters, PlantParameters, Wiring
 from pneud.physics.valve import Valve, spool_transition
 from pneud.safety.checks import Limits
 from pneud.safety.output import OutputLimits
@@ -140,6 +142,9 @@ def plant_of(c: Config) -> PlantParameters:
         cylinder = cylinder._replace(M=BLOCKED_KG)
     if p.wiring.supply_shut:
         gas = gas._replace(supply_pa=gas.atmosphere_pa)
+    beam_kg = p.beam.load_kg * p.beam.load_share if p.beam is not None else 0.0
+    if beam_kg:
+        cylinder = cylinder._replace(M=cylinder.M + beam_kg)
     start_m = p.initial_x1_m + (cylinder.x_e1 - c.cylinder.dead_length_1_m)
     return PlantParameters(
         gas=gas,
@@ -162,10 +167,21 @@ def plant_of(c: Config) -> PlantParameters:
         bitrate_bit_s=p.bitrate_bit_s,
         node_delay_s=p.node_delay_us * 1e-6,
         free_s=0.0 if c.bus.sync else p.free_period_us * 1e-6 if p.free_period_us else 1.0 / c.loop.rate_hz,
-        load_n=true.cylinder.resistance_n,
+        load_n=true.cylinder.resistance_n + beam_kg * uphill_m_s2(true.cylinder),
         detail=detail_of(c, valve.u_max_v, gas.R, gas.temperature_k),
         wiring=wiring_of(p.wiring),
     )
+
+
+def beam_of(c: Config) -> BeamParameters | None:
+    """The beam to another axis's piston, if there is one."""
+    b = c.plant.beam
+    return None if b is None else BeamParameters(b.axis, b.stiffness_n_m, b.damping_n_s_m)
+
+
+def uphill_m_s2(c: CylinderConfig) -> float:
+    """What gravity does against the way out."""
+    return GRAVITY_M_S2 * math.sin(math.radians(c.inclination_deg))
 
 
 def wiring_of(w: PlantWiringConfig) -> Wiring:
@@ -446,6 +462,28 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
         join_at_once=c.reference.join == "at_once",
         learnt=start_of(c),
         shunned=shunned_of(c),
+        leading=leading_of(c),
+    )
+
+
+def leading_of(c: Config) -> Leading:
+    """How the axis is led by another one."""
+    f, limits = c.reference.follow, c.limits
+    if f is None:
+        return Leading()
+    how = REFERENCE if f.of == "reference" else POSITION
+    if f.skew_m is not None:
+        how = LEADS if f.leads else GANTRY
+    return Leading(
+        how=how,
+        scale=f.scale,
+        offset_m=f.offset_m,
+        bandwidth_rad_s=2.0 * math.pi * f.bandwidth_hz,
+        skew_m=f.skew_m or 0.0,
+        coupling=f.coupling,
+        low_m=max(limits.travel_min_m, 0.0),
+        high_m=min(limits.travel_max_m, c.cylinder.stroke_m),
+        speed_m_s=min(limits.motion.speed_m_s + limits.transfer.speed_m_s, limits.speed_m_s),
     )
 
 

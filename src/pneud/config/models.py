@@ -315,6 +315,30 @@ class EncoderConfig(Section):
     homing: HomingConfig = HomingConfig()
 
 
+class FollowConfig(Section):
+    """A motion that another axis of the same daemon gives, in place of the one that is tracked.
+
+    With `skew_m` both are a gantry, which carries one load: they do everything together.
+    """
+
+    axis: str  # the other one
+    of: Literal["reference", "position"] = "reference"  # where it is to be, or where it is measured
+    scale: Annotated[float, Field(ge=-100, le=100)] = 1.0  # of its position, in its stroke coordinate
+    offset_m: float = 0.0  # behind the scale; of a gantry what makes it square
+    bandwidth_hz: Annotated[float, Field(gt=0, le=50)] = 8.0  # of a measured position, and a gantry's shift
+    skew_m: Positive | None = None  # of a gantry: further apart is a fault
+    coupling: Annotated[float, Field(ge=0, le=2)] = 0.5  # part of the skew by which each reference gives way
+    leads: bool = False  # the other follows; pneud says so itself
+
+    @model_validator(mode="after")
+    def _square(self) -> FollowConfig:
+        if self.scale == 0.0:
+            raise ValueError("scale must not be 0")
+        if self.skew_m is not None and (self.scale != 1.0 or self.of != "reference"):
+            raise ValueError('a gantry (skew_m) has scale = 1 and of = "reference"')
+        return self
+
+
 class ReferenceConfig(Section):
     """The motion tracked after arming; positions in the paper's effective coordinate."""
 
@@ -323,6 +347,7 @@ class ReferenceConfig(Section):
     amplitude_m: NonNegative
     frequency_hz: Annotated[float, Field(ge=0, le=20)]
     join: Literal["transfer", "at_once"] = "transfer"  # by a jerk-limited way, or where it begins
+    follow: FollowConfig | None = None  # another axis, in place of all this
 
 
 class TransferConfig(Section):

@@ -194,6 +194,17 @@ class PlantWiringConfig(Section):
     blocked: bool = False  # the load cannot move
 
 
+class PlantBeamConfig(Section):
+    """A beam to the piston of another axis, with a load on it; square where both are at first."""
+
+    axis: str  # the other one; said of one of the two
+    stiffness_n_m: Positive
+    damping_n_s_m: NonNegative = 0.0
+    load_kg: NonNegative = 0.0
+    load_share: Annotated[float, Field(ge=0, le=1)] = 0.5  # of it that this axis bears; the other the rest
+    mirrored: bool = False  # as the other one says; pneud writes that itself
+
+
 class PlantConfig(Section):
     """The software rig: what really happens, apart from what the controller's sections above believe.
 
@@ -223,3 +234,4 @@ class PlantConfig(Section):
     hoses: PlantHosesConfig = PlantHosesConfig()
     sensors: PlantSensorsConfig = PlantSensorsConfig()
     wiring: PlantWiringConfig = PlantWiringConfig()
+    beam: PlantBeamConfig | None = None

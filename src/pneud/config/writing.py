@@ -13,8 +13,10 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import InlineTable, Item, Table
 
-from pneud.config.reading import parse
+from pneud.config.axes import Part, one_of, parts_of
+from pneud.config.reading import AXIS, parse
 from pneud.config.sections import ConfigError
+from pneud.config.toml import flat, tables_of
 from pneud.rt.outputs import replacing
 
 NOTE = re.compile(r"(^|; )[^;]*\bby \S+, \d{4}-\d\d-\d\d$")
@@ -46,12 +48,13 @@ def rewritten(text: str, change: Callable[[Any], None], name: str) -> str:
     return text
 
 
-def rewrite(path: Path, change: Callable[[Any], None]) -> None:
+def rewrite(path: Path, change: Callable[[Any], None], axis: str | None = None) -> None:
     """Change a file at once or not at all; what could not be loaded is not written.
 
     Args:
         path: of the file.
-        change: does it to the file's tables.
+        change: does it to the file's tables; to what one axis is in all, where there are several.
+        axis: whose, where there are several.
 
     Raises:
         ConfigError: the file, or what would become of it, cannot be used.
@@ -61,7 +64,62 @@ def rewrite(path: Path, change: Callable[[Any], None]) -> None:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as e:
         raise ConfigError(f"{path}: {e}") from None
-    put_text(path, rewritten(text, change, str(path)))
+    part = one_of(parts_of(text, path), axis, str(path))
+    put_text(path, with_axis(text, path, part, rewritten(part.text, change, str(path))))
+
+
+def with_axis(text: str, path: Path, part: Part, own: str) -> str:
+    """The text of a file in which one axis is another one from now on.
+
+    What an axis says itself takes the place of what stands above for all, so that is where it is written.
+
+    Args:
+        text: of the file.
+        path: of the file, for errors.
+        part: the axis, as it is in the file.
+        own: its text as that of one axis, as it is to be.
+
+    Raises:
+        ConfigError: what would become of it cannot be used, or what all have in common would have to go.
+    """
+    if AXIS not in tables_of(text):
+        return own
+    name, before, after = part.config.name, flat(tables_of(part.text)), flat(tables_of(own))
+    document, said = tomlkit.parse(text), tomlkit.parse(own)
+    table = next(table for table in document[AXIS] if table.get("name") == name)
+    try:
+        for key in before.keys() - after.keys():
+            _take_out(table, key, f"{path}: axis {name}: {key}")
+        for key, value in after.items():
+            if key not in before or before[key] != value or repr(before[key]) != repr(value):
+                put(table, tuple(key.split(".")), _item_at(said, key))
+        found = tomlkit.dumps(document)
+    except (TOMLKitError, InlineError) as e:
+        raise ConfigError(f"{path}: {e}") from None
+    wanted = {one.config.name: one.config for one in parts_of(text, path)} | {name: parse(own, str(path))}
+    if {one.config.name: one.config for one in parts_of(found, path)} != wanted:
+        raise ConfigError(f"{path}: axis {name} cannot be written there; give each a file of its own")
+    return found
+
+
+def _item_at(document: Any, key: str) -> Any:
+    for step in key.split("."):
+        document = document[step]
+    return document
+
+
+def _take_out(table: Any, key: str, where: str) -> None:
+    """Take a key out of an axis's own tables.
+
+    Raises:
+        InlineError: it stands above, for all.
+    """
+    *steps, last = key.split(".")
+    for step in steps:
+        table = table.get(step, {})
+    if last not in table:
+        raise InlineError(f"{where} stands above [[axis]], for all, and would have to go: write it into each")
+    table.remove(last)
 
 
 def put_text(path: Path, text: str) -> None:

@@ -55,6 +55,9 @@ class AxisDesk:
             processes: of the daemon; of several axes, the first one has them.
         """
         self.name = run.config.name
+        follow = run.config.reference.follow
+        carried = follow is not None and follow.skew_m is not None and not follow.leads
+        self.carried_by = follow.axis if follow is not None and carried else ""
         self._run = run
         self._ring = ring
         self._watch = watch

@@ -20,7 +20,7 @@ LATE_NS = 200_000_000
 MOST_AXES = 32
 
 _REQUEST = struct.Struct(f"<IBBBxq{REQUEST_VALUES}d")  # number, kind, values, axis, sent at, values
-_ANSWER = struct.Struct("<IBBBxQQ")  # number, answer, state, axis, present, latched
+_ANSWER = struct.Struct("<IBBBx16s16s")  # number, answer, state, axis, present, latched
 _NEVER_LATE = (RequestKind.STOP, RequestKind.DISARM)
 _PADDING = (0.0,) * REQUEST_VALUES
 
@@ -76,7 +76,8 @@ class LoopEnd:
 
     def _send(self, answer: int, state: int, present: int, latched: int, axis: int = 0) -> None:
         try:
-            self._end.send(_ANSWER.pack(self._number, answer, state, axis, present, latched))
+            bits = present.to_bytes(16, "little"), latched.to_bytes(16, "little")
+            self._end.send(_ANSWER.pack(self._number, answer, state, axis, *bits))
         except OSError:
             return  # a console that does not read, or is gone, learns nothing
 
@@ -169,5 +170,6 @@ def receive_from(end: socket.socket) -> tuple[int, RequestOutcome] | None:
         raise EOFError from None
     if len(data) != _ANSWER.size:
         raise EOFError
-    number, answer, state, axis, present, latched = _ANSWER.unpack(data)
+    number, answer, state, axis, *words = _ANSWER.unpack(data)
+    present, latched = (int.from_bytes(word, "little") for word in words)
     return axis, RequestOutcome(number, answer, state, present, latched)

@@ -36,6 +36,8 @@ class Desk(Protocol):
 
     name: str
     """Of the axis; every reply has it."""
+    carried_by: str
+    """The axis that leads it in a gantry; empty where it is led by itself."""
 
     def read(self) -> None:
         """Read what `status` and the plan of a reload depend on; called in another thread."""

@@ -13,6 +13,8 @@ from pneud.signals import Request, RequestKind
 _MM = 1e-3
 _ALL = frozenset(("arm", "disarm", "clear", "hold", "mark"))  # where no axis is named
 _ALWAYS_ALL = frozenset(("stop", "restart"))
+_BOTH = frozenset(("arm", "disarm", "clear"))  # of a gantry, whichever half is named
+_LED = frozenset(("goto", "jog", "track", "upload", "home", "probe"))  # nothing that one half could do alone
 
 
 def meant(desks: Sequence[Desk], message: protocol.Request) -> tuple[int, ...]:
@@ -29,10 +31,34 @@ def meant(desks: Sequence[Desk], message: protocol.Request) -> tuple[int, ...]:
     if message.axis is not None and message.axis not in names:
         raise ProtocolError(Error.INVALID, f"no axis {message.axis!r}; there is {', '.join(names)}")
     if message.axis is not None:
-        return (names.index(message.axis),)
+        return _halves(desks, names.index(message.axis), message.verb)
     if len(desks) == 1 or message.verb in _ALL:
         return tuple(range(len(desks)))
     raise ProtocolError(Error.INVALID, f"{message.verb} names no axis; give one of {', '.join(names)}")
+
+
+def _halves(desks: Sequence[Desk], axis: int, verb: str) -> tuple[int, ...]:
+    """An axis, and the other half of its gantry where that has to do the same.
+
+    Raises:
+        ProtocolError: it is the half that the other one leads.
+    """
+    if verb in _LED:
+        _check_free(desks[axis], verb)
+    if verb not in _BOTH:
+        return (axis,)
+    name, leader = desks[axis].name, desks[axis].carried_by
+    return tuple(
+        n
+        for n, desk in enumerate(desks)
+        if n == axis or (leader and desk.name == leader) or desk.carried_by == name
+    )
+
+
+def _check_free(desk: Desk, verb: str) -> None:
+    if desk.carried_by:
+        words = f"{verb}: {desk.name} is carried with {desk.carried_by}, as a gantry; ask {desk.carried_by}"
+        raise ProtocolError(Error.INVALID, words, axis=desk.name)
 
 
 def plan(desks: Sequence[Desk], message: protocol.Request) -> Orders:
@@ -62,6 +88,7 @@ def goto(desks: Sequence[Desk], message: protocol.GotoAll) -> Orders:
     for name, x_mm in message.axes.items():
         if name not in names:
             raise ProtocolError(Error.INVALID, f"no axis {name!r}; there is {', '.join(names)}")
+        _check_free(desks[names.index(name)], "goto")
         targets[names.index(name)] = x_mm
     ways, bounds = [], []
     for axis, x_mm in targets.items():

@@ -20,6 +20,7 @@ FOLLOWING = 2
 COMING_TO_REST = 3
 GOING = 4  # to rest at a position
 RESTING = 5
+LED = 6  # by another axis, from the end of its path on (`leading`)
 
 
 class Plan(NamedTuple):

@@ -18,7 +18,7 @@ from pneud.bus.codec import DatabaseError
 from pneud.bus.mapped_inbox import inbox_of
 from pneud.bus.shared import identifiers
 from pneud.config import conversions
-from pneud.config.axes import own_text
+from pneud.config.axes import mirrored, own_text
 from pneud.config.models import Config
 from pneud.config.sections import ConfigError
 from pneud.config.toml import flat
@@ -228,7 +228,9 @@ class Session:
         facts = RunFacts(config, path.absolute(), text, link.name, link.note, log, given)
         if among == 1:
             return facts
-        return facts._replace(own=partial(own_text, config.name, self.axes.index(axis), among))
+        return facts._replace(
+            own=partial(own_text, config.name, self.axes.index(axis), among, mirrored(config))
+        )
 
     def _stage(self) -> Stage | None:
         scenario = self.ready.scenario
@@ -250,6 +252,8 @@ class Session:
                 axis.ready.how.carriage,
                 plans_of_plant(axis.ready.loaded),
                 axis.config.plant.odd_nodes,
+                axis.config.name,
+                conversions.beam_of(axis.config),
             )
             for number, axis in enumerate(self.axes)
         ]

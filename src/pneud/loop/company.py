@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from pneud.config.models import Config
 from pneud.console.handoff import SharedEnd
 from pneud.loop.turn import Turn
 from pneud.safety.faults import BLOCKS_ARM, CENTRES, F
 from pneud.safety.supervisor import is_engaged
-from pneud.signals import Answer, Request, RequestKind, State, Tick
+from pneud.signals import Answer, Defect, Request, RequestKind, Source, State, Tick, Told
 
 ARM, GOTO, RESTART = int(RequestKind.ARM), int(RequestKind.GOTO), int(RequestKind.RESTART)
-_TOUCHES = {"stop": int(RequestKind.STOP), "centre": int(RequestKind.CENTRE), "go_on": 0}
+DISARM, CENTRE, STOPPING = int(RequestKind.DISARM), int(RequestKind.CENTRE), int(State.STOPPING)
+ENCODER, ODD = int(Source.ENCODER), int(Defect.ODD)
+_TOUCHES = {"stop": int(RequestKind.STOP), "centre": CENTRE, "go_on": 0}
 _UNDO = {ARM: Request(RequestKind.CENTRE), GOTO: Request(RequestKind.HOLD)}
 """What is asked of those that have done what others have refused: all do it, or none."""
 
@@ -22,6 +24,7 @@ class Companion(Protocol):
     """An axis, as the others see it."""
 
     touched: int
+    told: Told | None
 
     @property
     def turn(self) -> Turn:
@@ -48,6 +51,8 @@ class Company:
         self._latched = [0] * len(lanes)
         self._asking = asking
         self._begun = False
+        self._ties = ties_of(configs)
+        self._sampled = [(0, 0)] * len(lanes)  # instant that an axis's estimate holds for, and its tick's
 
     def look(self) -> bool:
         """Take what is asked of the axes; whether the run itself may arm them: they all do, or none."""
@@ -63,13 +68,81 @@ class Company:
             self._latched[number] = latched
             if latched & ~before:
                 self._touch(number, centred=latched & ~before & CENTRES != 0)
+        if self._ties:
+            self._tie()
+
+    def _tie(self) -> None:
+        """Tell those who are led what the others have come to, and keep the halves of a gantry together."""
+        lanes = self._lanes
+        for number, lane in enumerate(lanes):
+            self._sampled[number] = sampled_ns(lane.turn.tick, *self._sampled[number]), lane.turn.tick.t_ns
+        for follower, leader, gantry in self._ties:
+            lanes[follower].told = said(lanes[leader].turn.tick, self._sampled[leader][0])
+            if gantry:
+                lanes[leader].told = said(lanes[follower].turn.tick, self._sampled[follower][0])
+                _keep_together(lanes[follower], lanes[leader])
 
     def _touch(self, number: int, *, centred: bool) -> None:
         for other, lane in enumerate(self._lanes):
             table = self._others[other]
             kind = _TOUCHES[table.centre if centred else table.stop]
+            if _are_tied(self._ties, number, other):
+                continue  # they do all together
             if other != number and kind and is_engaged(lane.turn.tick.state):
                 lane.touched = max(kind, lane.touched)  # to centre is more than to stop
+
+
+class Tie(NamedTuple):
+    """Two axes of which one is led by the other, by their places."""
+
+    follower: int
+    leader: int
+    gantry: bool
+
+
+def ties_of(configs: Sequence[Config]) -> tuple[Tie, ...]:
+    """Who is led by whom among the axes that are there."""
+    names = [config.name for config in configs]
+    found = ((n, config.reference.follow) for n, config in enumerate(configs))
+    return tuple(
+        Tie(n, names.index(follow.axis), follow.skew_m is not None)
+        for n, follow in found
+        if follow is not None and not follow.leads and follow.axis in names
+    )
+
+
+def _are_tied(ties: Sequence[Tie], one: int, other: int) -> bool:
+    return any(tie.gantry and {tie.follower, tie.leader} == {one, other} for tie in ties)
+
+
+def sampled_ns(tick: Tick, before_ns: int, last_ns: int) -> int:
+    """The instant that an axis's estimate and reference hold for.
+
+    Args:
+        tick: its last one.
+        before_ns: that of the tick before.
+        last_ns: SYNC of the tick before.
+    """
+    m = tick.measurement
+    if m.fresh & ENCODER and not m.encoder_defects & ODD:
+        return tick.t_ns + m.encoder_offset_ns
+    return before_ns + tick.t_ns - last_ns
+
+
+def said(tick: Tick, at_ns: int) -> Told:
+    """What others are told of an axis's tick."""
+    return Told(at_ns, *tick.reference, tick.estimate.position_m, tick.estimate.velocity_m_s)
+
+
+def _keep_together(follower: Companion, leader: Companion) -> None:
+    """What becomes of one half of a gantry is done by the other, which carries the same load."""
+    one, other = follower.turn.tick.state, leader.turn.tick.state
+    if is_engaged(one) and not is_engaged(other):
+        follower.touched = CENTRE
+    elif is_engaged(other) and not is_engaged(one):
+        leader.touched = CENTRE
+    elif one == STOPPING != other and is_engaged(other):
+        leader.touched = max(leader.touched, DISARM)
 
 
 class Asking:

@@ -17,7 +17,7 @@ from pneud.loop.turn import END_TICKS, Turn
 from pneud.rig.truth import TruthReader
 from pneud.safety.faults import BLOCKS_ARM, F
 from pneud.safety.supervisor import is_engaged
-from pneud.signals import Answer, Frame, Host, Request, RequestKind, State, Tick, Timing
+from pneud.signals import Answer, Frame, Host, Request, RequestKind, State, Tick, Timing, Told
 
 FAULT_S = 0.1  # how long a run that ends on a fault goes on telling the valve to centre
 SNAPSHOT_PIECES = 128  # of a profile; the state with a longer one would take too long to hand over
@@ -49,6 +49,7 @@ class Lane:
         again: an operator has asked the daemon to begin anew.
         identifiers: of frames that are this axis's alone; none where it shares the bus with no other.
         touched: a `RequestKind` that a fault of another axis makes of the next tick, 0 for none.
+        told: what an axis has said that leads this one, or is beside it; None where there is none.
         decided_ns: when the axis had decided; like the next one, for the loop to set.
         done_ns: when its command had been sent.
     """
@@ -66,6 +67,7 @@ class Lane:
         self.turn = turn
         self.identifiers = identifiers
         self.touched = 0
+        self.told: Told | None = None
         self.conditions = Conditions(turn.inbox, link)
         self.recorder = recorder
         self.tally = Tally(truth=truth is not None, timed=True, sync=turn.inbox.sync)
@@ -134,13 +136,16 @@ class Lane:
         if self._truth is not None:
             self._truth_m = self._truth.get(self.turn.t_ns, sync_ns)
 
-    def record(self, sync: Frame, lateness_ns: int, set_ns: int, *, freeze: bool, report: bool) -> None:
+    def record(
+        self, sync: Frame, lateness_ns: int, set_ns: int, called_ns: int, *, freeze: bool, report: bool
+    ) -> None:
         """Hand the tick over, after its command was sent.
 
         Args:
             sync: as it was sent.
             lateness_ns: of the wake-up, after the first of the grid points that it missed.
             set_ns: when the set was complete or given up.
+            called_ns: when it was the axis's turn: then, or when the command of the one before had been sent.
             freeze: hand the state over, too.
             report: say what the axis has done so far.
         """
@@ -151,7 +156,7 @@ class Lane:
         timing = Timing(
             lateness_ns,
             set_ns - turn.t_ns,
-            self.decided_ns - set_ns,
+            self.decided_ns - called_ns,
             self.done_ns - self.decided_ns,
             sent_ns - newest_ns if newest_ns and sent_ns > 0 else -1,
             self._record_ns,

@@ -136,7 +136,7 @@ class Loop:
             link.reopen()
         for lane in lanes:
             turn = lane.turn
-            turn.decide(skipped, lane.host(t_ns, host), lane.request)
+            turn.decide(skipped, lane.host(t_ns, host), lane.request, lane.told)
             lane.decided_ns = clock()
             turn.sent(link.send(turn.command_id, turn.command(index + 1, count)))
             lane.done_ns = clock()
@@ -144,8 +144,10 @@ class Loop:
         lateness_ns = late_ns + skipped * self._period_ns  # since the first of the grid points missed
         freeze = count % self._snapshot_ticks == self._snapshot_ticks - 1
         report = self._ending or count % self._check_ticks == 0
+        called_ns = set_ns
         for lane in lanes:
-            lane.record(sync, lateness_ns, set_ns, freeze=freeze, report=report)
+            lane.record(sync, lateness_ns, set_ns, called_ns, freeze=freeze, report=report)
+            called_ns = lane.done_ns
         # account
         return self._account(t_ns, skipped)
 

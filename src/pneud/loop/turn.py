@@ -13,7 +13,7 @@ from typing import Any
 from pneud.axis.cycle import Axis, AxisState
 from pneud.bus.codec import Codecs
 from pneud.bus.inbox import Inbox, InboxState
-from pneud.signals import Frame, Record, Request, Tick, Timing
+from pneud.signals import Frame, Record, Request, Tick, Timing, Told
 
 END_TICKS = 20  # times that the valve is told to centre before a run ends
 
@@ -78,15 +78,16 @@ class Turn:
         for frame in frames:
             take(frame)
 
-    def decide(self, skipped: int, host: int, request: Request | None) -> Tick:
+    def decide(self, skipped: int, host: int, request: Request | None, told: Told | None = None) -> Tick:
         """What the axis makes of all that has come.
 
         Args:
             skipped: ticks skipped just before this one.
             host: bits of `signals.Host`.
             request: at most one request of the operator.
+            told: by the axis that leads this one, or is beside it.
         """
-        self.tick = tick = self._cycle(self.inbox.measurement(skipped, host), request, self.t_ns)
+        self.tick = tick = self._cycle(self.inbox.measurement(skipped, host), request, self.t_ns, told)
         return tick
 
     def command(self, sequence: int, counter: int) -> bytes:

@@ -43,6 +43,14 @@ class Wiring(NamedTuple):
     valve_unplugged: bool = False
 
 
+class BeamParameters(NamedTuple):
+    """A beam between the pistons of two axes, as one of them says."""
+
+    axis: str  # name of the other one
+    stiffness_n_m: float
+    damping_n_s_m: float
+
+
 FRICTION_AT_PA = 3e5  # mean pressure of the chambers at which friction is as its parameters say
 
 

@@ -131,7 +131,7 @@ def replay(
         turn.open(logged.frames[: logged.before])
         turn.begin(logged.t_ns)
         turn.feed(logged.frames[logged.before :])
-        tick = turn.decide(logged.skipped, logged.host, tuning.asked(logged.request))
+        tick = turn.decide(logged.skipped, logged.host, tuning.asked(logged.request), logged.told)
         turn.sent(next((f.stamp_ns for f in logged.sent if f.can_id == command.can_id), -1))
         if logged.log_time_ns < from_ns:
             continue

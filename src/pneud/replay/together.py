@@ -18,11 +18,12 @@ from pneud.loop.conditions import Conditions
 from pneud.loop.routes import Routes
 from pneud.loop.turn import END_TICKS, Turn
 from pneud.replay.lockstep import COMPUTING_NS, START_NS
+from pneud.rig.beam import span
 from pneud.rig.node import Hook, PlantNode
 from pneud.rig.segment import Rigs, Segment
 from pneud.safety.faults import BLOCKS_ARM
 from pneud.safety.supervisor import is_engaged
-from pneud.signals import Frame, Record, Request, RequestKind, State, Tick, Timing
+from pneud.signals import Frame, Record, Request, RequestKind, State, Tick, Timing, Told
 
 ARM = Request(RequestKind.ARM, (1.0,))
 
@@ -42,6 +43,7 @@ class SimulatedLane:
         node: its rig.
         identifiers: of frames that are this axis's alone.
         touched: as of a lane.
+        told: likewise.
     """
 
     def __init__(self, loaded: Loaded, node: PlantNode, how: Backend) -> None:
@@ -50,6 +52,7 @@ class SimulatedLane:
         self.node = node
         self.identifiers = frozenset(identifiers(loaded.config, loaded.codecs))
         self.touched = 0
+        self.told: Told | None = None
         self.waits = True
         self.conditions = Conditions(self.turn.inbox, _Whole())
         self.shut = False
@@ -103,6 +106,8 @@ class Together:
             )
             for n, (axis, one, hook) in enumerate(zip(axes, hows, hooks, strict=True))
         ]
+        names = [axis.config.name for axis in axes]
+        span([lane.node for lane in self.lanes], names, [conversions.beam_of(a.config) for a in axes])
         c = axes[0].config
         self._rigs = Rigs([lane.node for lane in self.lanes])
         self._routes, self._ask, self._armed = Routes(self.lanes), ask, False
@@ -132,7 +137,7 @@ class Together:
             set_ns, asked = now_ns, self._asked(count)
             for number, lane in enumerate(lanes):
                 turn, request = lane.turn, self._own_request(count, lane) or asked.get(number)
-                lane.see(turn.decide(0, lane.conditions.host(t_ns, 0), request))
+                lane.see(turn.decide(0, lane.conditions.host(t_ns, 0), request, lane.told))
                 now_ns += COMPUTING_NS
                 rigs.on_frame(Frame(now_ns, turn.command_id, turn.command(sequence, count)))
                 turn.sent(now_ns)

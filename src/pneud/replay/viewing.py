@@ -17,6 +17,7 @@ from pneud.log.files.columns import Block, blocks
 from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LogReader
 from pneud.log.files.table import Column, TickTable
+from pneud.log.format.record_layout import WORD_BITS
 from pneud.log.format.records import names_of
 from pneud.log.format.schema import Level
 from pneud.rt.outputs import replacing
@@ -55,6 +56,15 @@ def panels() -> list[Panel]:
     ]
 
 
+def _whole(columns: dict[str, Column], name: str) -> Column:
+    """All bits of a word of faults; Python's integers where they need them."""
+    more = columns[f"{name}_more"]
+    if not more.any():
+        return columns[name]
+    whole: Column = columns[name].astype(object) | more.astype(object) << WORD_BITS
+    return whole
+
+
 class FaultTable:
     """When each fault was there, in seconds from the first tick."""
 
@@ -67,11 +77,11 @@ class FaultTable:
 
     def add(self, columns: dict[str, Column]) -> None:
         """The ticks of a block."""
-        present, latched, t_s = columns["present"], columns["latched"], columns["t_s"]
+        present, latched, t_s = _whole(columns, "present"), _whole(columns, "latched"), columns["t_s"]
         bits = present | latched
         for at in np.flatnonzero(np.diff(bits, prepend=self._bits)).tolist():
             now = int(bits[at])
-            for bit in range(64):
+            for bit in range(2 * WORD_BITS):
                 if (now & ~self._bits) >> bit & 1:
                     self._open[bit] = len(self.spans)
                     (name,) = names_of(1 << bit, self._names)

@@ -17,6 +17,7 @@ from pneud.loading import at_rate, codecs_of
 from pneud.log.files.columns import Block, blocks
 from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LogReader
+from pneud.log.format.record_layout import WORD_BITS
 from pneud.log.format.records import LoggedEvent
 from pneud.loop.tracking import AGAINST, Tracking
 from pneud.replay.mileage import done_by
@@ -263,7 +264,8 @@ class _Gatherer:
         self.in_position.add(t_s, ticks["in_position"].astype(np.int64))
         self.hunting.add(t_s, ticks["hunting"].astype(np.int64))
         for name, kept in (("present", self.present), ("latched", self.latched)):
-            _bits(t_s, ticks[name], kept)
+            for first, words in block.faults(name):
+                _bits(t_s, words, first, kept)
         dropped = np.diff(block.number, prepend=self.number if self.number else block.number[0] - 1) > 1
         skipped = ticks["measurement.skipped"].astype(np.int64)
         self._gaps(t_s, dropped, skipped)
@@ -288,11 +290,11 @@ class _Gatherer:
         self.last_s = float(t_s[-1])
 
     def _happens(self, block: Block, state: NDArray[np.int64]) -> bool:
-        latched = block.ticks["latched"]
+        latched = [words for _, words in block.faults("latched")]
         return bool(
             self.ticks == 0
             or (state[1:] != state[:-1]).any()
-            or (latched[1:] != latched[:-1]).any()
+            or any((words[1:] != words[:-1]).any() for words in latched)
             or any(request.kind != RequestKind.JOG for _, request in block.requests)
         )
 
@@ -406,10 +408,11 @@ def _duration(ns: Any, factor: float) -> NDArray[np.float64]:
     return np.where((ns >= 0) & (ns < NEVER_NS), ns * factor, np.nan)
 
 
-def _bits(t_s: NDArray[np.float64], masks: NDArray[np.uint64], kept: dict[int, Spans]) -> None:
+def _bits(t_s: NDArray[np.float64], masks: NDArray[np.uint64], first: int, kept: dict[int, Spans]) -> None:
     everything = int(np.bitwise_or.reduce(masks))
-    for bit in range(64):
-        if everything >> bit & 1 and bit not in kept:
+    for place in range(WORD_BITS):
+        bit, shown = first + place, everything >> place & 1
+        if shown and bit not in kept:
             kept[bit] = Spans()
-        if bit in kept and (everything >> bit & 1 or kept[bit].open):
-            kept[bit].add(t_s, (masks >> np.uint64(bit) & np.uint64(1)).astype(np.int64))
+        if bit in kept and (shown or kept[bit].open):
+            kept[bit].add(t_s, (masks >> np.uint64(place) & np.uint64(1)).astype(np.int64))

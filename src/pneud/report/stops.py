@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +46,8 @@ class Stops:
 
     def add(self, block: Block, t_s: Floats, position_m: Floats) -> None:
         """Take a block; positions are the true ones where somebody tells, else estimates."""
-        latched = block.ticks["latched"]
+        (_, word), (first, more) = block.faults("latched")
+        latched: NDArray[Any] = word.astype(object) | more.astype(object) << first if block.more else word
         state = block.ticks["state"]
         cuts = np.flatnonzero(latched[1:] != latched[:-1]) + 1
         if len(latched) and int(latched[0]) != self._latched:

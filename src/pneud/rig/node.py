@@ -6,7 +6,7 @@ Time is that of the frames' stamps. The same object serves the lock-step simulat
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from pneud.bus.codec import SOURCES, Codec, Codecs
 from pneud.bus.wire import CAN_ERR_FLAG, wire_time_ns
@@ -18,6 +18,9 @@ from pneud.rig.sensors import Noise, PressureSensor, quantised, sensed
 from pneud.rig.transmission import Item
 from pneud.rig.valvenode import ValveNode
 from pneud.signals import EncoderStatus, Frame
+
+if TYPE_CHECKING:
+    from pneud.rig.beam import Beam
 
 ENCODER_NODE, PRESSURE_NODE, VALVE_NODE = 0, 1, 2  # indices of the nodes
 PRESSURE_RANGE_PA = 1_310_700.0  # full scale of the pressure sensors, and of PRESSURE in pneud.dbc
@@ -83,6 +86,7 @@ class PlantNode:
         self.hook = hook
         self.on_truth: Callable[[int, float], None] | None = None  # told of every SYNC: its stamp, position
         self.valve = ValveNode(codecs.valve_command, p.valve_timeout_s, p.dac_bits, p.valve.u_max_v)
+        self.beam: Beam | None = None  # to another rig's piston
         self.unsendable = 0  # answers with a value that their frame cannot carry
         self._codecs = codecs
         self._advance = advance
@@ -129,6 +133,11 @@ class PlantNode:
         """The rig, integrated as far as any event has asked for."""
         return self._state
 
+    @property
+    def plant_ns(self) -> int:
+        """Up to when the plant has been integrated."""
+        return self._plant_ns
+
     def truth(self) -> Truth:
         """The rig at the send stamp of the last SYNC."""
         return self._truth
@@ -154,7 +163,7 @@ class PlantNode:
             When it was sent, as far as this rig is concerned [ns].
         """
         sent_ns = max(frame.stamp_ns, self._now_ns)
-        self._begin(sent_ns)
+        self.begin(sent_ns)
         self._run(sent_ns)
         if frame.can_id == self._sync_id:
             self._integrate(sent_ns)
@@ -215,7 +224,7 @@ class PlantNode:
                 that missed its turn stays silent, it does not pass old values off as new ones.
         """
         if self._free_ns:
-            self._begin(t_ns)
+            self.begin(t_ns)
         self._run(t_ns)
         if not self._ended and not self._held:
             return []
@@ -231,7 +240,7 @@ class PlantNode:
 
     def advance(self, t_ns: int) -> None:
         """Deal with all events until `t_ns` and integrate the plant to it; starts time if need be."""
-        self._begin(t_ns)
+        self.begin(t_ns)
         self._run(t_ns)
         self._integrate(t_ns)
 
@@ -240,7 +249,7 @@ class PlantNode:
         self.advance(t_ns)
         self._truth = Truth(t_ns, stroke_position(self._state, self.p), self._state)
 
-    def _begin(self, t_ns: int) -> None:
+    def begin(self, t_ns: int) -> None:
         """Time begins to pass, unless it does already."""
         if not self.started:
             self._epoch_ns = self._plant_ns = t_ns
@@ -327,6 +336,13 @@ class PlantNode:
         return (frame,) if self.hook is None else self.hook(frame, True)
 
     def _integrate(self, t_ns: int) -> None:
+        if self.beam is not None:
+            self.beam.carry(t_ns)
+        else:
+            self.march(t_ns)
+
+    def march(self, t_ns: int, beam_n: float = 0.0) -> None:
+        """Integrate the plant alone, with a force of its beam against positive motion."""
         if t_ns > self._plant_ns:
             t0_s = (self._plant_ns - self._epoch_ns) * 1e-9
             t1_s = (t_ns - self._epoch_ns) * 1e-9
@@ -335,7 +351,7 @@ class PlantNode:
                 command_v = -command_v
             if w.valve_unplugged:
                 command_v = 0.0
-            self._state = self._advance(self._state, command_v, self.force_ext_n, t0_s, t1_s, self.p)
+            self._state = self._advance(self._state, command_v, self.force_ext_n + beam_n, t0_s, t1_s, self.p)
             self._plant_ns = t_ns
 
 

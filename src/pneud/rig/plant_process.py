@@ -11,8 +11,9 @@ from pneud import crew
 from pneud.bus.codec import Codecs
 from pneud.bus.link import Link, LinkError, open_link
 from pneud.bus.wire import Carriage
-from pneud.physics.plant import PlantParameters
+from pneud.physics.plant import BeamParameters, PlantParameters
 from pneud.rig.answering import Plant, serve
+from pneud.rig.beam import span
 from pneud.rig.node import Advance, PlantNode
 from pneud.rig.segment import Rigs, Segment
 from pneud.rig.truth import TruthWriter
@@ -34,6 +35,8 @@ class Rig(NamedTuple):
     carriage: Carriage  # how frames are taken from the bus and given to it
     plans: tuple[Plan, ...] = ()  # of its nodes, where they have to be configured before they answer
     odd_nodes: int | None = None  # seed of their misbehaviour
+    name: str = ""  # of the axis
+    beam: BeamParameters | None = None  # to another one's piston
 
     def node(self, segment: Segment | None = None) -> PlantNode:
         """Its nodes and the cylinder between them, to which nothing happens; perhaps on a bus with others."""
@@ -115,6 +118,8 @@ def answer(
         rig.node(segment) if play is None or n != to else play.node(rig, segment)
         for n, rig in enumerate(rigs)
     ]
+    if any(rig.beam is not None for rig in rigs):
+        span(nodes, [rig.name for rig in rigs], [rig.beam for rig in rigs])
     for node, truth in zip(nodes, truths, strict=False):
         node.on_truth = truth.put
     setup.apply(rigs[0].priority, None, False)

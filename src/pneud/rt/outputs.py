@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import itertools
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -46,7 +47,7 @@ def replacing_all(*paths: Path) -> Iterator[tuple[Path, ...]]:
     """
     places: list[_Place] = []
     try:
-        places += (_Place(path, number) for number, path in enumerate(paths))
+        places += map(_Place, paths)
         yield tuple(place.beside for place in places)
         for place in places:
             place.settle()
@@ -65,16 +66,19 @@ def replacing_all(*paths: Path) -> Iterator[tuple[Path, ...]]:
         place.finish()
 
 
+_NUMBERS = itertools.count()  # of the files that are written beside others; several may be at once
+
+
 class _Place:
     """A file that is to be replaced, and the one that is written beside it."""
 
-    def __init__(self, path: Path, number: int) -> None:
+    def __init__(self, path: Path) -> None:
         with contextlib.suppress(FileNotFoundError):
             path.stat()  # refuses what leads round in circles
         self._target = path.resolve() if path.is_symlink() else path
         self._there = self._target.exists()
         self._as_it_is = self._there and not self._target.is_file()
-        name = f".pneud-{os.getpid()}-{number}"
+        name = f".pneud-{os.getpid()}-{next(_NUMBERS)}"
         self.beside = path if self._as_it_is else self._target.with_name(f"{name}{path.suffix}")
         self._before = self._target.with_name(f"{name}.before")
         self._taken = False

@@ -86,6 +86,8 @@ class F(IntEnum):
     ENCODER_DOUBTFUL = 60
     PRESSURE_DOUBTFUL = 61
     UNPROVEN = 62
+    SKEW = 63
+    LED_BEYOND = 64
 
 
 class Fault(NamedTuple):
@@ -520,6 +522,20 @@ TABLE: tuple[Fault, ...] = (
         "the movement test has not been passed with this wiring, cylinder and valve (only the test itself and"
         " homing are allowed)",
         "pneud commission makes it; pneud arm --unproven does without for one run",
+    ),
+    Fault(
+        F.SKEW,
+        Reaction.STOP,
+        "the loads of a gantry are further apart than reference.follow.skew_m; both come to rest together",
+        "check that neither is held, the beam, and the supply; bring it square by hand, or by"
+        " reference.follow.offset_m",
+    ),
+    Fault(
+        F.LED_BEYOND,
+        Reaction.STOP,
+        "what reference.follow leads to lies outside the axis's own travel, or is faster than limits.motion",
+        "lead the other axis less far or more slowly; check reference.follow.scale and offset_m",
+        clears="as soon as the axis is not engaged",
     ),
 )
 

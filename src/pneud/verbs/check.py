@@ -91,12 +91,26 @@ def _report(loaded: Loaded) -> _Report:
         f"valve {_in_words(believed)}",
         *([f"the plant's: {_in_words(true)}"] if true != believed else []),
         f"law {c.control.law}, {form}on {c.bus.channel} with {loaded.dbc.name}",
+        *([_led_in_words(c)] if c.reference.follow is not None else []),
         *([f"adaptation starts from {start}"] if start else []),
         *(f"not noticed here: {', '.join(names)} ({why})" for why, names in _by_reason(blind).items()),
     ]
     named: dict[str, Any] = {"name": c.name, "file": str(loaded.path), "warnings": doubts, "valve": believed}
+    named["follow"] = c.reference.follow.model_dump() if c.reference.follow is not None else None
     named["unnoticed"] = [{"fault": one.name, "why": one.why, "wholly": one.wholly} for one in blind]
     return _Report(named, lines)
+
+
+def _led_in_words(c: Config) -> str:
+    """By whom an axis is led, or whom it leads."""
+    follow = c.reference.follow
+    assert follow is not None
+    if follow.skew_m is not None:
+        square = f", square at {1e3 * follow.offset_m:+g} mm" if follow.offset_m else ""
+        who = "leads" if follow.leads else "is led"
+        return f"a gantry with {follow.axis}, and {who}: at most {1e3 * follow.skew_m:g} mm askew{square}"
+    what = "reference" if follow.of == "reference" else "measured position"
+    return f"follows the {what} of {follow.axis}: {follow.scale:g} of it {1e3 * follow.offset_m:+g} mm"
 
 
 def _bus(axes: Sequence[Loaded]) -> dict[str, Any] | None:

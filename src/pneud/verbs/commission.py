@@ -147,9 +147,6 @@ def _on_the_rig(
         cure = "pneud clear" if status["state"] == State.FAULT.label else "pneud disarm"
         raise VerbError(f"commission: the axis is {status['state']}, not disarmed: {cure}", 1)
     loaded = load(status["config"], axis=axis)
-    if wishes.write and wishes.steps and loaded.proof_file != loaded.path:
-        cure = "give each a file of its own in a folder, or --movement-test or --dry-run"
-        raise VerbError(f"commission: {loaded.path} has several axes, and is not written: {cure}")
     if config_file is not None and load(config_file, axis=axis).text != loaded.text:
         raise VerbError(f"commission: the daemon runs {status['config']}, another configuration")
     passed = proven(loaded.proof_file, digest(loaded.config, loaded.dbc.read_bytes())) == Proof.PASSED

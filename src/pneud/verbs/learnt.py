@@ -12,14 +12,15 @@ from typing import Annotated, Any
 import tomlkit
 import typer
 
+from pneud.config.axes import Part, axes_of, one_of
 from pneud.config.learnt import Values, values_learnt
 from pneud.config.models import Config
-from pneud.config.reading import load_config, parse
+from pneud.config.reading import parse
 from pneud.config.sections import ConfigError
 from pneud.config.writing import put, rewrite
 from pneud.log.files.reader import LogReader, read_log
 from pneud.replay.learning import last_learnt
-from pneud.verbs import JsonOption, LogArgument
+from pneud.verbs import AxisOption, JsonOption, LogArgument
 
 _START = ("control", "adaptation", "start")
 _SAME = (
@@ -34,6 +35,7 @@ def learnt(
         Path | None,
         typer.Option("--into", metavar="CONFIG", help="Write it there: runs with that file start from it."),
     ] = None,
+    axis: AxisOption = None,
     json: JsonOption = False,
 ) -> int:
     """Say what had been learnt beside what is configured, and keep it on request.
@@ -54,7 +56,8 @@ def learnt(
     if not values:
         raise ConfigError(f"{reader.path}: control.adaptation was off: nothing has been learnt")
     if into is not None:
-        _write(into, values, config, reader, time_ns)
+        part = _part(into, axis, config)
+        _write(part, values, config, reader, time_ns)
     if json:
         fields = {"axis": config.name, "log": reader.path.name, "into": str(into) if into else None}
         print(json_.dumps({"schema": 1, **fields, "learnt": values}))
@@ -76,10 +79,17 @@ def in_words(values: Values) -> list[str]:
     return lines
 
 
-def _write(path: Path, values: Values, config: Config, log: LogReader, time_ns: int) -> None:
-    if not path.is_file():
-        raise ConfigError(f"{path}: there is no such file")
-    target = load_config(path)
+def _part(file: Path, axis: str | None, config: Config) -> Part:
+    """The axis of a file or a folder: the one named, the only one, or that of the log's name."""
+    if not file.exists():
+        raise ConfigError(f"{file}: there is no such file")
+    parts = axes_of(file)
+    named = axis or (config.name if any(part.config.name == config.name for part in parts) else None)
+    return one_of(parts, named if axis or len(parts) > 1 else None, str(file))
+
+
+def _write(part: Part, values: Values, config: Config, log: LogReader, time_ns: int) -> None:
+    target, path = part.config, part.path
     if not target.control.adaptation.enabled:
         raise ConfigError(f"{path}: control.adaptation.enabled is false: what was learnt would not count")
     for key in _SAME:
@@ -98,6 +108,6 @@ def _write(path: Path, values: Values, config: Config, log: LogReader, time_ns: 
         put(document, _START, start)
 
     try:
-        rewrite(path, change)
+        rewrite(path, change, target.name)
     except OSError as e:
         raise ConfigError(f"{path}: cannot be written: {e.strerror}") from None

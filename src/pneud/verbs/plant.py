@@ -63,4 +63,15 @@ def _rig(axis: Loaded, seed: int, how: Backend) -> Rig:
     config, codecs = axis.config, axis.codecs
     priority = conversions.plant_priority(config.realtime)
     plans, odd = plans_of_plant(axis), config.plant.odd_nodes
-    return Rig(conversions.plant_of(config), codecs, seed, priority, how.advance, how.carriage, plans, odd)
+    return Rig(
+        conversions.plant_of(config),
+        codecs,
+        seed,
+        priority,
+        how.advance,
+        how.carriage,
+        plans,
+        odd,
+        config.name,
+        conversions.beam_of(config),
+    )

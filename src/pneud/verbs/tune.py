@@ -12,11 +12,11 @@ import typer
 from pneud.config.axes import axes_of, one_of
 from pneud.config.sections import ConfigError
 from pneud.config.writing import put, rewrite
-from pneud.console.client import Client
+from pneud.console.client import Client, RefusedError
 from pneud.console.endpoint import PlaceError
 from pneud.console.results import ask, show
 from pneud.console.tuning import MAYBE_NONE, NAMES, Values, difference, keys, name_of, values_of
-from pneud.verbs import AxisOption, JsonOption, SocketOption, complete_tunable
+from pneud.verbs import AxisOption, JsonOption, SocketOption, VerbError, complete_tunable
 
 
 def get(axis: AxisOption = None, socket: SocketOption = None, json: JsonOption = False) -> int:
@@ -102,7 +102,7 @@ def save(axis: AxisOption = None, socket: SocketOption = None, json: JsonOption 
     changes = difference(found, running)
     if changes:
         try:
-            rewrite(path, lambda document: _put(document, found, running))
+            rewrite(path, lambda document: _put(document, found, running), axis)
         except OSError as e:
             raise PlaceError(f"{path}: {e.strerror}; try sudo") from None
     show({"config": str(path), "changed": changes}, json, f"{path}: {changes or 'has these values'}")
@@ -114,7 +114,10 @@ VERBS = {"get": get, "set": change, "diff": diff, "save": save, "reload": reload
 
 def _running(socket: str | None, axis: str | None) -> tuple[Values, Path]:
     with Client(socket, axis) as client:
-        reply = client.ask("tune_get")
+        try:
+            reply = client.ask("tune_get")
+        except RefusedError as e:
+            raise VerbError(f"tune: {e}") from None
     return reply["gains"], Path(reply["config"])
 
 

@@ -6,7 +6,8 @@ has another form (a tick with a request, another tool's order of bytes) is decod
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +16,9 @@ from numpy.typing import NDArray
 
 from pneud.log.files.reader import LoggedState, LogReader, RawBatch
 from pneud.log.format.frames import FrameBlock
+from pneud.log.format.record_layout import WORD_BITS
 from pneud.log.format.records import LAYOUTS, LoggedEvent, TickLayout
+from pneud.log.format.schema import BEYOND
 from pneud.signals import Request
 
 BLOCK = 4096  # ticks
@@ -47,6 +50,13 @@ class Block(NamedTuple):
     requests: tuple[tuple[int, Request], ...]  # with the index of their tick within the block
     events: tuple[LoggedEvent, ...]
     states: tuple[LoggedState, ...]
+    more: Mapping[str, NDArray[np.uint64]] = MappingProxyType({})  # words of `BEYOND`, if there are any
+
+    def faults(self, name: str) -> tuple[tuple[int, NDArray[np.uint64]], ...]:
+        """The bits of `present` or `latched` as words, each with the number of its first bit."""
+        more = self.more.get(f"{name}_more")
+        none = np.zeros(len(self.number), dtype=np.uint64)
+        return (0, self.ticks[name]), (WORD_BITS, none if more is None else more)
 
     def real(self, name: str) -> Floats:
         """A field of the ticks as doubles."""
@@ -64,6 +74,7 @@ class Block(NamedTuple):
             tuple((index - begin, request) for index, request in self.requests if begin <= index < end),
             self.events,
             self.states,
+            {name: words[begin:end] for name, words in self.more.items()},
         )
 
 
@@ -105,7 +116,7 @@ def _decoded(
 def _block(batches: Sequence[RawBatch], events: list[LoggedEvent], states: list[LoggedState]) -> Block:
     raws = [tick for batch in batches for tick in batch.ticks]
     layout = LAYOUTS[raws[0].schema if raws else "pneud.Tick"]
-    ticks, requests = _ticks(layout, [r.data for r in raws])
+    ticks, requests, more = _ticks(layout, [r.data for r in raws])
     return Block(
         np.array([r.number for r in raws], dtype=np.int64),
         np.array([r.log_time_ns for r in raws], dtype=np.int64),
@@ -114,10 +125,13 @@ def _block(batches: Sequence[RawBatch], events: list[LoggedEvent], states: list[
         requests,
         tuple(events),
         tuple(states),
+        more,
     )
 
 
-def _ticks(layout: TickLayout, messages: list[bytes]) -> tuple[NDArray[Any], tuple[tuple[int, Request], ...]]:
+def _ticks(
+    layout: TickLayout, messages: list[bytes]
+) -> tuple[NDArray[Any], tuple[tuple[int, Request], ...], dict[str, NDArray[np.uint64]]]:
     names, formats, offsets, fixed, at = [], [], [], [], 0
     for place in layout.places:
         fixed += [(at + i, byte) for i, byte in enumerate(place.constant)]
@@ -137,13 +151,19 @@ def _ticks(layout: TickLayout, messages: list[bytes]) -> tuple[NDArray[Any], tup
     same = (rows[:, places] == wanted).all(axis=1)
     usual[usual] = same
     found[usual] = np.ascontiguousarray(rows[same]).view(packed)[:, 0].astype(plain)
-    requests = []
+    requests, words = [], {}
     for index in np.flatnonzero(~usual).tolist():
-        *values, request = layout.unpack(messages[index])
+        *values, more = layout.unpack(messages[index])
         found[index] = tuple(values)
-        if request is not None:
-            requests.append((index, request))
-    return found, tuple(requests)
+        if any(more.more):
+            words[index] = more.more
+        if more.request is not None:
+            requests.append((index, more.request))
+    beyond = {name: np.zeros(len(messages), dtype=np.uint64) for name in BEYOND} if words else {}
+    for index, each in words.items():
+        for name, bits in zip(BEYOND, each, strict=True):
+            beyond[name][index] = bits
+    return found, tuple(requests), beyond
 
 
 def _frames(messages: Iterable[FrameBlock], t_ns: Ints) -> FrameColumns:

@@ -11,6 +11,7 @@ from pneud.log.files.columns import Block
 from pneud.log.files.reader import LogReader
 from pneud.log.format.meanings import meaning_of, unit_of
 from pneud.log.format.records import names_of
+from pneud.log.format.schema import BEYOND
 from pneud.signals import Reference, error_m, state_name, true_error_m
 
 Column = NDArray[Any]
@@ -48,15 +49,23 @@ class TickTable:
             "number": block.number,
             "log_time_ns": block.log_time_ns,
             **{name: _wide(ticks[name]) for name in ticks.dtype.names or ()},
+            **{name: _wide(block.faults(name.removesuffix("_more"))[1][1]) for name in BEYOND},
             "request.kind": kinds,
             "t_s": (ticks["t_ns"] - (self._first_ns or 0)) * 1e-9,
             "error_m": error_m(reference, block.real("estimate.position_m")),
             "true_error_m": true_error_m(reference, offset_ns, block.real("truth_m")),
             "state_name": _words(ticks["state"], state_name),
-            "fault_names": _words(
-                ticks["present"] | ticks["latched"], lambda bits: " ".join(names_of(bits, self._names))
-            ),
+            "fault_names": _words(_faults(block), lambda bits: " ".join(names_of(bits, self._names))),
         }
+
+
+def _faults(block: Block) -> Column:
+    """All bits of faults in a tick; Python's integers where they need them."""
+    (_, present), (beyond, more) = (
+        (words[0], words[1] | latched[1])
+        for words, latched in zip(block.faults("present"), block.faults("latched"), strict=True)
+    )
+    return present.astype(object) | more.astype(object) << beyond if block.more else present
 
 
 def _wide(column: Column) -> Column:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-SCHEMA = 5  # number of the fields that there are
-READABLE = frozenset({"2", "3", "4", "5"})  # fields that a message of one of them lacks are read as 0
+SCHEMA = 6  # number of the fields that there are
+READABLE = frozenset({"2", "3", "4", "5", "6"})  # fields that a message of one of them lacks are read as 0
 
 MEANINGS: dict[str, str] = {
     "t_ns": "this tick's SYNC, CLOCK_MONOTONIC",
@@ -56,12 +56,22 @@ MEANINGS: dict[str, str] = {
     "state": "state of the axis",
     "present": "bits of the fault table that hold now; their names stand in the metadata `faults`",
     "latched": "bits of the fault table that hold the axis in fault",
+    "present_more": "bits 63 and up of the fault table that hold now, from 0 on; where there are any",
+    "latched_more": "likewise of those that hold the axis in fault",
     "answer": "what became of this tick's request",
     "truth_m": "true position at SYNC, where a software plant tells it, else NaN",
     "check": "CRC-32 over the doubles of estimate, reference and command (voltage, law, s, u*),"
     " little-endian",
     "in_position": "1 where the load has come to rest at the end of the reference, within the tolerances",
     "hunting": "at its target the load or the command swings: what it most likely comes from",
+    "told.t_ns": "instant that the following hold for; only an axis that another one leads has them",
+    "told.position_m": "where the other axis's reference was in its last tick, in its own coordinate;"
+    " NaN where it had none",
+    "told.velocity_m_s": "its first derivative",
+    "told.acceleration_m_s2": "its second derivative",
+    "told.jerk_m_s3": "its third derivative",
+    "told.measured_m": "the other axis's own estimate of its position",
+    "told.measured_m_s": "and velocity",
     "request.kind": "what was asked for; only ticks with a request have it",
     "request.values": "its numbers",
 }

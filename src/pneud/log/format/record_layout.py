@@ -8,7 +8,18 @@ from __future__ import annotations
 
 from typing import Any, get_type_hints
 
-from pneud.signals import Command, Estimate, Frame, Measurement, Record, Reference, Request, Tick, Timing
+from pneud.signals import (
+    Command,
+    Estimate,
+    Frame,
+    Measurement,
+    Record,
+    Reference,
+    Request,
+    Tick,
+    Timing,
+    Told,
+)
 
 PARTS: dict[str, Any] = {
     "measurement": Measurement,
@@ -44,6 +55,10 @@ NUMBERS: dict[str, str] = {
 Bits of the fault table are Q, enumerations B.
 """
 
+WORD_BITS = 63
+"""Bits of the fault table in `present` and `latched`; those from there on have words of their own."""
+_WORD = (1 << WORD_BITS) - 1
+
 _NAMES = list(NUMBERS)
 _STATE = _NAMES.index("state")
 
@@ -67,13 +82,18 @@ def numbers_of(record: Record) -> tuple[Any, ...]:
         *tick.command,
         *record.timing,
         tick.state,
-        tick.present,
-        tick.latched,
+        tick.present & _WORD,
+        tick.latched & _WORD,
         tick.answer,
         record.truth_m,
         tick.in_position,
         tick.hunting,
     )
+
+
+def beyond(tick: Tick) -> tuple[int, int]:
+    """The bits of `present` and `latched` that `NUMBERS` has no room for."""
+    return tick.present >> WORD_BITS, tick.latched >> WORD_BITS
 
 
 def record_of(
@@ -82,9 +102,12 @@ def record_of(
     frames: tuple[Frame, ...],
     before: int,
     sent: tuple[Frame, ...],
+    more: tuple[int, int] = (0, 0),
+    told: Told | None = None,
 ) -> Record:
-    """The record with these numbers; what stands behind those of `NUMBERS` is left out."""
+    """The record with these numbers and `beyond`; what stands behind those of `NUMBERS` is left out."""
     m, e, r, c, timing = [of._make(numbers[place]) for of, place in _PLACES]
     state, present, latched, answer, truth_m, in_position, hunting = numbers[_STATE : len(NUMBERS)]
-    tick = Tick(numbers[0], m, request, e, r, c, state, present, latched, answer, in_position, hunting)
+    present, latched = present | more[0] << WORD_BITS, latched | more[1] << WORD_BITS
+    tick = Tick(numbers[0], m, request, e, r, c, state, present, latched, answer, in_position, hunting, told)
     return Record(tick, timing, frames, before, sent, truth_m)

@@ -16,8 +16,8 @@ from google.protobuf.descriptor_pb2 import FieldDescriptorProto as F
 
 from pneud.log.format.frames import FrameBlock
 from pneud.log.format.header import Detail
-from pneud.log.format.record_layout import NUMBERS, numbers_of, record_of
-from pneud.log.format.schema import REQUEST, Field, Level, message_class, tick_fields
+from pneud.log.format.record_layout import NUMBERS, beyond, numbers_of, record_of
+from pneud.log.format.schema import BEYOND, REQUEST, SOMETIMES, TOLD, Field, Level, message_class, tick_fields
 from pneud.signals import (
     Command,
     Estimate,
@@ -28,6 +28,7 @@ from pneud.signals import (
     Request,
     Tick,
     Timing,
+    Told,
     state_name,
 )
 
@@ -39,9 +40,12 @@ _CODES = {
     F.TYPE_SFIXED64: (1, "q"),
     F.TYPE_ENUM: (0, "B"),  # below 128, hence one byte
 }
-_REQUEST = 1 + [field.name for field in tick_fields("compact")[1]].index(REQUEST)  # number of its field
-_PRESENT, _LATCHED = (list(NUMBERS).index(name) for name in ("present", "latched"))
+_FIELDS = [field.name for field in tick_fields("compact")[1]]
+_REQUEST = 1 + _FIELDS.index(REQUEST)  # number of its field
+_TOLD = struct.Struct("<Bq" + "Bd" * (len(Told._fields) - 1))
+_TOLD_TAGS = [number << 3 | 1 for number in range(1, 1 + len(Told._fields))]
 _SHORT = [bytes((i,)) for i in range(128)]
+_NO_MORE = (0, 0)
 
 # Of these a compact log keeps 16 significant bits in place of 24, since nobody needs more and the others are
 # noise, which cannot be compressed: the lowest byte is zero.
@@ -92,7 +96,7 @@ class Place(NamedTuple):
 
 def _places(fields: list[Field], nested: dict[str, list[Field]], group: str = "") -> Iterator[Place]:
     for number, field in enumerate(fields, start=1):
-        if field.name == REQUEST:
+        if field.name in SOMETIMES:
             continue
         if field.type == F.TYPE_MESSAGE:
             first, *rest = _places(nested[field.of.rpartition(".")[2]], nested, f"{field.name}.")
@@ -102,6 +106,17 @@ def _places(fields: list[Field], nested: dict[str, list[Field]], group: str = ""
         else:
             wire, code = _CODES[field.type]
             yield Place(group + field.name, varint(number << 3 | wire), code)
+
+
+class Else(NamedTuple):
+    """What only some messages have."""
+
+    request: Request | None = None
+    more: tuple[int, int] = _NO_MORE  # as `beyond` says
+    told: Told | None = None
+
+
+NOTHING_ELSE = Else()
 
 
 class TickLayout:
@@ -140,13 +155,14 @@ class TickLayout:
         return bits.to_bytes(len(packed), "little")
 
     def unpack(self, data: bytes) -> tuple[Any, ...]:
-        """The values in their order, and the request or None behind them."""
+        """The values in their order, and behind them what only some messages have."""
         if len(data) == self._struct.size and int.from_bytes(data, "little") & self._tags == self._constants:
-            return (*self._struct.unpack(data), None)
-        # With a request, or in another order of bytes, as a tool that wrote it anew may choose.
+            return (*self._struct.unpack(data), NOTHING_ELSE)
+        # With something of that, or in another order of bytes, as a tool that wrote it anew may choose.
         t = self._class.FromString(data)
         asked = Request(t.request.kind, tuple(t.request.values)) if t.request.kind else None
-        return (*self._values(t), asked)
+        told = Told._make(getattr(t.told, name) for name in Told._fields) if t.HasField(TOLD) else None
+        return (*self._values(t), Else(asked, (t.present_more, t.latched_more), told))
 
 
 def _as_float(value: float) -> float:
@@ -168,6 +184,19 @@ def _request(request: Request) -> bytes:
     return varint(_REQUEST << 3 | 2) + varint(len(body)) + body
 
 
+def _told(told: Told) -> bytes:
+    body = _TOLD.pack(*(part for pair in zip(_TOLD_TAGS, told, strict=True) for part in pair))
+    return varint(1 + _FIELDS.index(TOLD) << 3 | 2) + varint(len(body)) + body
+
+
+def _beyond(more: tuple[int, int]) -> bytes:
+    return b"".join(
+        varint(1 + _FIELDS.index(name) << 3 | 1) + struct.pack("<Q", bits)
+        for name, bits in zip(BEYOND, more, strict=True)
+        if bits
+    )
+
+
 class Packer:
     """Packs records at one level of detail."""
 
@@ -178,7 +207,12 @@ class Packer:
         """The message of `/axis/tick`."""
         tick = record.tick
         packed = self._layout.pack((*numbers_of(record), crc_of(tick)))
-        return packed if tick.request is None else packed + _request(tick.request)
+        if tick.request is not None:
+            packed += _request(tick.request)
+        if tick.told is not None:
+            packed += _told(tick.told)
+        more = beyond(tick)
+        return packed if more == _NO_MORE else packed + _beyond(more)
 
 
 _Log = message_class("foxglove.Log")
@@ -226,6 +260,7 @@ class LoggedTick(NamedTuple):
     answer: int
     in_position: int
     hunting: int
+    told: Told | None
     # as in `Record`
     timing: Timing
     frames: tuple[Frame, ...]
@@ -308,7 +343,8 @@ def unpack(
     parts = frames.ticks(v[0] for v in values)
     began_ns = values[0][0] if first_ns is None and values else first_ns or 0
     for tick, v, its_frames in zip(ticks, values, parts, strict=True):
-        check, request = v[len(NUMBERS) :]
-        record = record_of(v, request, *its_frames)
-        t_s, names = 1e-9 * (v[0] - began_ns), names_of(v[_PRESENT] | v[_LATCHED], fault_names)
+        check, (request, more, told) = v[len(NUMBERS) :]
+        record = record_of(v, request, *its_frames, more, told)
+        t_s, bits = 1e-9 * (v[0] - began_ns), record.tick.present | record.tick.latched
+        names = names_of(bits, fault_names)
         yield LoggedTick(tick.number, tick.log_time_ns, check, *record.tick, *record[1:], t_s, names)

@@ -22,7 +22,7 @@ from google.protobuf.descriptor_pb2 import (
 from pneud.log.format.header import Detail
 from pneud.log.format.meanings import meaning_of, unit_of
 from pneud.log.format.record_layout import NUMBERS, PARTS
-from pneud.signals import Answer, Hunting, RequestKind, State
+from pneud.signals import Answer, Hunting, RequestKind, State, Told
 
 METADATA = "pneud"  # name of the metadata on the run
 SETUP = "setup"  # name of the metadata on the real-time set-up
@@ -57,6 +57,10 @@ _TYPES = {"q": F.TYPE_SFIXED64, "Q": F.TYPE_FIXED64, "I": F.TYPE_FIXED32, "B": F
 _ENUMS = {"state": "State", "answer": "Answer", "hunting": "Hunting"}
 STANDING = ("in_position", "hunting")  # fields that messages of schema 2 lack: they stand behind the others
 WITHOUT_STANDING = frozenset({"2"})
+TOLD = "told"
+BEYOND = ("present_more", "latched_more")
+SOMETIMES = (REQUEST, TOLD, *BEYOND)
+"""Fields that only ticks have in which there is something to say: a request, another axis, faults beyond."""
 
 
 DERIVED = (
@@ -72,7 +76,7 @@ DERIVED = (
 def tick_fields(detail: Detail) -> tuple[str, list[Field], dict[str, list[Field]]]:
     """Name, fields and nested messages of `/axis/tick`.
 
-    Every field is of fixed width and always present, but for the request, which only a tick with one has.
+    Every field is of fixed width and always present, but for those of `SOMETIMES`.
     """
     real = F.TYPE_FLOAT if detail == "compact" else F.TYPE_DOUBLE
     name = "Tick" if detail == "compact" else "FullTick"
@@ -91,9 +95,13 @@ def tick_fields(detail: Detail) -> tuple[str, list[Field], dict[str, list[Field]
             fields.append(Field(part, F.TYPE_MESSAGE, f"{name}.{inner}"))
         nested[inner].append(field)
     fields += [Field("check", F.TYPE_FIXED32), Field(REQUEST, F.TYPE_MESSAGE, f"{name}.Request"), *later]
+    fields += [Field(TOLD, F.TYPE_MESSAGE, f"{name}.Told"), *(Field(more, F.TYPE_FIXED64) for more in BEYOND)]
     nested["Request"] = [
         Field("kind", F.TYPE_ENUM, "RequestKind"),
         Field("values", F.TYPE_DOUBLE, repeated=True),
+    ]
+    nested["Told"] = [
+        Field(own, F.TYPE_SFIXED64 if own.endswith("_ns") else F.TYPE_DOUBLE) for own in Told._fields
     ]
     return name, fields, nested
 

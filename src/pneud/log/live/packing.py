@@ -13,7 +13,18 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, NamedTuple, TypeAlias
 
-from pneud.signals import Command, Estimate, Frame, Measurement, Record, Reference, Request, Tick, Timing
+from pneud.signals import (
+    Command,
+    Estimate,
+    Frame,
+    Measurement,
+    Record,
+    Reference,
+    Request,
+    Tick,
+    Timing,
+    Told,
+)
 
 SOURCE = Path(__file__).with_name("pack.c")
 
@@ -51,17 +62,19 @@ def unpacked(data: bytes) -> Record:
         EOFError, TypeError or ValueError: it is none.
     """
     tick, timing, frames, before, sent, truth_m = loads(data)
-    t_ns, measurement, request, estimate, reference, command, *rest = tick
+    t_ns, measurement, request, estimate, reference, command, *rest, told = tick
+    parts = (
+        t_ns,
+        Measurement._make(measurement),
+        None if request is None else Request._make(request),
+        Estimate._make(estimate),
+        Reference._make(reference),
+        Command._make(command),
+        *rest,
+        None if told is None else Told._make(told),
+    )
     return Record(
-        Tick(
-            t_ns,
-            Measurement._make(measurement),
-            None if request is None else Request._make(request),
-            Estimate._make(estimate),
-            Reference._make(reference),
-            Command._make(command),
-            *rest,
-        ),
+        Tick._make(parts),
         Timing._make(timing),
         _frames(frames),
         before,

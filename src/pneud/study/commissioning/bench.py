@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from pneud.config.reading import parse
 from pneud.config.toml import changed_text
-from pneud.config.writing import put_text
+from pneud.config.writing import put_text, with_axis
 from pneud.loading import Loaded
 from pneud.log.files.naming import new_log
 from pneud.log.files.reader import LogReader, read_log
@@ -120,6 +120,7 @@ class Simulated:
     def adopt(self, text: str, keep: bool) -> None:
         """Go on with another configuration, and the same rig."""
         if keep:
-            put_text(self.loaded.path, text)
+            path = self.loaded.path
+            put_text(path, with_axis(path.read_text(encoding="utf-8-sig"), path, self.loaded.part, text))
         self.loaded = self.loaded._replace(config=parse(text, str(self.loaded.path)), text=text)
         self._logs = []

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 from pneud.config.proof import carry_over, digest, keep
-from pneud.config.writing import put_text
+from pneud.config.writing import put_text, with_axis
 from pneud.console.client import Client, RefusedError
 from pneud.console.endpoint import PlaceError
 from pneud.console.protocol import MAX_PIECES
@@ -109,13 +109,14 @@ class Live:
         assert keep
         before = self.loaded
         of = digest(before.config, before.dbc.read_bytes())
-        put_text(before.path, text)
+        whole = before.path.read_text(encoding="utf-8-sig")
+        put_text(before.path, with_axis(whole, before.path, before.part, text))
         try:
-            self.loaded = load(before.path)
+            self.loaded = load(before.path, axis=before.config.name)
             carry_over(before.proof_file, of, digest(self.loaded.config, self.loaded.dbc.read_bytes()))
             self._begin_anew()
         except BaseException:
-            put_text(before.path, before.text)
+            put_text(before.path, whole)
             raise
         self._logs = self._logs[-1:]
 
