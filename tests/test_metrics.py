@@ -16,7 +16,7 @@ import pytest
 from console_bench import Bench, bench
 from log_samples import tick_at
 from pneud import resources
-from pneud.log.live.ring import Kept, Since
+from pneud.log.live.ring import FrameTotals, Kept, Since
 from pneud.rt.processes import children_of, counters_of
 from pneud.safety.faults import F
 from pneud.signals import Mileage, Record, State, Timing
@@ -152,6 +152,7 @@ def test_prometheus_takes_every_expression_of_the_dashboard(tmp_path: Path) -> N
 def test_an_axis_says_what_it_has_done_and_every_process_what_it_has_used(tmp_path: Path) -> None:
     with bench(tmp_path) as b:
         b.ring.set_since(Since(Mileage(10, 2.0, 0.01, 30.0, 9.0), 1e9, Kept.KEPT))
+        b.ring.set_frames(FrameTotals(3000, 2000, 5, 1, 0, 2))
         b.ring.set_mileage(Mileage(5, 1.0, 0.02, 10.0, 4.0))
         b.ring.set_status(b.ring.status()._replace(pid=os.getpid()))
         found = samples(text_of([b.ask(b.connect(), "status")]))
@@ -161,6 +162,8 @@ def test_an_axis_says_what_it_has_done_and_every_process_what_it_has_used(tmp_pa
     assert found[f"pneud_air_cubic_meters_total{{{axis}}}"] == pytest.approx(0.03)
     assert found[f"pneud_engaged_seconds_total{{{axis}}}"] == pytest.approx(40.0, abs=0.01)
     assert found[f"pneud_hardest_stop_meters_per_second_squared{{{axis}}}"] == 9.0
+    assert found[f'pneud_frames_total{{{axis},way="received"}}'] == 3000.0
+    assert found[f'pneud_frames_amiss_total{{{axis},kind="lost"}}'] == 5.0
     assert found[f"pneud_mileage_kept{{{axis}}}"] == 1.0
     own = [name for name in found if "pneud_process_" in name]
     kinds = {name.partition("{")[0].removeprefix("pneud_process_") for name in own}
