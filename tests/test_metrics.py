@@ -200,11 +200,26 @@ def test_odd_names_and_old_kernels_are_no_obstacle(tmp_path: Path) -> None:
     assert children_of(7, tmp_path) == []
 
 
+def quiet_then_told(
+    name: str, before: str, then: str, labels: dict[str, str], words: dict[str, str]
+) -> list[dict[str, Any]]:
+    """Of an alert that is a warning: there is none at first, and one later."""
+    labels = {key: value for key, value in labels.items() if key != "fault"} | {"severity": "warning"}
+    told = [{"exp_labels": labels, "exp_annotations": words}]
+    return [
+        {"eval_time": before, "alertname": name, "exp_alerts": []},
+        {"eval_time": then, "alertname": name, "exp_alerts": told},
+    ]
+
+
 def test_alerts_come_when_they_should(tmp_path: Path) -> None:
     series = [
         ('pneud_fault_latched{axis="a",fault="travel"}', "0x5 1x15"),
         ('pneud_ticks_saturated_total{axis="a"}', "0+30000x30"),
         ('pneud_ticks_total{axis="a"}', "0+60000x30"),
+        ('pneud_process_waited_seconds_total{axis="a",process="loop"}', "0+0.6x8 4.8+6x22"),
+        ('pneud_process_waited_seconds_total{axis="a",process="recorder"}', "0+30x30"),
+        ('pneud_mileage_kept{axis="a"}', "1x5 0x25"),
     ]
     labels = {"severity": "critical", "axis": "a", "fault": "travel"}
     test = {
@@ -219,6 +234,13 @@ def test_alerts_come_when_they_should(tmp_path: Path) -> None:
                     "exp_annotations": {"summary": "a: fault travel",
                                         "description": "pneud status has the cause and its cure"},
                 }]},
+                *quiet_then_told("PneudLoopWaits", "8m", "25m", labels | {"process": "loop"}, {
+                    "summary": "a: others have the loop's processor 10% of the time",
+                    "description": "realtime.cpu and other_cpus keep them apart; pneud doctor"}),
+                *quiet_then_told("PneudMileageNotKept", "7m", "12m", labels, {
+                    "summary": "a: what the axis does is not kept",
+                    "description": "disk full or read-only, or another daemon with an axis of that name;"
+                                   " pneud status"}),
             ],
         }],
     }  # fmt: skip
