@@ -104,6 +104,12 @@ def test_one_sync_and_a_command_for_each_axis_in_every_tick(axes: int) -> None:
     tally = lanes[0].tally
     assert tally.ticks + tally.skipped == pytest.approx(RATE_HZ * 0.8, abs=1)
     assert any(r.tick.state == State.TRACKING for r in records(lanes[0]))
+    for one in lanes:  # what it has done, and what came and went, is said to the very end
+        counted = one.turn.inbox.counts()
+        assert one.recorder.ring.mileage == one.turn.axis.mileage
+        assert one.recorder.ring.mileage.engaged_s > 0.2
+        assert one.recorder.ring.frames[:1] == (counted.rx,)
+        assert one.recorder.ring.frames.tx == len(carrier.sent)
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ import pytest
 from console_bench import Bench, bench
 from log_samples import tick_at
 from pneud import resources
-from pneud.log.live.ring import Kept, Since
+from pneud.log.live.ring import FrameTotals, Kept, Since
 from pneud.rt.processes import children_of, counters_of
 from pneud.safety.faults import F
 from pneud.signals import Mileage, Record, State, Timing
@@ -152,6 +152,7 @@ def test_prometheus_takes_every_expression_of_the_dashboard(tmp_path: Path) -> N
 def test_an_axis_says_what_it_has_done_and_every_process_what_it_has_used(tmp_path: Path) -> None:
     with bench(tmp_path) as b:
         b.ring.set_since(Since(Mileage(10, 2.0, 0.01, 30.0, 9.0), 1e9, Kept.KEPT))
+        b.ring.set_frames(FrameTotals(3000, 2000, 5, 1, 0, 2))
         b.ring.set_mileage(Mileage(5, 1.0, 0.02, 10.0, 4.0))
         b.ring.set_status(b.ring.status()._replace(pid=os.getpid()))
         found = samples(text_of([b.ask(b.connect(), "status")]))
@@ -161,6 +162,8 @@ def test_an_axis_says_what_it_has_done_and_every_process_what_it_has_used(tmp_pa
     assert found[f"pneud_air_cubic_meters_total{{{axis}}}"] == pytest.approx(0.03)
     assert found[f"pneud_engaged_seconds_total{{{axis}}}"] == pytest.approx(40.0, abs=0.01)
     assert found[f"pneud_hardest_stop_meters_per_second_squared{{{axis}}}"] == 9.0
+    assert found[f'pneud_frames_total{{{axis},way="received"}}'] == 3000.0
+    assert found[f'pneud_frames_amiss_total{{{axis},kind="lost"}}'] == 5.0
     assert found[f"pneud_mileage_kept{{{axis}}}"] == 1.0
     own = [name for name in found if "pneud_process_" in name]
     kinds = {name.partition("{")[0].removeprefix("pneud_process_") for name in own}
@@ -197,11 +200,26 @@ def test_odd_names_and_old_kernels_are_no_obstacle(tmp_path: Path) -> None:
     assert children_of(7, tmp_path) == []
 
 
+def quiet_then_told(
+    name: str, before: str, then: str, labels: dict[str, str], words: dict[str, str]
+) -> list[dict[str, Any]]:
+    """Of an alert that is a warning: there is none at first, and one later."""
+    labels = {key: value for key, value in labels.items() if key != "fault"} | {"severity": "warning"}
+    told = [{"exp_labels": labels, "exp_annotations": words}]
+    return [
+        {"eval_time": before, "alertname": name, "exp_alerts": []},
+        {"eval_time": then, "alertname": name, "exp_alerts": told},
+    ]
+
+
 def test_alerts_come_when_they_should(tmp_path: Path) -> None:
     series = [
         ('pneud_fault_latched{axis="a",fault="travel"}', "0x5 1x15"),
         ('pneud_ticks_saturated_total{axis="a"}', "0+30000x30"),
         ('pneud_ticks_total{axis="a"}', "0+60000x30"),
+        ('pneud_process_waited_seconds_total{axis="a",process="loop"}', "0+0.6x8 4.8+6x22"),
+        ('pneud_process_waited_seconds_total{axis="a",process="recorder"}', "0+30x30"),
+        ('pneud_mileage_kept{axis="a"}', "1x5 0x25"),
     ]
     labels = {"severity": "critical", "axis": "a", "fault": "travel"}
     test = {
@@ -216,6 +234,13 @@ def test_alerts_come_when_they_should(tmp_path: Path) -> None:
                     "exp_annotations": {"summary": "a: fault travel",
                                         "description": "pneud status has the cause and its cure"},
                 }]},
+                *quiet_then_told("PneudLoopWaits", "8m", "25m", labels | {"process": "loop"}, {
+                    "summary": "a: others have the loop's processor 10% of the time",
+                    "description": "realtime.cpu and other_cpus keep them apart; pneud doctor"}),
+                *quiet_then_told("PneudMileageNotKept", "7m", "12m", labels, {
+                    "summary": "a: what the axis does is not kept",
+                    "description": "disk full or read-only, or another daemon with an axis of that name;"
+                                   " pneud status"}),
             ],
         }],
     }  # fmt: skip

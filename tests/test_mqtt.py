@@ -508,7 +508,7 @@ def test_a_plant_sees_a_daemon_arm_and_its_will_when_the_bridge_is_killed(
                     await ear.until(lambda last: last.get(ONLINE) == "true")
                     assert json.loads(ear.last["pneud/press/state"])["state"] == "disarmed"
                     names = set(json.loads(ear.last["pneud/press/processes"])["process_threads"])
-                    assert {"loop", "recorder", "console", "keeper"} <= names
+                    assert {"loop", "recorder", "console", "keeper", "mqtt"} <= names
                     from pneud.console.client import Client  # noqa: PLC0415
 
                     with Client(run.socket) as client:  # nobody holds the lease: a bridge only looks

@@ -20,6 +20,7 @@ NOT_HERE = {
     r"make (vm|systemd|campaign-vm)\b.*|hil/vm/run .*": "need a virtual machine; steps of .ci/run",
     r"make campaign\b.*": "minutes; a step of .ci/run",
     r"make (information|strange)\b.*": "minutes; tests/test_hil_commands.py runs a part of each",
+    r"python -m hil\.web\b.*": "minutes, and nothing beside it; tests/test_web_page.py has the crowd",
     r"python -m hil\.second_rig .*": "the rig of another program; tests/test_second_rig.py runs it",
     r"pneud --config axis\.toml --bus unixcan:demo": "the axis of that rig; likewise",
     r"make -C hil/foreign|hil/foreign/node .*": "SocketCAN; tests/vm builds and runs it",

@@ -144,6 +144,7 @@ def test_a_page_arms_goes_and_stops_by_escape(site: Site, tab: Tab) -> None:
     assert site.state() == "disarmed", "it asks first"
     tab.js("document.getElementById('yes').click()")
     tab.until("document.getElementById('state').textContent.startsWith('holding')")
+    tab.until("document.getElementById('done').textContent.startsWith('in its life: strokes')")
     position_mm = site.status()["position_mm"]
     tab.js("document.getElementById('x').value = '900'; document.getElementById('speed').value = '25'")
     tab.js("document.getElementById('goto').requestSubmit()")
@@ -303,6 +304,8 @@ def test_metrics_in_both_dialects(site: Site) -> None:
     _, headers, text = site.get("metrics")
     assert headers["content-type"].startswith("text/plain; version=0.0.4")
     assert "pneud_ticks_total{" in text
+    for process in ("loop", "recorder", "keeper", "console", "web"):
+        assert f'pneud_process_threads{{axis="virtual",process="{process}"}}' in text
     _, headers, text = site.get("metrics", Accept="application/openmetrics-text; version=1.0.0")
     assert headers["content-type"].startswith("application/openmetrics-text")
     assert text.endswith("# EOF\n")

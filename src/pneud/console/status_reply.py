@@ -92,6 +92,7 @@ class StatusWatch:
                 "lateness": _counts_us(self._lateness),
                 "sensor_to_command": _counts_us(self._latency),
             },
+            "frames": self._ring.frames._asdict(),
             "mileage": self._mileage(),
         }
         last = self._reader.latest()

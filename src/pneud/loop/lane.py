@@ -8,6 +8,7 @@ from collections.abc import Collection
 from typing import Protocol
 
 from pneud.bus.link import Link
+from pneud.log.live.ring import FrameTotals
 from pneud.loop.conditions import Conditions
 from pneud.loop.console_watch import ConsoleWatch
 from pneud.loop.options import Options
@@ -68,6 +69,7 @@ class Lane:
         self.identifiers = identifiers
         self.touched = 0
         self.told: Told | None = None
+        self._link = link
         self.conditions = Conditions(turn.inbox, link)
         self.recorder = recorder
         self.tally = Tally(truth=truth is not None, timed=True, sync=turn.inbox.sync)
@@ -147,7 +149,7 @@ class Lane:
             set_ns: when the set was complete or given up.
             called_ns: when it was the axis's turn: then, or when the command of the one before had been sent.
             freeze: hand the state over, too.
-            report: say what the axis has done so far.
+            report: say what the run has come to so far.
         """
         turn, ring = self.turn, self.recorder.ring
         newest_ns, sent_ns, begun_ns = turn.newest_ns, turn.sent_ns, time.monotonic_ns()
@@ -167,11 +169,17 @@ class Lane:
             short = len(turn.axis.state.profile) <= SNAPSHOT_PIECES
             ring.put_state(turn.t_ns, turn.freeze() if short else None)
         if report:
-            ring.set_mileage(turn.axis.mileage)
+            self._report()
         self._record_ns = time.monotonic_ns() - begun_ns
         if self._asked and self._console is not None:
             self._console.answer(turn.tick)
         self.tally.add(record, ending=self._shut)
+
+    def _report(self) -> None:
+        """Say what the run has come to so far; to those who look on, so now and then will do."""
+        ring, link, c = self.recorder.ring, self._link, self.turn.inbox.counts()
+        ring.set_mileage(self.turn.axis.mileage)
+        ring.set_frames(FrameTotals(c.rx, link.tx, c.lost + link.rx_dropped, c.crc, c.stale, c.late))
 
     def over(self) -> bool:
         """Whether nothing is left to do for the axis after this tick; to be asked once in each."""

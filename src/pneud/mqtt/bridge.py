@@ -18,6 +18,7 @@ from pneud.console.client import Client, RefusedError
 from pneud.console.endpoint import PlaceError
 from pneud.mqtt.broker import Broker
 from pneud.mqtt.facts import ONLINE, messages
+from pneud.rt.processes import with_own
 
 TIMEOUT_S = 10.0  # that a broker has to answer
 KEEPALIVE_S = 15  # a broker takes a client for gone after half as much again
@@ -43,7 +44,7 @@ class Daemon:
         self._client: Client | None = None
 
     def look(self) -> Statuses:
-        """The statuses of its axes; blocks.
+        """The statuses of its axes, with what this process has used; blocks.
 
         Raises:
             PlaceError: there is none.
@@ -54,7 +55,7 @@ class Daemon:
                 client = self._connect()
                 self._client = client
                 client.ask("observe")
-            return statuses_of(self._client.ask("status"))
+            return with_own(statuses_of(self._client.ask("status")), "mqtt")
         except BaseException:
             self.close()
             raise

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,20 @@ def children_of(pid: int, proc: Path = PROC) -> list[int]:
         return [int(child) for child in (proc / f"{pid}/task/{pid}/children").read_text().split()]
     except OSError:
         return []
+
+
+def with_own(found: Sequence[Mapping[str, Any]], name: str) -> list[Mapping[str, Any]]:
+    """Statuses, the first one with this process among its `processes`.
+
+    Args:
+        found: of the axes of a daemon.
+        name: what this process is called there.
+    """
+    own = counters_of(os.getpid(), name)
+    if not found or own is None:
+        return [*found]
+    first, *others = found
+    return [{**first, "processes": [*first["processes"], own]}, *others]
 
 
 def counters_of(pid: int, name: str = "", proc: Path = PROC) -> dict[str, Any] | None:

@@ -11,14 +11,16 @@ import contextlib
 import math
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from pneud.console.client import Client, RefusedError
 from pneud.console.endpoint import PlaceError
 from pneud.log.live.ring import Ring, RingReader
+from pneud.rt.processes import with_own
 from pneud.safety.cause import first_cause
 from pneud.signals import Record, state_name
+from pneud.view import mileage
 from pneud.view.banner import Banner, Level, banner_of, faults_of
 from pneud.view.info import ScreenInfo, info_of
 from pneud.web.strip import Strip
@@ -153,14 +155,17 @@ class Axis:
         return banner_of(self._last, self._info, now_s - self._heard_s)
 
     @property
-    def statuses(self) -> list[dict[str, Any]]:
-        """For metrics."""
-        return [] if self.status is None else [self.status]
+    def statuses(self) -> list[Mapping[str, Any]]:
+        """For metrics, with what this process has used."""
+        return with_own([] if self.status is None else [self.status], "web")
 
     def facts(self) -> dict[str, Any]:
         """What of the status a page shows."""
         status = self.status
-        return {} if status is None else {key: status.get(key) for key in _KEPT}
+        if status is None:
+            return {}
+        done = mileage.in_words(status["mileage"])
+        return {**{key: status.get(key) for key in _KEPT}, "done": done}
 
     def close(self) -> None:
         """Hang up."""

@@ -155,6 +155,12 @@ def _timing(s: Mapping[str, Any]) -> Iterator[Family]:
 def _readings(s: Mapping[str, Any]) -> Iterator[Family]:
     amiss = [({"kind": kind}, float(count)) for kind, count in s["amiss"].items()]
     yield _counter("readings_amiss", "Readings that ticks had to go without", amiss)
+    frames = s["frames"]
+    ways = [({"way": way}, float(frames[key])) for way, key in (("received", "rx"), ("sent", "tx"))]
+    yield _counter("frames", "Frames on the bus", ways)
+    bad = (("lost", "lost"), ("corrupt", "crc"), ("frozen", "stale"), ("late", "late"))
+    samples = [({"kind": kind}, float(frames[key])) for kind, key in bad]
+    yield _counter("frames_amiss", "Frames that did not come, or could not be used", samples)
     because = [({"cause": cause}, float(n)) for cause, n in s.get("amiss_because", {}).items()]
     yield _counter("readings_refused", "Readings missing because their frames were bad", because)
 

@@ -34,6 +34,7 @@ _HEAD, _NUMBER, _CLOSED, _NEWEST = 0, 1, 2, 3
 _CONSOLE, _CONSOLES_GONE = 8, 9
 _HEARTBEAT = 16
 _MILEAGE = 32  # of the run, by the loop
+_FRAMES = 48  # on the bus, by the loop
 _BEFORE = 40  # of the runs before it, by the recorder
 _NOTES_LENGTH = 64
 _NOTES_BYTE = 65 * 8
@@ -78,6 +79,17 @@ class RecorderStatus(NamedTuple):
             return ""
         words = {RECORDER_FAILED: "the recorder failed", errno.ENOENT: "its file or folder was removed"}
         return words.get(self.error) or os.strerror(self.error)
+
+
+class FrameTotals(NamedTuple):
+    """Frames of an axis so far, as the summary of a run has them."""
+
+    rx: int = 0
+    tx: int = 0
+    lost: int = 0
+    crc: int = 0
+    stale: int = 0
+    late: int = 0
 
 
 class Since(NamedTuple):
@@ -182,6 +194,7 @@ class Ring:
             Record._fields,
             Frame._fields,
             Mileage._fields,
+            FrameTotals._fields,
         )
         return hashlib.sha256(f"{sys.implementation.cache_tag} {what}".encode()).hexdigest()[:16]
 
@@ -307,6 +320,16 @@ class Ring:
     def set_mileage(self, done: Mileage) -> None:
         """For the loop: say what the axis has done in this run. All of it grows, so none is ever torn."""
         _COUNTERS.pack_into(self._memory, _MILEAGE * 8, *done)
+
+    def set_frames(self, so_far: FrameTotals) -> None:
+        """For the loop: say how many frames came and went."""
+        for index, value in enumerate(so_far):
+            self._words[_FRAMES + index] = value
+
+    @property
+    def frames(self) -> FrameTotals:
+        """How many frames came and went, as of half a second ago at most."""
+        return FrameTotals._make(self._words[_FRAMES : _FRAMES + len(FrameTotals._fields)])
 
     def set_since(self, since: Since) -> None:
         """For the recorder: say what it had done before."""

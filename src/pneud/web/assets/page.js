@@ -138,6 +138,7 @@
     set("where", `${status.bus}, ${status.rate_hz} Hz`);
     limits = status.limits;
     if (limits) set("travel", `${limits.min_mm.toFixed(0)} … ${limits.max_mm.toFixed(0)} mm, at most ${limits.speed_mm_s.toFixed(0)} mm/s`);
+    set("done", status.done ? `in its life: ${status.done}` : "");
     set("who", status.lease ? `commanded by process ${status.lease.pid} of user ${status.lease.uid}` : "nobody commands");
   }
 
