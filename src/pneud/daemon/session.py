@@ -44,7 +44,7 @@ from pneud.rt import setup
 from pneud.safety.faults import FAULT_NAMES
 from pneud.safety.unnoticed import unnoticed
 from pneud.view.info import info_of
-from pneud.view.processes import Seen, fork_screen, fork_viewers
+from pneud.view.processes import Looked, Seen, fork_screen, fork_viewers
 
 if TYPE_CHECKING:
     from pneud.daemon.places import ViewersPlace
@@ -279,9 +279,17 @@ class Session:
         return readiness
 
     def _start_viewers(self, ends: ExitStack, at: ViewersPlace) -> None:
-        axis = self.axes[0]
-        parameters = flat(axis.config.model_dump(mode="json", by_alias=True))
-        viewers = fork_viewers(axis.ring, axis.header, parameters, at.listener, at.admission)
+        several = len(self.axes) > 1
+        looked = [
+            Looked(
+                axis.ring,
+                axis.header,
+                flat(axis.config.model_dump(mode="json", by_alias=True)),
+                axis.config.name if several else "",
+            )
+            for axis in self.axes
+        ]
+        viewers = fork_viewers(looked, self.ready.name, at.listener, at.admission)
         ends.callback(crew.end, viewers, VIEWERS_PATIENCE_S)
 
     def _start_saboteur(self, ends: ExitStack, stage: Stage, plant: int, console: int) -> None:

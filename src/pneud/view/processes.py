@@ -126,14 +126,23 @@ def fork_screen(axes: Sequence[Seen], leaving: Leaving, keep: Iterable[int] = ()
     return Screen(main, keep)
 
 
-def fork_viewers(
-    ring: Ring,
-    header: LogHeader,
-    parameters: Mapping[str, Any],
-    listener: socket.socket,
-    admission: Admission,
-) -> int:
-    """The server for viewers, until the ring is closed.
+class Looked(NamedTuple):
+    """An axis that viewers look at."""
+
+    ring: Ring
+    header: LogHeader
+    parameters: Mapping[str, Any]  # its configuration, by dotted keys
+    name: str = ""  # where there are several
+
+
+def fork_viewers(axes: Sequence[Looked], name: str, listener: socket.socket, admission: Admission) -> int:
+    """The server for viewers, until the rings are closed.
+
+    Args:
+        axes: what is served.
+        name: of the daemon.
+        listener: where viewers come to.
+        admission: who is let in.
 
     Returns:
         Its process id.
@@ -142,7 +151,8 @@ def fork_viewers(
     def main() -> None:
         from pneud.view import viewers  # noqa: PLC0415
 
-        viewers.serve(ring.reader().poll, header, parameters, listener, admission, lambda: ring.closed)
+        sources = [viewers.Source(a.ring.reader().poll, a.header, a.parameters, a.name) for a in axes]
+        viewers.serve(sources, name, listener, admission, lambda: axes[0].ring.closed)
 
     with listener:
         return crew.fork(main, keep=[listener.fileno()], orphaned=signal.SIGTERM, name="viewers")
