@@ -11,6 +11,7 @@ from pneud.config.models import Config
 
 Axes = Sequence[tuple[Config, Codecs]]
 _EMCY, _HEARTBEAT = 0x080, 0x700
+_SERVICES = {_EMCY: "EMCY", _HEARTBEAT: "heartbeat", 0x580: "the SDO answer", 0x600: "the SDO request"}
 _ONE = (  # of which there is one for all
     *("loop.rate_hz", "loop.set_deadline", "loop.spin_us"),
     *("bus.channel", "bus.sync", "bus.bitrate_bit_s", "realtime"),
@@ -24,6 +25,8 @@ def identifiers(config: Config, codecs: Codecs) -> dict[int, str]:
     for device in config.bus.devices:
         if (node := device.node) is not None:
             found |= {_EMCY + node: f"EMCY of node {node}", _HEARTBEAT + node: f"heartbeat of node {node}"}
+    for configured in config.bus.nodes:
+        found |= {base + configured.id: f"{what} of node {configured.id}" for base, what in _SERVICES.items()}
     return found
 
 
@@ -32,8 +35,6 @@ def why_not_together(axes: Axes) -> str:
 
     They need one rate, one SYNC, identifiers of their own, and a bus that carries the frames of all.
     """
-    if nodes := [config.name for config, _ in axes if config.bus.nodes]:
-        return f"axis {nodes[0]} has [[bus.nodes]]; pneud configures the nodes of one axis alone"
     for (a, a_codecs), (b, b_codecs) in combinations(axes, 2):
         for key in _ONE:
             if (one := _at(a, key)) != (other := _at(b, key)):

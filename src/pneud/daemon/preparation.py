@@ -129,8 +129,7 @@ def _prepared(o: RunOptions, viewers: ViewersPlace | None) -> Iterator[Ready]:
             print(f"pneud: {link.note}", file=sys.stderr)
         if viewers is not None:
             link_too = f", or open {viewers.link}" if viewers.link else ""
-            whose = f" (axis {axes[0].config.name})" if several else ""
-            print(f"pneud: {viewers.note}{whose}{link_too}", file=sys.stderr)
+            print(f"pneud: {viewers.note}{link_too}", file=sys.stderr)
         struck = place_of(scenario, axes)
         try:
             yield Ready(o, axes.name, tuple(ready), scenario, struck, link, socket, viewers)

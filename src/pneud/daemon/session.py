@@ -44,7 +44,7 @@ from pneud.rt import setup
 from pneud.safety.faults import FAULT_NAMES
 from pneud.safety.unnoticed import unnoticed
 from pneud.view.info import info_of
-from pneud.view.processes import fork_screen, fork_viewers
+from pneud.view.processes import Looked, Seen, fork_screen, fork_viewers
 
 if TYPE_CHECKING:
     from pneud.daemon.places import ViewersPlace
@@ -279,9 +279,17 @@ class Session:
         return readiness
 
     def _start_viewers(self, ends: ExitStack, at: ViewersPlace) -> None:
-        axis = self.axes[0]
-        parameters = flat(axis.config.model_dump(mode="json", by_alias=True))
-        viewers = fork_viewers(axis.ring, axis.header, parameters, at.listener, at.admission)
+        several = len(self.axes) > 1
+        looked = [
+            Looked(
+                axis.ring,
+                axis.header,
+                flat(axis.config.model_dump(mode="json", by_alias=True)),
+                axis.config.name if several else "",
+            )
+            for axis in self.axes
+        ]
+        viewers = fork_viewers(looked, self.ready.name, at.listener, at.admission)
         ends.callback(crew.end, viewers, VIEWERS_PATIENCE_S)
 
     def _start_saboteur(self, ends: ExitStack, stage: Stage, plant: int, console: int) -> None:
@@ -301,14 +309,17 @@ class Session:
         from pneud.safety.cause import first_cause  # noqa: PLC0415
         from pneud.view.hands import Leaving  # noqa: PLC0415
 
-        ready, shown = self.ready, self.axes[0]
-        whose = shown.config.name if len(self.axes) > 1 else None
+        ready, several = self.ready, len(self.axes) > 1
         viewers, socket = ready.viewers, str(ready.socket.path)
         note = " · ".join(filter(None, (ready.link.note, viewers.note if viewers is not None else "")))
-        info = info_of(self._facts(shown)._replace(note=note).page(), first_cause, _elsewhere(ready))
+        seen = []
+        for axis in self.axes:
+            info = info_of(self._facts(axis)._replace(note=note).page(), first_cause, _elsewhere(ready))
+            whose = axis.config.name if several else None
+            seen.append(Seen(axis.ring, info, Operator(partial(Client, socket, whose))))
         daemon, asks = os.getpid(), "" if ready.options.virtual else "End the daemon, with a controlled stop?"
         leaving = Leaving("end", lambda: os.kill(daemon, signal.SIGINT), ends_view=False, asks=asks)
-        screen = fork_screen(shown.ring, info, Operator(lambda: Client(socket, whose)), leaving)
+        screen = fork_screen(seen, leaving)
         ends.callback(screen.end)
 
 

@@ -12,7 +12,7 @@ from pneud.bus.mapped_inbox import inbox_of
 from pneud.bus.shared import identifiers
 from pneud.compiled.backend import INTERPRETED, Backend
 from pneud.config import conversions
-from pneud.loading import SYNC_COUNTERS, Loaded
+from pneud.loading import SYNC_COUNTERS, Loaded, plans_of_plant
 from pneud.loop.company import Company
 from pneud.loop.conditions import Conditions
 from pneud.loop.routes import Routes
@@ -20,7 +20,7 @@ from pneud.loop.turn import END_TICKS, Turn
 from pneud.replay.lockstep import COMPUTING_NS, START_NS
 from pneud.rig.beam import span
 from pneud.rig.node import Hook, PlantNode
-from pneud.rig.segment import Rigs, Segment
+from pneud.rig.segment import Front, Rigs, Segment
 from pneud.safety.faults import BLOCKS_ARM
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Frame, Record, Request, RequestKind, State, Tick, Timing, Told
@@ -61,6 +61,17 @@ class SimulatedLane:
         """Whether the run is still to arm the axis, and cannot yet."""
         ready = tick.state == State.DISARMED and not tick.present & BLOCKS_ARM
         self.waits = not (ready or is_engaged(tick.state) or tick.latched)
+
+
+def _fronts(lanes: Sequence[SimulatedLane], axes: Sequence[Loaded]) -> list[Front]:
+    """The CANopen nodes before the plants that have some; they are configured."""
+    found: list[Front] = []
+    for lane, axis in zip(lanes, axes, strict=True):
+        if plans := plans_of_plant(axis):
+            from pneud.rig.canopen import CanopenRig, slaves_of  # noqa: PLC0415 - for rigs with nodes only
+
+            found.append(CanopenRig(lane.node, plans, slaves_of(plans), configured=True))
+    return found
 
 
 Ask = Callable[[Sequence[Tick]], Mapping[int, Request]]
@@ -109,7 +120,7 @@ class Together:
         names = [axis.config.name for axis in axes]
         span([lane.node for lane in self.lanes], names, [conversions.beam_of(a.config) for a in axes])
         c = axes[0].config
-        self._rigs = Rigs([lane.node for lane in self.lanes])
+        self._rigs = Rigs([lane.node for lane in self.lanes], _fronts(self.lanes, axes))
         self._routes, self._ask, self._armed = Routes(self.lanes), ask, False
         self._company = Company(self.lanes, [axis.config for axis in axes], None)
         self._sync = axes[0].codecs.sync

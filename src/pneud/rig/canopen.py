@@ -92,31 +92,45 @@ class CanopenRig:
 
     def on_frame(self, frame: Frame) -> None:
         """A frame was sent at its stamp."""
-        self._power(frame.stamp_ns)
+        self.hear(frame)
+        self._inner.on_frame(frame)
+
+    def hear(self, frame: Frame) -> None:
+        """The nodes of the network hear a frame; the plant behind them does not, yet."""
+        self.wake(frame.stamp_ns)
         self._show(frame.stamp_ns)
         for slave in self.slaves:
             slave.on_frame(frame)
         self._reboot()
-        self._inner.on_frame(frame)
 
     def due(self) -> int | None:
         """Earliest time [ns] at which `poll` may have a frame."""
-        times = [t for t in (self._inner.due(), *(slave.due() for slave in self.slaves)) if t is not None]
+        times = [t for t in (self._inner.due(), self.own_due()) if t is not None]
+        return min(times) if times else None
+
+    def own_due(self) -> int | None:
+        """The same of what `say` says."""
+        times = [t for t in (slave.due() for slave in self.slaves) if t is not None]
         return min(times) if times else None
 
     def poll(self, t_ns: int, *, current_only: bool = False) -> list[Frame]:
         """What the nodes have sent until now, in order of stamps."""
-        self._power(t_ns)
+        self.wake(t_ns)
+        frames = self._inner.poll(t_ns, current_only=current_only)
+        own = self.say(t_ns)
+        return sorted((*frames, *own), key=lambda frame: frame.stamp_ns) if own else frames
+
+    def say(self, t_ns: int) -> list[Frame]:
+        """What they have sent as nodes of the network until now, when the plant has been polled."""
         inner = self._inner
-        frames = inner.poll(t_ns, current_only=current_only)
         if inner.started and inner.due() is None and inner.now_ns < t_ns - 2 * _LAG_NS:
             inner.advance(t_ns - _LAG_NS)
         self._show(t_ns)
         own = [frame for slave in self.slaves for frame in slave.poll(t_ns)]
         self._reboot()
-        return sorted((*frames, *own), key=lambda frame: frame.stamp_ns) if own else frames
+        return own
 
-    def _power(self, t_ns: int) -> None:
+    def wake(self, t_ns: int) -> None:
         """Power-up, with the first that is heard of the time."""
         if self._powered:
             return

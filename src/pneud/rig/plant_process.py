@@ -22,6 +22,7 @@ from pneud.signals import ValveState
 
 if TYPE_CHECKING:
     from pneud.canopen.plan import Plan
+    from pneud.rig.canopen import CanopenRig
 
 
 class Rig(NamedTuple):
@@ -42,10 +43,8 @@ class Rig(NamedTuple):
         """Its nodes and the cylinder between them, to which nothing happens; perhaps on a bus with others."""
         return PlantNode(self.plant, self.codecs, self.seed, advance=self.advance, segment=segment)
 
-    def answering(self, node: PlantNode) -> Plant:
-        """What answers on the bus for it: itself, or CANopen nodes that it is the inside of."""
-        if not self.plans:
-            return node
+    def front(self, node: PlantNode) -> CanopenRig:
+        """The CANopen nodes that it is the inside of."""
         from pneud.rig.canopen import CanopenRig, slaves_of  # noqa: PLC0415 - for rigs with nodes only
 
         return CanopenRig(node, self.plans, slaves_of(self.plans, self.odd_nodes))
@@ -123,5 +122,7 @@ def answer(
     for node, truth in zip(nodes, truths, strict=False):
         node.on_truth = truth.put
     setup.apply(rigs[0].priority, None, False)
-    plant = rigs[0].answering(nodes[0]) if len(nodes) == 1 else Rigs(nodes)
+    fronts = [rig.front(node) for rig, node in zip(rigs, nodes, strict=True) if rig.plans]
+    alone = len(nodes) == 1
+    plant: Plant = (fronts or nodes)[0] if alone else Rigs(nodes, fronts)
     serve(link, plant, stop=stop, on_valve_state=on_valve_state)

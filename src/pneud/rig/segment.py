@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from pneud.rig.transmission import Wire
 from pneud.rig.valvenode import ValveNode
@@ -44,12 +44,27 @@ def _deadline(node: PlantNode) -> int:
     return node.valve.deadline_ns
 
 
+class Front(Protocol):
+    """What stands before a plant on the bus: nodes of a network, which have to be configured."""
+
+    def wake(self, t_ns: int) -> None: ...  # noqa: D102
+    def hear(self, frame: Frame) -> None: ...  # noqa: D102
+    def own_due(self) -> int | None: ...  # noqa: D102
+    def say(self, t_ns: int) -> list[Frame]: ...  # noqa: D102
+
+
 class Rigs:
     """Several rigs on one segment, as one to who serves them."""
 
-    def __init__(self, nodes: Sequence[PlantNode]) -> None:
-        """Rigs to which nothing has happened yet; all are on one segment."""
+    def __init__(self, nodes: Sequence[PlantNode], fronts: Sequence[Front] = ()) -> None:
+        """Rigs to which nothing has happened yet.
+
+        Args:
+            nodes: all on one segment.
+            fronts: of those that have one.
+        """
         self.nodes = tuple(nodes)
+        self._fronts = tuple(fronts)
 
     @property
     def started(self) -> bool:
@@ -67,6 +82,8 @@ class Rigs:
 
     def on_frame(self, frame: Frame) -> None:
         """A frame was sent: the wire carries it once, and what happens to one rig's frames happens to it."""
+        for front in self._fronts:
+            front.hear(frame)
         takers = [node for node in self.nodes if node.takes(frame.can_id)]
         carrier = next((node for node in takers if node.hook is not None), takers[0] if takers else None)
         for node in takers:
@@ -77,12 +94,17 @@ class Rigs:
 
     def due(self) -> int | None:
         """Earliest time at which `poll` may have a frame; None as long as no frame comes in."""
-        times = [due_ns for node in self.nodes if (due_ns := node.due()) is not None]
+        dues = [node.due() for node in self.nodes] + [front.own_due() for front in self._fronts]
+        times = [due_ns for due_ns in dues if due_ns is not None]
         return min(times) if times else None
 
     def poll(self, t_ns: int, *, current_only: bool = False) -> list[Frame]:
         """The frames of all that have ended by `t_ns`, in order of their stamps."""
+        for front in self._fronts:
+            front.wake(t_ns)
         frames = [frame for node in self.nodes for frame in node.poll(t_ns, current_only=current_only)]
+        for front in self._fronts:
+            frames += front.say(t_ns)
         return sorted(frames, key=_stamp)
 
     def advance(self, t_ns: int) -> None:

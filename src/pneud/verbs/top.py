@@ -7,21 +7,25 @@ so itself.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
+from collections.abc import Callable
+from functools import partial
 from typing import Annotated
 
 import typer
 
 from pneud.console.client import Client, RefusedError
+from pneud.console.endpoint import PlaceError
 from pneud.console.operator import Operator
 from pneud.log.live.ring import Ring
 from pneud.safety.cause import first_cause
 from pneud.verbs import AxisOption, SocketOption
 from pneud.view.hands import Leaving
 from pneud.view.info import info_of
-from pneud.view.processes import fork_screen
+from pneud.view.processes import Seen, fork_screen
 
 
 def top(
@@ -34,22 +38,24 @@ def top(
     Returns:
         Exit status: 0, or 1 where the daemon cannot be looked at.
     """
-    with Client(socket, axis) as client:
+    with contextlib.ExitStack() as clients:
+        seen: list[Seen] = []
+        kept: list[int] = []
         try:
-            if read_only:
-                client.ask("observe")
-            fields, descriptor = client.attach()
+            names = _axes(socket, axis)
+            for name in names:
+                client = clients.enter_context(Client(socket, name))
+                kept.append(client.fileno())
+                seen.append(_seen(client, partial(Client, socket, name), read_only))
         except RefusedError as e:
             print(f"pneud: {e}", file=sys.stderr)
             return 1
-        if fields["layout"] != Ring.layout():
-            os.close(descriptor)
-            print("pneud: the daemon runs another version of pneud; restart it", file=sys.stderr)
-            return 1
-        ring = Ring.attach(descriptor, fields["slots"], fields["slot_bytes"])
-        operator = Operator(lambda: Client(socket, axis), client, read_only)
+        ring = seen[0].ring
         screen = fork_screen(
-            ring, info_of(fields, first_cause), operator, Leaving("leave"), [client.fileno()]
+            seen,
+            Leaving("leave"),
+            kept,
+            names.index(axis) if axis in names else 0,
         )
         for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
             signal.signal(number, lambda *_: os.kill(screen.pid, signal.SIGTERM))
@@ -58,3 +64,31 @@ def top(
         if ring.closed:
             print("pneud: the daemon has ended", file=sys.stderr)
         return 0
+
+
+def _axes(socket: str | None, axis: str | None) -> list[str | None]:
+    """The axes of the daemon, where there are several; one that is not there is left to the daemon to say.
+
+    Raises:
+        RefusedError: the daemon does not say.
+    """
+    with Client(socket) as client:
+        names = list(client.ask("status").get("axes") or ())
+    return names if names and (axis is None or axis in names) else [axis]
+
+
+def _seen(client: Client, connect: Callable[[], Client], read_only: bool) -> Seen:
+    """An axis of the daemon.
+
+    Raises:
+        RefusedError: it cannot be looked at.
+        PlaceError: it is of another version.
+    """
+    if read_only:
+        client.ask("observe")
+    fields, descriptor = client.attach()
+    if fields["layout"] != Ring.layout():
+        os.close(descriptor)
+        raise PlaceError("the daemon runs another version of pneud; restart it", 1)
+    ring = Ring.attach(descriptor, fields["slots"], fields["slot_bytes"])
+    return Seen(ring, info_of(fields, first_cause), Operator(connect, client, read_only))

@@ -13,10 +13,11 @@ from textual.geometry import Region
 from textual.strip import Strip
 from textual.widget import Widget
 
+from pneud.view.several import Several
 from pneud.view.show import Show, is_ascii
 from pneud.view.terminal import FRAME_S
 
-_NAMED = {"left", "right", "enter", "escape", "backspace", "ctrl+d"}
+_NAMED = {"left", "right", "enter", "escape", "backspace", "ctrl+d", "tab"}
 
 
 _REPEATED = {"left", "right"}  # many times a second, each of which is not worth a picture
@@ -28,7 +29,7 @@ class Picture(Widget):
 
     DEFAULT_CSS = "Picture { width: 100%; height: 100%; }"
 
-    def __init__(self, show: Show, ascii_only: bool) -> None:
+    def __init__(self, show: Show | Several, ascii_only: bool) -> None:
         super().__init__()
         self._show = show
         self._ascii_only = ascii_only
@@ -66,7 +67,7 @@ class ScreenApp(App[None], inherit_bindings=False):
     ENABLE_COMMAND_PALETTE = False
     CSS = "Screen { layers: base; }"
 
-    def __init__(self, show: Show, ascii_only: bool) -> None:
+    def __init__(self, show: Show | Several, ascii_only: bool) -> None:
         super().__init__(ansi_color=True)
         self.show = show
         self.picture = Picture(show, ascii_only)
@@ -104,7 +105,7 @@ class ScreenApp(App[None], inherit_bindings=False):
                 self.step()
 
 
-def run_app(show: Show) -> None:
+def run_app(show: Show | Several) -> None:
     """Show an axis until it is over."""
     os.environ["TEXTUAL_ALLOW_SIGNALS"] = "1"  # Ctrl-C reaches the daemon even where nobody reads keys here
     os.dup2(1, 2)  # textual writes to standard error, which may be somebody's file

@@ -12,8 +12,8 @@ import socket
 import sys
 import termios
 import time
-from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pneud import crew
 from pneud.log.format.header import LogHeader
@@ -78,50 +78,71 @@ class Screen:
             sys.stdout.flush()
 
 
-def fork_screen(
-    ring: Ring, info: ScreenInfo, operator: Operator | None, leaving: Leaving, keep: Iterable[int] = ()
-) -> Screen:
-    """The live screen on this terminal, until the ring is closed or it is left.
+class Seen(NamedTuple):
+    """An axis that is looked at."""
+
+    ring: Ring  # of its records
+    info: ScreenInfo  # what they belong to
+    operator: Operator | None  # whom keys ask
+
+
+def fork_screen(axes: Sequence[Seen], leaving: Leaving, keep: Iterable[int] = (), chosen: int = 0) -> Screen:
+    """The live screen on this terminal, until the rings are closed or it is left.
 
     Args:
-        ring: of the records.
-        info: what they belong to.
-        operator: whom keys ask.
+        axes: what is shown.
         leaving: what `q` does.
-        keep: descriptors that the operator needs.
+        keep: descriptors that the operators need.
+        chosen: the place of the axis that is drawn large at first.
     """
 
     def main() -> None:
+        from pneud.view.several import Several  # noqa: PLC0415
         from pneud.view.show import Show  # noqa: PLC0415
         from pneud.view.terminal import run_child  # noqa: PLC0415
 
-        def log_counts() -> tuple[int, int, int]:
-            status = ring.status()
-            return status.written, status.lost, status.file_bytes
+        def show(axis: Seen, told: Callable[[bool], bool]) -> Show:
+            ring = axis.ring
 
-        def show(told: Callable[[bool], bool]) -> Show:
+            def log_counts() -> tuple[int, int, int]:
+                status = ring.status()
+                return status.written, status.lost, status.file_bytes
+
             return Show(
                 ring.reader().poll,
-                info,
+                axis.info,
                 lambda: told(ring.closed),
                 log_counts=log_counts,
-                operator=operator,
+                operator=axis.operator,
                 leaving=leaving,
             )
 
-        run_child(show)
+        def shows(told: Callable[[bool], bool]) -> Show | Several:
+            all_ = [show(axis, told) for axis in axes]
+            return all_[0] if len(all_) == 1 else Several(all_, chosen)
+
+        run_child(shows)
 
     return Screen(main, keep)
 
 
-def fork_viewers(
-    ring: Ring,
-    header: LogHeader,
-    parameters: Mapping[str, Any],
-    listener: socket.socket,
-    admission: Admission,
-) -> int:
-    """The server for viewers, until the ring is closed.
+class Looked(NamedTuple):
+    """An axis that viewers look at."""
+
+    ring: Ring
+    header: LogHeader
+    parameters: Mapping[str, Any]  # its configuration, by dotted keys
+    name: str = ""  # where there are several
+
+
+def fork_viewers(axes: Sequence[Looked], name: str, listener: socket.socket, admission: Admission) -> int:
+    """The server for viewers, until the rings are closed.
+
+    Args:
+        axes: what is served.
+        name: of the daemon.
+        listener: where viewers come to.
+        admission: who is let in.
 
     Returns:
         Its process id.
@@ -130,7 +151,8 @@ def fork_viewers(
     def main() -> None:
         from pneud.view import viewers  # noqa: PLC0415
 
-        viewers.serve(ring.reader().poll, header, parameters, listener, admission, lambda: ring.closed)
+        sources = [viewers.Source(a.ring.reader().poll, a.header, a.parameters, a.name) for a in axes]
+        viewers.serve(sources, name, listener, admission, lambda: axes[0].ring.closed)
 
     with listener:
         return crew.fork(main, keep=[listener.fileno()], orphaned=signal.SIGTERM, name="viewers")

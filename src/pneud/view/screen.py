@@ -77,6 +77,20 @@ class _Scene(NamedTuple):
     short: bool  # there are few rows
 
 
+class Drawn:
+    """Rows of a page as a rich renderable."""
+
+    def __init__(self, rows: list[list[Segment]]) -> None:
+        self._rows = rows
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Yield the segments of the rows."""
+        for i, row in enumerate(self._rows):
+            if i:
+                yield Segment.line()
+            yield from row
+
+
 class Page:
     """The page for a terminal of a size, a rich renderable of exactly that.
 
@@ -94,10 +108,7 @@ class Page:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Yield the page's segments."""
         ascii_only = options.ascii_only if self._ascii_only is None else self._ascii_only
-        for i, row in enumerate(rows_of(self._snapshot, self._history, self._size, ascii_only)):
-            if i:
-                yield Segment.line()
-            yield from row
+        yield Drawn(rows_of(self._snapshot, self._history, self._size, ascii_only))
 
 
 def rows_of(
@@ -123,7 +134,7 @@ def rows_of(
 def _head(rows: Rows, snapshot: ScreenState, history: History, banner: Banner, look: Palette) -> None:
     info, record = snapshot.info, snapshot.record
     rows.row()
-    badge = "" if record is None else f" {name_of(State, record.tick.state)}{_standing(record)} "
+    badge = "" if record is None else f" {name_of(State, record.tick.state)}{standing(record)} "
     rows.put(clean(f"pneud · {info.name}{info.others}")[: max(rows.room - len(badge) - 1, 0)], BOLD)
     rest = f" · {info.bus} · {info.rate_hz:g} Hz · {clock(history.elapsed_s)}"
     rows.put(clean(rest)[: max(rows.room - len(badge) - 1, 0)])
@@ -153,7 +164,7 @@ def _aside(rows: Rows, text: str) -> None:
         rows.right(text, DIM)
 
 
-def _standing(record: Record) -> str:
+def standing(record: Record) -> str:
     """How the load stands at its target."""
     return ", hunting" if record.tick.hunting else ", in position" if record.tick.in_position else ""
 
@@ -390,7 +401,7 @@ def status_line(snapshot: ScreenState, history: History) -> str:
     banner = banner_of(record, info, history.silent_s)
     return "  ".join(
         (
-            f"{clean(info.name)} {clock(history.elapsed_s)} {name_of(State, tick.state)}{_standing(record)}",
+            f"{clean(info.name)} {clock(history.elapsed_s)} {name_of(State, tick.state)}{standing(record)}",
             f"x {number(tick.estimate.position_m * 1e3, '.3f', 'mm')}",
             f"error {length(tick.error_m).strip()}",
             f"command {number(tick.command.voltage_v, '+.3f', 'V')}",

@@ -20,7 +20,8 @@ from typing import Any
 from rich.console import Console
 from rich.control import Control
 
-from pneud.view.screen import Page, status_line
+from pneud.view.screen import Drawn, status_line
+from pneud.view.several import Several
 from pneud.view.show import Show, is_ascii
 
 FRAME_S = 0.1
@@ -38,6 +39,7 @@ _NAMED = {
     b"\x7f": "backspace",
     b"\x08": "backspace",
     b"\x04": "ctrl+d",
+    b"\t": "tab",
 }
 
 
@@ -62,7 +64,7 @@ def has_keyboard() -> bool:
         return True
 
 
-def run(show: Show, console: Console | None = None) -> None:
+def run(show: Show | Several, console: Console | None = None) -> None:
     """Show an axis until it is over; the terminal is as before afterwards.
 
     On a terminal that cannot move its cursor (TERM=dumb), or no terminal at all, a line every two seconds
@@ -92,7 +94,7 @@ def run(show: Show, console: Console | None = None) -> None:
                 _pages(show, console, pressed)
 
 
-def _lines(show: Show, console: Console, pressed: Callable[[], list[str] | None]) -> None:
+def _lines(show: Show | Several, console: Console, pressed: Callable[[], list[str] | None]) -> None:
     due_s = 0.0
     while _attend(show, pressed):
         if time.monotonic() >= due_s:
@@ -102,17 +104,17 @@ def _lines(show: Show, console: Console, pressed: Callable[[], list[str] | None]
         time.sleep(FRAME_S)
 
 
-def _pages(show: Show, console: Console, pressed: Callable[[], list[str] | None]) -> None:
+def _pages(show: Show | Several, console: Console, pressed: Callable[[], list[str] | None]) -> None:
     ascii_only = is_ascii(console.encoding)
     while _attend(show, pressed):
         begun_s = time.monotonic()
         # half the work of rich's Live, which lays a picture out twice; a page has its exact shape
-        page = Page(show.snapshot, show.history, console.size, ascii_only)
+        page = Drawn(show.picture((console.width, console.height), ascii_only))
         console.print(Control.home(), page, end="", crop=False)
         time.sleep(max(0.0, begun_s + FRAME_S - time.monotonic()))
 
 
-def _attend(show: Show, pressed: Callable[[], list[str] | None]) -> bool:
+def _attend(show: Show | Several, pressed: Callable[[], list[str] | None]) -> bool:
     keys = pressed()
     for key in keys or ():
         show.hands.press(key)
@@ -152,7 +154,7 @@ def restore(attributes: list[Any] | None) -> None:
             termios.tcsetattr(0, termios.TCSANOW, attributes)
 
 
-def run_child(make: Callable[[Callable[[bool], bool]], Show]) -> None:
+def run_child(make: Callable[[Callable[[bool], bool]], Show | Several]) -> None:
     """`run` as the whole life of a forked process: leaves in order on SIGTERM and SIGHUP.
 
     Where the terminal takes no more output, SIGALRM ends the process two seconds after it was told to leave;

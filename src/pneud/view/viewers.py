@@ -1,8 +1,9 @@
 """The run as it goes, for Foxglove, Lichtblick and whoever speaks their WebSocket protocol.
 
 The same topics and schemas as in the log, but for the snapshots of the axis; ticks have what follows from
-their fields behind them. A process of its own reads the ring and serves; it packs only what somebody has
-subscribed to. Clients may look at everything and change nothing.
+their fields behind them. Of several axes each topic begins with the axis's name, as in /x/axis/tick. A
+process of its own reads the rings and serves; it packs only what somebody has subscribed to. Clients may look
+at everything and change nothing.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Callable, Mapping
-from typing import Any, cast
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, cast
 
 from pneud import crew
 from pneud.log.format.derived import Deriver
@@ -65,16 +66,33 @@ class Listener:
         """They never change."""
 
 
+class Source(NamedTuple):
+    """An axis that viewers look at."""
+
+    poll: Callable[[], list[Record]]  # all records since the last call
+    header: LogHeader
+    parameters: Mapping[str, Any]  # its configuration, by dotted keys
+    name: str = ""  # where there are several
+
+    @property
+    def above(self) -> str:
+        """What its topics begin with."""
+        return f"/{self.name}" if self.name else ""
+
+
 class _Publisher:
-    def __init__(self, header: LogHeader, context: Any, foxglove: Any) -> None:
+    def __init__(self, source: Source, context: Any, foxglove: Any) -> None:
+        header, above = source.header, source.above
+        self._poll = source.poll
+        self._tick, self._frame, self._event = (above + topic for topic in TOPICS)
         self._packer = Packer(header.detail)
         self._deriver = Deriver(header.fault_names)
         self._frames = FramesPacker()
         self._events = EventSource(header.fault_names, header.realtime_offset_ns)
         self._offset_ns = header.realtime_offset_ns
         self._channels = {
-            topic: foxglove.Channel(
-                topic,
+            above + topic: foxglove.Channel(
+                above + topic,
                 schema=foxglove.Schema(name=schema, encoding="protobuf", data=descriptors),
                 message_encoding="protobuf",
                 context=context,
@@ -83,26 +101,26 @@ class _Publisher:
             if topic in TOPICS
         }
 
-    def publish(self, records: list[Record], wanted: frozenset[str]) -> None:
+    def publish(self, wanted: frozenset[str]) -> None:
+        records = self._poll()
         for record in records:
-            if TICK in wanted:
+            if self._tick in wanted:
                 log_time_ns = record.tick.t_ns + self._offset_ns
                 packed = self._packer.tick(record) + self._deriver.behind(record)
-                self._channels[TICK].log(packed, log_time=log_time_ns)
-            if FRAMES in wanted:
+                self._channels[self._tick].log(packed, log_time=log_time_ns)
+            if self._frame in wanted:
                 self._frames.add(record)
             for event in self._events.after(record):  # which has to see every record
-                if EVENTS in wanted:
-                    self._channels[EVENTS].log(pack_event(event), log_time=event.log_time_ns)
+                if self._event in wanted:
+                    self._channels[self._event].log(pack_event(event), log_time=event.log_time_ns)
         if len(self._frames):
             first_ns = records[0].tick.t_ns + self._offset_ns
-            self._channels[FRAMES].log(self._frames.take(), log_time=first_ns)
+            self._channels[self._frame].log(self._frames.take(), log_time=first_ns)
 
 
 def serve(
-    poll: Callable[[], list[Record]],
-    header: LogHeader,
-    parameters: Mapping[str, Any],
+    sources: Sequence[Source],
+    name: str,
     listener: socket.socket,
     admission: Admission,
     stop: Callable[[], bool],
@@ -116,12 +134,17 @@ def serve(
     from foxglove.websocket import Capability, Parameter  # noqa: PLC0415
 
     foxglove.set_log_level("CRITICAL")  # a client that goes is no event
+    parameters = {
+        f"{source.name}.{key}" if source.name else key: value
+        for source in sources
+        for key, value in source.parameters.items()
+    }
     watchers = Listener(parameters, lambda name, value: Parameter(name, value=value))
     context = foxglove.Context()
-    publisher = _Publisher(header, context, foxglove)
+    publishers = [_Publisher(source, context, foxglove) for source in sources]
     try:
         server = foxglove.start_server(
-            name=f"pneud {header.name}",
+            name=f"pneud {name}",
             host="127.0.0.1",
             port=0,
             capabilities=[Capability.Parameters],
@@ -136,7 +159,8 @@ def serve(
     try:
         while not leaving() and not stop():
             wanted = watchers.topics
-            publisher.publish(poll(), wanted)
+            for publisher in publishers:
+                publisher.publish(wanted)
             time.sleep(POLL_S)
     finally:
         server.stop()
