@@ -26,10 +26,12 @@ from pneud.signals import (
     Frame,
     Hunting,
     Measurement,
+    Progress,
     Record,
     Reference,
     Request,
     RequestKind,
+    Stage,
     State,
     Tick,
     Timing,
@@ -169,6 +171,7 @@ _ticks = st.builds(
     st.integers(0, 1),
     st.sampled_from(Hunting).map(int),
     st.none() | _filled(Told),
+    st.none() | st.builds(Progress, _word, _word, st.sampled_from(Stage).map(int), _word),
 )
 
 

@@ -20,6 +20,7 @@ from pneud.control import homing
 from pneud.control.homing import AWAY, HALT, TOWARDS, Homing
 from pneud.control.plan import COMING_TO_REST, IDLE, JOINING, RESTING, resting
 from pneud.control.profile import Profile
+from pneud.control.program import PASS, Run, Step
 from pneud.control.reference import Septic
 from pneud.safety.checks import engaged
 from pneud.safety.faults import NO_SENSORS, F, names
@@ -327,6 +328,7 @@ def test_homing_asks_without_the_law(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 DOUBT, STANDING, ODOMETER = Doubt(encoder_share=0.1), Standing(turns=2), Odometer(heading=-1)
+RUN = Run(record=3)
 
 
 def kept(state: AxisState, m: Measurement, after: State, **asked: Any) -> AxisState:
@@ -348,6 +350,7 @@ def kept(state: AxisState, m: Measurement, after: State, **asked: Any) -> AxisSt
         0.001,
         STANDING,
         ODOMETER,
+        RUN,
     )
 
 
@@ -362,6 +365,9 @@ def test_all_of_a_tick_is_remembered() -> None:
     assert (after.profile, after.reference, after.watch) == (state.profile, state.reference, state.watch)
     assert (after.doubt, after.outside_m, after.standing) == (DOUBT, 0.001, STANDING)
     assert after.odometer == ODOMETER
+    assert after.run == RUN
+    assert after.program == state.program
+    assert kept(state, m, State.TRACKING, program=(Step(PASS),)).program == (Step(PASS),)
 
 
 def test_an_axis_that_is_not_engaged_keeps_no_plan() -> None:

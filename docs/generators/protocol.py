@@ -37,7 +37,7 @@ asked of several is asked in one tick, and the reply names them in `axes`; to ar
 |---|---|---|---|---|
 {requests}
 
-`upload` takes up to 32 pieces a line: duration [s] and eight coefficients of the powers of time, in metres; `first` empties
+`run` without `program` goes on in the record that was stopped. `upload` takes up to 32 pieces a line: duration [s] and eight coefficients of the powers of time, in metres; `first` empties
 what is there, and what a client or a console leaves half uploaded is emptied; what follows a line that was refused is refused.
 With the reply to `attach` comes a descriptor of the ring's memory, sealed against writing (`SCM_RIGHTS`).
 
@@ -64,6 +64,7 @@ _ERRORS = {
     ("full", "displaced"): "too many requests wait; a stop came first, or too many clients did",
     ("silent", "late"): "the loop does not answer; it came to it too late, and has not done it",
     ("configuration",): "the file cannot be used",
+    ("program",): "the program cannot be used: the message names the record, and the cure",
     (
         *(
             "wrong_state",
@@ -96,6 +97,10 @@ _CONVERSATION = """\
 < {"v": 1, "id": 7, "ok": true, "state": "holding"}
 > {"v": 1, "id": 8, "verb": "track", "what": "profile"}
 < {"v": 1, "id": 8, "ok": true, "state": "holding"}
+> {"v": 1, "id": 8, "verb": "run", "program": {"schema": 1, "record": [{"do": "goto", "to_mm": 120.0}, {"do": "wait", "for_s": 0.5}]}, "cycles": 2}
+< {"v": 1, "id": 8, "ok": true, "records": 2, "state": "holding"}
+> {"v": 1, "id": 8, "verb": "run", "program": {"schema": 1, "record": [{"do": "goto", "to_mm": 1200.0}]}}
+< {"v": 1, "id": 8, "ok": false, "error": {"type": "program", "message": "run: record 1 (goto): 1200 mm lies outside the travel 21 … 979 mm; the nearest allowed is 979 mm"}}
 > {"v": 1, "id": 9, "verb": "tune_set", "gains": {"k1": 90000.0, "reference.amplitude_m": 0.04}}
 < {"v": 1, "id": 9, "ok": true, "changed": "k1 95000 → 90000, reference.amplitude_m 0.05 → 0.04", "state": "holding"}
 > {"v": 1, "id": 10, "verb": "tune_get"}
@@ -167,12 +172,14 @@ def _requests() -> Iterator[str]:
         for name, field in model.model_fields.items():
             if name in RequestBase.model_fields or name == "verb":
                 continue
-            default = "**required**" if field.is_required() else _default(field.default)
+            default = "**required**" if field.is_required() else _default(name, field.default)
             yield f"| | `{name}` | {_value(name, field)} | {default} | {comments.get(name, '')} |"
 
 
 def _value(name: str, field: FieldInfo) -> str:
     """What a field may be."""
+    if name == "program":
+        return "[a program](programs.md) as tables"
     if name not in _BY_LENGTH:
         return kind(field.annotation, field.metadata).replace("e+0", "e")
     (least,) = (m.min_length for m in field.metadata if isinstance(m, MinLen))
@@ -180,8 +187,9 @@ def _value(name: str, field: FieldInfo) -> str:
     return _BY_LENGTH[name].format(least=least, most=most)
 
 
-def _default(value: object) -> str:
-    return "as configured" if value is None else f"`{str(value).lower()}`"
+def _default(name: str, value: object) -> str:
+    usual = "the one that was stopped" if name == "program" else "as configured"
+    return usual if value is None else f"`{str(value).lower()}`"
 
 
 def text() -> str:

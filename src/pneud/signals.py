@@ -122,6 +122,28 @@ class RequestKind(IntEnum):
     PROBE = 14  # (voltage, rate, travel, speed, force, lease in ticks): a bounded opening without a loop
     RESTART = 15  # centre for good, and let the daemon begin anew with what its file says; not while engaged
     CENTRE = 16  # at once, and disarmed: of the loop, where a fault takes another axis
+    RECORD = 20  # the values of a `control.program.Step`: one more record of the program; (): empty it
+    # (record, rounds, shared): go through the program from there, so often, 0 without end; record 0: go on
+    # where it was stopped; shared 1: with a GO_ON behind each record
+    RUN = 21
+    GO_ON = 22  # (record,): of the loop, when all axes have done it
+
+
+class Stage(IntEnum):
+    """How far the program of an axis is."""
+
+    NONE = 0  # there is none, or it has not been begun
+    STOPPED = 1  # by a stop, a fault, or another command: it can go on from its record
+    ENDED = 2
+    UNDER_WAY = 3
+    DONE = 4  # this record is, and waits for those of the other axes
+    DUE = 5  # the next record begins with the next tick
+    LATE = 6  # the record has not come to its end in its time
+
+    @property
+    def label(self) -> str:
+        """The stage as written in logs, JSON and on the screen."""
+        return self.name.lower()
 
 
 class Hunting(IntEnum):
@@ -267,6 +289,18 @@ class Told(NamedTuple):
     measured_m_s: float
 
 
+class Progress(NamedTuple):
+    """How far a program is, and what it puts out."""
+
+    step: int  # record of the program, from 1; the last one, where it is stopped or has ended
+    lap: int  # rounds that are done
+    stage: int  # a `Stage`
+    outputs: int  # bits
+
+
+NO_PROGRESS = Progress(0, 0, 0, 0)
+
+
 class Tick(NamedTuple):
     """Everything one cycle read and decided."""
 
@@ -283,6 +317,7 @@ class Tick(NamedTuple):
     in_position: int = 0  # 1 where the load has come to rest at the end of the reference
     hunting: int = 0  # a `Hunting`: why it does not
     told: Told | None = None  # by another axis, to one that is led by it
+    program: Progress | None = None  # where there is one
 
     @property
     def error_m(self) -> float:
@@ -293,6 +328,11 @@ class Tick(NamedTuple):
     def state_name(self) -> str:
         """The state as people and scripts read it."""
         return state_name(self.state)
+
+    @property
+    def progress(self) -> Progress:
+        """How far its program is, also where there is none."""
+        return self.program or NO_PROGRESS
 
 
 class Mileage(NamedTuple):

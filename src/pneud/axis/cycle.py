@@ -9,6 +9,7 @@ from __future__ import annotations
 from pneud.axis.doubt import listen
 from pneud.axis.guidance import NO_REFERENCE, Course, guide, redirect
 from pneud.axis.mileage import LOOK_NS, SETTLED_NS, Odometer, count
+from pneud.axis.programs import ENDS, FIRST_KIND, asked_of, proceed
 from pneud.axis.requests import ARM, BLOCKED, HOME, NOTHING, PROBE, TAKEN, Asked, ask
 from pneud.axis.sensing import NAN, NO_ESTIMATE, Belief, Driven, drive, sense
 from pneud.axis.standing import AT_WORK, Standing, judge
@@ -17,6 +18,7 @@ from pneud.axis.stops import UNHELD, excused, gentle, outside
 from pneud.control import homing, probe
 from pneud.control.leading import NOT_LED, aim
 from pneud.control.plan import FOLLOWING, IDLE, NONE, Plan
+from pneud.control.program import DUE, UNDER_WAY, Run, halted, look, progress, stopped
 from pneud.control.step import Controller, forget
 from pneud.safety import checks
 from pneud.safety.faults import F
@@ -37,6 +39,7 @@ from pneud.signals import (
 
 __all__ = ["FOLLOWING", "Axis", "AxisParameters", "AxisState"]
 
+NO_INPUTS = 0  # no frame tells of any
 SATURATED, NOT_FINITE = 1 << F.SATURATED, 1 << F.NOT_FINITE
 CENTRED_COMMAND = Command(voltage_v=0.0, enable=0, saturated=0, law_v=NAN, s=NAN, ustar=NAN)
 
@@ -73,22 +76,31 @@ def cycle(
     course = guide(state, belief, m, present, p, told)
     if course.found:
         watch = forget_position(watch)
-    asked = NOTHING
+    asked, run = NOTHING, state.run
     if request is not None:
-        asked = ask(
-            request,
-            before,
-            course.present,
-            course.plan,
-            state.profile,
-            course.reference,
-            belief.estimate,
-            belief.sampled_ns,
-            state.law,
-            configured(state, p),
-            state.probe,
-            p,
-        )
+        if request.kind >= FIRST_KIND:
+            asked = asked_of(request, state, course.present, p)
+        else:
+            asked = ask(
+                request,
+                before,
+                course.present,
+                course.plan,
+                state.profile,
+                course.reference,
+                belief.estimate,
+                belief.sampled_ns,
+                state.law,
+                configured(state, p),
+                state.probe,
+                p,
+            )
+            if run.stage >= UNDER_WAY and request.kind in ENDS and asked.answer == TAKEN:
+                run = stopped(run)
+    elif run.stage >= DUE:
+        asked = proceed(state, course, belief.estimate, belief.sampled_ns, t_ns, p)
+    if asked.run is not None:
+        run = asked.run
     law = state.law
     if asked.law is not None:
         law = asked.law
@@ -107,6 +119,18 @@ def cycle(
         present |= SATURATED
     if present & NOT_FINITE:
         driven = driven._replace(controller=None)  # it would remember
+    if run.stage >= UNDER_WAY:
+        run = look(
+            run,
+            t_ns,
+            after.state,
+            course.plan.phase,
+            state.standing.in_position,
+            belief.estimate,
+            course.reference,
+            NO_INPUTS,
+            law.cylinder.rod_force_n,
+        )
     reference = aim(course.reference, course.led, p.leading)
     standing = stand(state, after.state, belief.estimate, reference, driven.command, t_ns, p)
     odometer = state.odometer
@@ -130,9 +154,23 @@ def cycle(
         in_position=standing.in_position,
         hunting=standing.hunting,
         told=told,
+        program=progress(run),
     )
     state = put_away(
-        state, t_ns, belief, watch, course, asked, law, after, driven, doubt, outside_m, standing, odometer
+        state,
+        t_ns,
+        belief,
+        watch,
+        course,
+        asked,
+        law,
+        after,
+        driven,
+        doubt,
+        outside_m,
+        standing,
+        odometer,
+        run,
     )
     return state, tick
 
@@ -205,6 +243,7 @@ def put_away(
     outside_m: float,
     standing: Standing,
     odometer: Odometer,
+    run: Run,
 ) -> AxisState:
     """All that has to be remembered of this tick.
 
@@ -222,6 +261,7 @@ def put_away(
         outside_m: where it lies outside, from `stops.outside`.
         standing: at its target.
         odometer: what the axis has done.
+        run: how far the program is.
     """
     plan, profile, reference = course.plan, state.profile, state.reference
     if plan.phase != NONE and not is_engaged(after.state):
@@ -230,6 +270,9 @@ def put_away(
         profile = asked.profile
     if asked.reference is not None:
         reference = asked.reference
+    program = state.program
+    if asked.program is not None:
+        program = asked.program
     # a homing that is cut may leave the load at the stop, beyond the travel: the axis can be homed again
     cut = state.supervisor.state == HOMING and not is_engaged(after.state)
     return AxisState(
@@ -256,6 +299,8 @@ def put_away(
         probe=course.probe,
         odometer=odometer,
         led=course.led if is_engaged(after.state) else NOT_LED,
+        program=program,
+        run=run,
     )
 
 
@@ -331,6 +376,7 @@ class Axis:
                 limited=0,
                 led=NOT_LED,
                 learnt=learnt_so_far(self.state),
+                run=halted(self.state.run),
             )
             return Tick(
                 t_ns=t_ns,
@@ -344,4 +390,5 @@ class Axis:
                 latched=after.latched,
                 answer=0 if kind == 0 else TAKEN if kind == RequestKind.SHUTDOWN else BLOCKED,
                 told=told,
+                program=progress(self.state.run),
             )

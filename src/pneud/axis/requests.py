@@ -28,6 +28,7 @@ from pneud.control.profile import (
     is_within,
     meet,
 )
+from pneud.control.program import Program, Run
 from pneud.control.reference import (
     MOST_OMEGA_RAD_S,
     Bounds,
@@ -104,6 +105,8 @@ class Asked(NamedTuple):
     reference: Sine | None = None  # the configured one from now on
     faults: int = 0  # that showed only now
     probe: Probe | None = None  # from now on
+    program: Program | None = None  # from now on
+    run: Run | None = None  # how far it is
 
 
 NOTHING = Asked(int(Answer.NONE))

@@ -12,6 +12,7 @@ from pneud.control.leading import NOT_LED, Leading, Led
 from pneud.control.plan import IDLE, Plan
 from pneud.control.probe import NO_PROBE, Probe
 from pneud.control.profile import Profile
+from pneud.control.program import NO_RUN, Program, Run
 from pneud.control.reference import Bounds, Shunned, Sine, Way
 from pneud.control.step import Controller, ControllerState
 from pneud.safety import supervisor, watch
@@ -94,6 +95,8 @@ class AxisState(NamedTuple):
     probe: Probe = NO_PROBE
     odometer: Odometer = Odometer()
     led: Led = NOT_LED  # by another axis
+    program: Program = ()
+    run: Run = NO_RUN  # how far the program is
 
     @property
     def phase(self) -> int:

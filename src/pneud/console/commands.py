@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
+from pneud.axis.requests import STEERED
 from pneud.config.conversions import shunned_of
 from pneud.config.learnt import start_of, values_learnt
-from pneud.console import protocol, together
+from pneud.console import programs, protocol, together
 from pneud.console.facts import RunFacts
 from pneud.console.handoff import RequestOutcome
 from pneud.console.memory import Memory
 from pneud.console.orders import Orders
 from pneud.console.processes import Processes
 from pneud.console.protocol import Error, ProtocolError
+from pneud.console.records import ProgramError
 from pneud.console.status_reply import StatusWatch, faults
 from pneud.console.tuning import Tuning
 from pneud.control.reference import Bounds, unhurried
@@ -30,7 +32,9 @@ _BLOCKS = {  # faults, by what they forbid
     "home": BLOCKS[RequestKind.HOME],
 }
 _EMPTY = Request(RequestKind.PIECE)  # the profile
+_RESUME = Request(RequestKind.RUN, (0.0, 0.0, 0.0))
 _URGENT = ("disarm", "stop")
+_STEERED = tuple(State(state).label for state in STEERED)
 _PLAIN = {verb: RequestKind[verb.upper()] for verb in ("clear", "hold", "home", *_URGENT)}
 
 
@@ -64,6 +68,7 @@ class AxisDesk:
         self._memory = memory
         self._processes = processes
         self._tuning = Tuning(run.config, run.path, run.text, memory, run.own)
+        self._program: programs.Compiled | None = None  # that the axis has taken
 
     def read(self) -> None:
         """Read the axis's file, for the next `status` or `tune_reload`."""
@@ -76,7 +81,8 @@ class AxisDesk:
         return {
             "schema": 1,
             "name": r.config.name,
-            **self._watch.fields(),
+            **(told := self._watch.fields()),
+            "program": self._of_program(told["program"]),
             "learnt": values_learnt(self._watch.learnt or start_of(r.config), r.config) or None,
             "learnt_from": r.config.control.adaptation.start.log or None,
             "rate_hz": r.config.loop.rate_hz,
@@ -152,6 +158,8 @@ class AxisDesk:
             case protocol.Track(what=what, attended=attended):
                 request = Request(RequestKind.TRACK, (float(what == "profile"),))
                 return Orders(f"track {what}", (request,), attended=attended)
+            case protocol.Run():
+                return self._go_through(message)
             case protocol.Upload(first=first, last=last, pieces=pieces):
                 requests = [_EMPTY] if first else []
                 requests += [Request(RequestKind.PIECE, tuple(piece)) for piece in pieces]
@@ -203,6 +211,44 @@ class AxisDesk:
         request = Request(RequestKind.PROBE, (m.voltage_v, m.rate_v_s, *bounds, float(ticks)))
         return Orders(f"probe {m.voltage_v:+g} V within {m.travel_mm:g} mm and {m.force_n:g} N", (request,))
 
+    def facts(self) -> programs.AxisFacts:
+        """What a program has to know of the axis."""
+        return programs.facts_of(self._run.config)
+
+    def taken(self, found: programs.Compiled) -> dict[str, Any]:
+        """The axis has a program; fields for the reply."""
+        self._program = found
+        return {"records": len(found.records)}
+
+    def _go_through(self, m: protocol.Run) -> Orders:
+        if m.program is None:
+            return Orders("run, from where it was stopped", (_RESUME,), attended=m.attended)
+        try:
+            found = programs.compiled(m.program, [self.facts()])
+            begun = programs.begun(found, m.record, m.cycles)
+        except ProgramError as e:
+            raise ProtocolError(Error.PROGRAM, f"run: {e}") from None
+        asked = (*programs.requests(found.steps[0]), begun)
+        words = programs.run_in_words(found, m.record, m.cycles)
+        return Orders(words, asked, attended=m.attended, done=lambda: self.taken(found))
+
+    def _of_program(self, told: dict[str, Any] | None) -> dict[str, Any] | None:
+        """What `status` says of a program: of the ticks, and of its file."""
+        if told is None:
+            return None
+        found, record = self._program, told["record"]
+        if found is None or not record <= len(found.records):
+            return {"name": None, **told, "of": None, "label": None, "words": None}
+        one = found.records[record - 1] if record else {}
+        words = programs.in_words(one) if one else None
+        return {
+            "name": found.name,
+            **told,
+            "of": len(found.records),
+            "label": one.get("label"),
+            "words": words,
+        }
+
     def _goto(self, m: protocol.Goto) -> Orders:
         allowed = self._limits()
         low_mm, high_mm = allowed["min_mm"], allowed["max_mm"]
@@ -243,6 +289,8 @@ class AxisDesk:
         match kind:
             case Answer.WRONG_STATE:
                 text = f"{words}: not while the axis is {state}"
+                if words.startswith("run") and state in _STEERED:
+                    text = f"{words}: a program is under way; pneud hold ends it"
             case Answer.BLOCKED:
                 blocking = _BLOCKS.get(words, CENTRES | STOPS)
                 found = faults(outcome.present & blocking, outcome.latched)
@@ -264,6 +312,8 @@ class AxisDesk:
                 text = f"{words}: the encoder has no reference; home the axis: pneud home"
             case Answer.NO_PROFILE:
                 text = f"{words}: there is no profile that could be followed"
+                if words.startswith("run"):
+                    text = f"{words}: there is no program that was stopped; give one: pneud run PROGRAM"
             case Answer.CLOSING:
                 text = f"{words}: the daemon is shutting down"
             case _:

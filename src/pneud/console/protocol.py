@@ -34,6 +34,7 @@ class Error(StrEnum):
     CONFIGURATION = "configuration"  # the file cannot be used
     OUT_OF_TRAVEL = "out_of_travel"
     BEYOND_LIMITS = "beyond_limits"
+    PROGRAM = "program"  # it cannot be used: which record, and why
 
 
 class ProtocolError(Exception):
@@ -132,6 +133,16 @@ class Track(RequestBase):
     attended: bool = False  # ends, held, where its client goes
 
 
+class Run(RequestBase):
+    """Go through a program, record by record."""
+
+    verb: Literal["run"]
+    program: dict[str, Any] | None = None  # as its file has it, points in a table; the one that was stopped
+    record: Annotated[int, Field(ge=1, le=256)] = 1  # to begin with, where there is a program
+    cycles: Annotated[int, Field(ge=0, le=1_000_000_000)] = 1  # 0: without end
+    attended: bool = False  # ends, held, where its client goes
+
+
 class Upload(RequestBase):
     """Pieces of a profile: duration [s], then eight coefficients of powers of time, metres.
 
@@ -173,7 +184,9 @@ class Mark(RequestBase):
     text: Annotated[str, Field(min_length=1, max_length=200)]
 
 
-Request = Plain | Arm | Goto | GotoAll | Jog | Probe | Track | Upload | TuneGet | TuneSet | TuneReload | Mark
+Request = (
+    Plain | Arm | Goto | GotoAll | Jog | Probe | Track | Run | Upload | TuneGet | TuneSet | TuneReload | Mark
+)
 VERBS: dict[str, type[Request]] = {
     verb: kind for kind in Request.__args__ for verb in kind.model_fields["verb"].annotation.__args__
 }

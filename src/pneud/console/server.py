@@ -29,7 +29,7 @@ INFO, WARNING = 2, 3  # levels of the log's events
 
 _MOTION = (
     *(RequestKind.ARM, RequestKind.DISARM, RequestKind.STOP, RequestKind.HOLD),
-    *(RequestKind.HOME, RequestKind.GOTO, RequestKind.TRACK),
+    *(RequestKind.HOME, RequestKind.GOTO, RequestKind.TRACK, RequestKind.RUN),
 )
 _RENEWED = (RequestKind.JOG, RequestKind.PROBE)  # by the same again, which is no other command
 _CHUNK = 16 * 1024
@@ -534,7 +534,7 @@ class Server:
 
     def _done(self, job: Job, outcome: handoff.RequestOutcome) -> None:
         more = job.plan.done() if job.plan.done is not None else {}
-        kind = job.plan.requests[0].kind
+        kind = job.plan.requests[-1].kind
         moves = kind in _MOTION or kind in _RENEWED
         if moves:
             order = {"number": outcome.number, "words": job.plan.words}

@@ -17,9 +17,10 @@ from pneud.log.live.ring import Ring
 from pneud.rt.histogram import Histogram
 from pneud.safety.cause import first_cause
 from pneud.safety.faults import LOG_LOST, TABLE
-from pneud.signals import HUNTING_CURES, Hunting, State
+from pneud.signals import HUNTING_CURES, Hunting, Stage, State
 
 _BOUNDS_US = (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 100_000)
+_STAGES = {int(stage): stage.label for stage in (Stage.STOPPED, Stage.ENDED)}  # all others are under way
 
 
 class StatusWatch:
@@ -77,6 +78,7 @@ class StatusWatch:
             **dict.fromkeys(("position_mm", "velocity_mm_s", "reference_mm", "error_mm")),
             "in_position": False,
             "hunting": None,
+            "program": None,
             "pressures_bar": None,
             "command_v": None,
             "silent_s": None,
@@ -113,6 +115,9 @@ class StatusWatch:
         fields["in_position"] = bool(tick.in_position)
         if tick.hunting:
             fields["hunting"] = {"cause": Hunting(tick.hunting).label, "cure": HUNTING_CURES[tick.hunting]}
+        if tick.progress.stage:
+            stage = _STAGES.get(tick.progress.stage, Stage.UNDER_WAY.label)
+            fields["program"] = {"stage": stage, "record": tick.progress.step, "cycle": tick.progress.lap}
         pressures = (("p1", m.p1_pa), ("p2", m.p2_pa), ("supply", m.supply_pa))
         fields["pressures_bar"] = {name: _scaled(pa, 1e-5) for name, pa in pressures}
         fields["command_v"] = _scaled(tick.command.voltage_v, 1.0)

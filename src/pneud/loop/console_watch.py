@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pneud.log.live.ring import Ring
 from pneud.safety.supervisor import ENGAGES, STEERS, is_engaged
-from pneud.signals import Answer, Host, Tick
+from pneud.signals import Answer, Host, RequestKind, Tick
 
 SILENT_S = 0.5  # how long a console may be silent while the axis is engaged at its operator's request
 SILENT_NS = round(SILENT_S * 1e9)
 TAKEN, CONSOLE_LOST = int(Answer.TAKEN), int(Host.CONSOLE_LOST)
-_COMMANDS = frozenset((*ENGAGES, *STEERS))
+_COMMANDS = frozenset((*ENGAGES, *STEERS, int(RequestKind.RUN)))
 
 
 class ConsoleWatch:

@@ -237,7 +237,7 @@ def _thawed(log: LogReader, state: LoggedState) -> Snapshot:
 
 def _states(t: Tick | LoggedTick, told: bool) -> tuple[int, ...]:
     """What may not differ at all; `told` where the log says how the load stands at its target."""
-    states = t.state, t.present, t.latched, t.answer, t.command.enable
+    states = t.state, t.present, t.latched, t.answer, t.command.enable, *(t.program or ())
     return (*states, t.in_position, t.hunting) if told else states
 
 
@@ -253,6 +253,8 @@ def _difference(
     for name in STANDING if told else ():
         if getattr(logged, name) != getattr(tick, name):
             return Difference(number, name, f"{getattr(logged, name)}", f"{getattr(tick, name)}")
+    if logged.program != tick.program:
+        return Difference(number, "program", f"{logged.program}", f"{tick.program}")
     return Difference(number, "the checksum of the states", f"{logged.check:08x}", f"{crc_of(tick):08x}")
 
 

@@ -88,6 +88,8 @@ class F(IntEnum):
     UNPROVEN = 62
     SKEW = 63
     LED_BEYOND = 64
+    PROGRAM = 65
+    PROGRAM_LATE = 66
 
 
 class Fault(NamedTuple):
@@ -536,6 +538,22 @@ TABLE: tuple[Fault, ...] = (
         "what reference.follow leads to lies outside the axis's own travel, or is faster than limits.motion",
         "lead the other axis less far or more slowly; check reference.follow.scale and offset_m",
         clears="as soon as the axis is not engaged",
+    ),
+    Fault(
+        F.PROGRAM,
+        Reaction.STOP,
+        "a record of the program cannot be done from where the axis is",
+        "pneud status tells the record: a relative way, or what it follows, leads out of the travel; clear,"
+        " arm, and go on with pneud run --resume, or elsewhere with --from",
+        clears="with the next tick",
+    ),
+    Fault(
+        F.PROGRAM_LATE,
+        Reaction.STOP,
+        "a record of the program has not come to its end within its timeout_s",
+        "pneud status tells the record: the load does not come into its tolerance, or what is waited for does"
+        " not happen; clear, arm, and go on with pneud run --resume",
+        clears="with the next tick",
     ),
 )
 

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from pneud.console.client import Client
+from pneud.console.going import in_words as where
 from pneud.verbs import AxisOption, JsonOption, SocketOption
 from pneud.view import mileage
 from pneud.view.learnt import in_brief
@@ -59,6 +60,8 @@ def in_words(s: dict[str, Any]) -> list[str]:
         f"position {number(s['position_mm'], '.3f')} mm, reference {number(s['reference_mm'], '.3f')} mm,"
         f" error {number(s['error_mm'], '.3f')} mm{', in position' if s['in_position'] else ''}"
     )
+    if s["program"]:
+        lines.append(_program(s["program"]))
     if s["hunting"]:
         lines.append(f"hunting ({s['hunting']['cause']}): check {s['hunting']['cure']}")
     bar = s["pressures_bar"] or dict.fromkeys(("p1", "p2", "supply"))
@@ -86,6 +89,12 @@ def in_words(s: dict[str, Any]) -> list[str]:
     changed = " (changed since it was loaded: pneud tune diff)" if s["config_changed"] else ""
     lines.append(f"configuration {s['config']}{changed}")
     return lines
+
+
+def _program(p: dict[str, Any]) -> str:
+    """How far a program is."""
+    name, stage = p["name"] or "", str(p["stage"]).replace("_", " ")
+    return f"program {name}: {stage}, {where(p)}, {p['cycle']} cycles done".replace(" :", ":")
 
 
 def _readings(s: dict[str, Any]) -> list[str]:

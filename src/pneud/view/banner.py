@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import Enum
 from typing import NamedTuple
 
-from pneud.signals import HUNTING_CURES, Host, Record, State
+from pneud.signals import HUNTING_CURES, Host, Record, Stage, State
 from pneud.view.info import Cause, ScreenInfo
 from pneud.view.text import bit_names, clean, length
 
@@ -63,6 +63,11 @@ def banner_of(record: Record | None, info: ScreenInfo, silent_s: float) -> Banne
         return Banner(Level.LOOK, f"{words}; {cause.words}", cause.cure, keys)
     if tick.in_position:
         words = f"holds, in position, {length(tick.error_m).strip()} off its target"
+    if tick.progress.stage >= Stage.UNDER_WAY:
+        rounds = f", {tick.progress.lap} rounds done" if tick.progress.lap else ""
+        return Banner(Level.GOOD, f"record {tick.progress.step} of its program{rounds}: {words}", _ENDS, keys)
+    if tick.progress.stage == Stage.STOPPED:
+        words += f"; its program stopped in record {tick.progress.step}"
     return Banner(Level.GOOD, words, "space stops it" + _MORE.get(State(tick.state), ""), keys)
 
 
@@ -74,6 +79,7 @@ _PARTS: dict[int, tuple[str, tuple[str, ...]]] = {
     State.STOPPING: ("comes to rest", ()),
     State.PROBING: ("opens the valve slowly: the movement test", ()),
 }
+_ENDS = "space stops it; h ends the program and holds"
 _MORE = {
     State.TRACKING: "; h holds, g goes to a position",
     State.MOVING: "; g goes elsewhere",

@@ -72,6 +72,12 @@ MEANINGS: dict[str, str] = {
     "told.jerk_m_s3": "its third derivative",
     "told.measured_m": "the other axis's own estimate of its position",
     "told.measured_m_s": "and velocity",
+    "program.step": "record of the program, from 1: the one under way, or the last one; only an axis with a"
+    " program has these",
+    "program.lap": "rounds of the program that are done",
+    "program.stage": "of the program: 1 stopped, 2 ended, 3 under way, 4 done and waiting for other axes,"
+    " 5 the next record is due, 6 late",
+    "program.outputs": "bits of what the program puts out",
     "request.kind": "what was asked for; only ticks with a request have it",
     "request.values": "its numbers",
 }

@@ -17,12 +17,23 @@ from google.protobuf.descriptor_pb2 import FieldDescriptorProto as F
 from pneud.log.format.frames import FrameBlock
 from pneud.log.format.header import Detail
 from pneud.log.format.record_layout import NUMBERS, beyond, numbers_of, record_of
-from pneud.log.format.schema import BEYOND, REQUEST, SOMETIMES, TOLD, Field, Level, message_class, tick_fields
+from pneud.log.format.schema import (
+    BEYOND,
+    PROGRAM,
+    REQUEST,
+    SOMETIMES,
+    TOLD,
+    Field,
+    Level,
+    message_class,
+    tick_fields,
+)
 from pneud.signals import (
     Command,
     Estimate,
     Frame,
     Measurement,
+    Progress,
     Record,
     Reference,
     Request,
@@ -114,6 +125,7 @@ class Else(NamedTuple):
     request: Request | None = None
     more: tuple[int, int] = _NO_MORE  # as `beyond` says
     told: Told | None = None
+    program: Progress | None = None
 
 
 NOTHING_ELSE = Else()
@@ -162,7 +174,9 @@ class TickLayout:
         t = self._class.FromString(data)
         asked = Request(t.request.kind, tuple(t.request.values)) if t.request.kind else None
         told = Told._make(getattr(t.told, name) for name in Told._fields) if t.HasField(TOLD) else None
-        return (*self._values(t), Else(asked, (t.present_more, t.latched_more), told))
+        p = t.program if t.HasField(PROGRAM) else None
+        program = Progress(p.step, p.lap, p.stage, p.outputs) if p is not None else None
+        return (*self._values(t), Else(asked, (t.present_more, t.latched_more), told, program))
 
 
 def _as_float(value: float) -> float:
@@ -189,6 +203,11 @@ def _told(told: Told) -> bytes:
     return varint(1 + _FIELDS.index(TOLD) << 3 | 2) + varint(len(body)) + body
 
 
+def _program(program: Progress) -> bytes:
+    body = b"".join(bytes((number << 3,)) + varint(value) for number, value in enumerate(program, 1))
+    return varint(1 + _FIELDS.index(PROGRAM) << 3 | 2) + varint(len(body)) + body
+
+
 def _beyond(more: tuple[int, int]) -> bytes:
     return b"".join(
         varint(1 + _FIELDS.index(name) << 3 | 1) + struct.pack("<Q", bits)
@@ -212,7 +231,9 @@ class Packer:
         if tick.told is not None:
             packed += _told(tick.told)
         more = beyond(tick)
-        return packed if more == _NO_MORE else packed + _beyond(more)
+        if more != _NO_MORE:
+            packed += _beyond(more)
+        return packed if tick.program is None else packed + _program(tick.program)
 
 
 _Log = message_class("foxglove.Log")
@@ -261,6 +282,7 @@ class LoggedTick(NamedTuple):
     in_position: int
     hunting: int
     told: Told | None
+    program: Progress | None
     # as in `Record`
     timing: Timing
     frames: tuple[Frame, ...]
@@ -280,6 +302,11 @@ class LoggedTick(NamedTuple):
     def true_error_m(self) -> float:
         """Reference − true position, both at SYNC [m]; NaN where nobody tells."""
         return self.record.true_error_m
+
+    @property
+    def progress(self) -> Progress:
+        """How far its program is, also where there is none."""
+        return self.tick.progress
 
     @property
     def state_name(self) -> str:
@@ -343,8 +370,8 @@ def unpack(
     parts = frames.ticks(v[0] for v in values)
     began_ns = values[0][0] if first_ns is None and values else first_ns or 0
     for tick, v, its_frames in zip(ticks, values, parts, strict=True):
-        check, (request, more, told) = v[len(NUMBERS) :]
-        record = record_of(v, request, *its_frames, more, told)
+        check, (request, more, told, program) = v[len(NUMBERS) :]
+        record = record_of(v, request, *its_frames, more, told, program)
         t_s, bits = 1e-9 * (v[0] - began_ns), record.tick.present | record.tick.latched
         names = names_of(bits, fault_names)
         yield LoggedTick(tick.number, tick.log_time_ns, check, *record.tick, *record[1:], t_s, names)

@@ -18,6 +18,7 @@ from pneud.signals import (
     Estimate,
     Frame,
     Measurement,
+    Progress,
     Record,
     Reference,
     Request,
@@ -62,7 +63,7 @@ def unpacked(data: bytes) -> Record:
         EOFError, TypeError or ValueError: it is none.
     """
     tick, timing, frames, before, sent, truth_m = loads(data)
-    t_ns, measurement, request, estimate, reference, command, *rest, told = tick
+    t_ns, measurement, request, estimate, reference, command, *rest, told, program = tick
     parts = (
         t_ns,
         Measurement._make(measurement),
@@ -72,6 +73,7 @@ def unpacked(data: bytes) -> Record:
         Command._make(command),
         *rest,
         None if told is None else Told._make(told),
+        None if program is None else Progress._make(program),
     )
     return Record(
         Tick._make(parts),

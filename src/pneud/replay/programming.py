@@ -1,0 +1,185 @@
+"""An operator of a simulation who has a program done, and what each of its records comes to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+from pneud.control import program
+from pneud.control.program import Program, Step
+from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES
+from pneud.signals import Answer, Record, Request, RequestKind, Stage, State
+
+DUE, DONE, ENDED, STOPPED = int(Stage.DUE), int(Stage.DONE), int(Stage.ENDED), int(Stage.STOPPED)
+WORKING = (int(Stage.UNDER_WAY), DONE, DUE, int(Stage.LATE))
+ARM = Request(RequestKind.ARM)
+
+
+class Passed(NamedTuple):
+    """One record in one round; metres, seconds from the first tick of the run."""
+
+    lap: int
+    record: int  # from 1
+    begin_s: float
+    end_s: float
+    off_m: float  # where it should be, less where it is, as it is done; NaN for what goes nowhere
+    worst_m: float  # of the error on the way
+    true: bool  # a load that was in position was so by the truth
+
+
+class Passing:
+    """Follows a program tick by tick.
+
+    Attributes:
+        passed: all records that are done, in their order.
+        wrong: what should not be: records left out, or in position without being there.
+    """
+
+    def __init__(self, steps: Program, room_m: float) -> None:
+        """A program that has not begun.
+
+        Args:
+            steps: of the axis.
+            room_m: that an encoder's steps may make between estimate and truth.
+        """
+        self.passed: list[Passed] = []
+        self.wrong: list[str] = []
+        self._steps, self._room_m = steps, room_m
+        self._first_ns = self._began_ns = -1
+        self._record = self._lap = 0
+        self._goal_m = math.nan
+        self._worst_m = 0.0
+
+    def see(self, record: Record) -> None:
+        """One tick."""
+        tick = record.tick
+        if self._first_ns < 0:
+            self._first_ns = tick.t_ns
+        if tick.progress.stage not in WORKING and tick.progress.stage != ENDED:
+            self._record = 0
+            return
+        if (
+            tick.progress.stage != ENDED
+            and (tick.progress.step, tick.progress.lap) != (self._record, self._lap)
+            and tick.progress.step
+        ):
+            self._begin(tick.progress.step, tick.progress.lap, tick.t_ns, tick.reference.position_m)
+        if not self._record:
+            return
+        error_m = abs(record.true_error_m)
+        self._worst_m = max(self._worst_m, error_m if math.isfinite(error_m) else 0.0)
+        if tick.progress.stage in (DUE, DONE):
+            self._end(record)
+
+    def _begin(self, record: int, lap: int, t_ns: int, stands_m: float) -> None:
+        before, self._record, self._lap = self._record, record, lap
+        if before and lap == self.passed[-1].lap and not self._follows(before, record):
+            self.wrong.append(f"record {record} came behind record {before}")
+        step = self._steps[record - 1]
+        if step.kind == program.GOTO:
+            self._goal_m = step.target_m
+        elif step.kind == program.MOVE:
+            self._goal_m = (stands_m if math.isnan(self._goal_m) else self._goal_m) + step.target_m
+        elif step.kind in (program.TRACK, program.FORCE):
+            self._goal_m = math.nan
+        self._began_ns, self._worst_m = t_ns, 0.0
+
+    def _follows(self, before: int, record: int) -> bool:
+        step = self._steps[before - 1]
+        goals = {step.to} if step.kind in (program.JUMP, program.REPEAT) else set()
+        return record in goals | ({before + 1} if step.kind != program.JUMP else set()) | {step.otherwise}
+
+    def _end(self, record: Record) -> None:
+        tick, step = record.tick, self._steps[self._record - 1]
+        off_m, true = math.nan, True
+        if step.kind in program.MOTIONS and step.ends != program.AT_ONCE:
+            off_m = self._goal_m - record.truth_m
+            if not abs(off_m) <= step.tolerance_m + self._room_m:
+                true = False
+                words = f"in position, and {1e3 * off_m:+.4f} mm off"
+                self.wrong.append(f"round {self._lap + 1}, record {self._record}: {words}")
+        begin_s, end_s = 1e-9 * (self._began_ns - self._first_ns), 1e-9 * (tick.t_ns - self._first_ns)
+        self.passed.append(Passed(self._lap, self._record, begin_s, end_s, off_m, self._worst_m, true))
+
+    def rounds_s(self) -> list[float]:
+        """How long each whole round took, from the end of the one before."""
+        ends: dict[int, float] = {}
+        for one in self.passed:
+            ends[one.lap] = one.end_s
+        laps = sorted(ends)
+        return [ends[b] - ends[a] for a, b in pairwise(laps)]
+
+
+class Programming:
+    """Arms, hands a program over, and sees it through; an `Operator` of `Simulation`.
+
+    Attributes:
+        passing: what has been done.
+        over: the program has ended, was refused, or a fault has ended it.
+        ended: it has come to its end.
+        why: else why not.
+    """
+
+    def __init__(self, wanted: Iterable[Request], steps: Program, room_m: float) -> None:
+        """Nothing has been asked for yet.
+
+        Args:
+            wanted: one request a tick, once the axis holds; the last one sets the program going.
+            steps: of the program.
+            room_m: as for `Passing`.
+        """
+        self._wanted = [ARM, *wanted]
+        self.passing = Passing(steps, room_m)
+        self.over = self.ended = False
+        self.why = ""
+        self._armed = self._told = False
+
+    def ask(self, state: int, present: int) -> Request | None:
+        """What is asked of the axis in this tick."""
+        if self.over:
+            told, self._told = self._told, True
+            return None if told else Request(RequestKind.SHUTDOWN)
+        if not self._wanted:
+            return None
+        ready = (
+            state == State.HOLDING if self._armed else state == State.DISARMED and not present & BLOCKS_ARM
+        )
+        if not ready:
+            return None
+        self._armed = True
+        return self._wanted.pop(0)
+
+    def see(self, record: Record) -> None:
+        """What became of it in a tick."""
+        tick = record.tick
+        if self.over:
+            return
+        self.passing.see(record)
+        if tick.request is not None and tick.answer != Answer.TAKEN:
+            self.over, self.why = True, f"refused: {Answer(tick.answer).name.lower().replace('_', ' ')}"
+        elif tick.latched:
+            names = [name for bit, name in enumerate(FAULT_NAMES) if tick.latched >> bit & 1]
+            self.over, self.why = True, f"fault {', '.join(names)} in record {tick.progress.step}"
+        elif tick.progress.stage == STOPPED:
+            self.over, self.why = True, f"stopped in record {tick.progress.step}"
+        elif tick.progress.stage == ENDED:
+            self.over = self.ended = True
+
+
+def walked(steps: Sequence[Step]) -> int:
+    """How many records a round goes through at most, where every loop is gone through."""
+    run, count = program.Run(program.DUE, next=1, laps=1, counts=(0,) * len(steps)), 0
+    while count < 1_000_000:
+        run = program.begins(run, tuple(steps))
+        if run.stage == ENDED:
+            break
+        count += 1
+        step = steps[run.record - 1]
+        run = run._replace(stage=DUE)
+        if step.kind == program.JUMP:
+            run = run._replace(next=step.to)
+        elif step.kind == program.REPEAT:
+            run = program.repeated(run, step)
+    return count
