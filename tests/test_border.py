@@ -425,19 +425,29 @@ def streams(words: list[str], redirection: str, **more: Any) -> subprocess.Compl
 
 
 SAYING = ["--help", "--version", "check virtual.toml", "sim --duration 0.01", "replay LOG"]
+PROGRAM = Path(__file__).parents[1] / "examples" / "programs" / "pick-and-place.toml"
 GOLDEN = Path(__file__).with_name("golden") / "composite.mcap"
 NEW = "new x -o OUT.toml --cylinder 25/10 --stroke 200 --mass 3 --valve 350 --yes"
 WORKING = [*SAYING, "sim --duration 0.01 --json", "sim --help", "doctor", "doctor --json", "check SCENARIO"]
 WORKING += ["replay LOG --json", "replay LOG --against LOG", "replay LOG --set control.k1=9e4"]
 WORKING += ["export LOG -o OUT.csv", "export LOG -o OUT.log", "import RECORDING --dbc DBC -o OUT.mcap"]
 WORKING += ["scenarios", "scenarios --json", "logs .", "logs . --json", "nodes explain canopen.toml"]
-WORKING += ["map RECORDING", "map LOG --json"]
+WORKING += ["map RECORDING", "map LOG --json", f"run {PROGRAM} --dry-run"]
 WORKING += ["commission --virtual --movement-test", "commission --virtual --movement-test --json"]
 WORKING += ["recover LOG -o OUT.mcap", "report LOG -o OUT.html", "install-service --destdir OUT"]
 WORKING += [f"learnt {GOLDEN}", f"learnt {GOLDEN} --json", NEW, f"{NEW} --json"]
 WORKING += ["design virtual.toml --bandwidth 50 --error-mm 1", "bench --pairs 1 --disturb --json"]
 TELLING = ["status --json", "arm", "disarm", "stop", "clear", "home", "hold", "goto 1", "jog 1 --for 0.01"]
-TELLING += ["mark x", "track sine", "track steps 2 3", "tune get", "tune set k1=1", "tune diff", "tune save"]
+TELLING += [
+    "mark x",
+    "teach x -o OUT.toml",
+    "track sine",
+    "track steps 2 3",
+    "tune get",
+    "tune set k1=1",
+    "tune diff",
+    "tune save",
+]
 TELLING += ["tune reload", *(f"{words} --json" for words in ("arm", "tune get", "jog 1 --for 0.01"))]
 FULL = "standard output: No space left on device"
 MUTE = {
@@ -445,6 +455,7 @@ MUTE = {
     "top",
     "view",
     "web",
+    "mqtt",
     "reproduce",
     "identify",
     "restart",

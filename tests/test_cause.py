@@ -5,8 +5,11 @@ from __future__ import annotations
 import pytest
 
 from pneud.console.status_reply import faults
+from pneud.log.live.mileage import whole_life
+from pneud.log.live.ring import Kept, Since
 from pneud.safety.cause import _STORIES, first_cause
 from pneud.safety.faults import FAULT_NAMES, TABLE, F
+from pneud.signals import Mileage
 from pneud.verbs.status import in_words
 
 # as the axis has them with nothing on its bus
@@ -88,10 +91,21 @@ def test_status_tells_the_cause_before_the_faults_and_no_cures_that_mislead() ->
         **dict.fromkeys(
             ("silent_s", "position_mm", "reference_mm", "error_mm", "pressures_bar", "command_v")
         ),
-        **dict.fromkeys(("hunting", "lateness_us", "sensor_to_command_us", "lease", "learnt")),
+        **dict.fromkeys(
+            (
+                "hunting",
+                "lateness_us",
+                "sensor_to_command_us",
+                "lease",
+                "learnt",
+                "program",
+                "processes",
+            )
+        ),
         **dict.fromkeys(("ticks", "skipped", "rate_hz", "log_dropped", "log_written"), 0),
         **dict.fromkeys(("name", "bus", "state", "log", "config"), "x"),
         **{"in_position": False, "config_changed": False, "amiss": {}, "amiss_last_minute": {}},
+        "mileage": whole_life(Mileage(), Since(Mileage(), 0.0, Kept.NO)),
         "faults": faults(sum(1 << F[name.upper()] for name in (*ALONE, "config_changed")), 0),
         "cause": {"words": found.words, "cure": found.cure, "faults": list(found.faults)},
     }

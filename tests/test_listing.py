@@ -187,8 +187,9 @@ def test_faults_with_their_times() -> None:
     table = viewing.FaultTable(("a", "encoder_missing"))
     t_s = np.arange(6.0)
     none = np.zeros(6, dtype=np.int64)
-    table.add({"present": np.array([0, 1, 1, 3, 0, 0]), "latched": none, "t_s": t_s})
-    table.add({"present": none, "latched": np.array([0, 2, 2, 2, 2, 2]), "t_s": t_s + 6.0})
+    more = {"present_more": none, "latched_more": none}
+    table.add({"present": np.array([0, 1, 1, 3, 0, 0]), "latched": none, "t_s": t_s, **more})
+    table.add({"present": none, "latched": np.array([0, 2, 2, 2, 2, 2]), "t_s": t_s + 6.0, **more})
     spans = [
         ("a", 1.0, 4.0, False),
         ("encoder_missing", 3.0, 4.0, False),

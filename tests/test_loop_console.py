@@ -26,6 +26,7 @@ NOW_NS = 90_000_000_000
 COMMANDS = [
     *(RequestKind.ARM, RequestKind.HOLD, RequestKind.GOTO),
     *(RequestKind.JOG, RequestKind.TRACK, RequestKind.HOME, RequestKind.PROBE),
+    RequestKind.RUN,
 ]
 
 

@@ -46,6 +46,8 @@ FROM_WITHIN = {
     "unproven": "takes a bus on which air can be: a test of commissioning has it",
     "skew": "takes two axes that carry one load: their tests have them",
     "led_beyond": "takes an axis that follows another: their tests have them",
+    "program": "takes a program that does not fit the axis: the tests of programs have it",
+    "program_late": "takes a program that waits for what does not come: the tests of programs have it",
     "disk_full": "takes a file system of its own: the campaign has a case for it",
 }
 
