@@ -133,6 +133,7 @@ class Tuning:
         self._text = text
         self._memory = memory
         self._in_file: str | ConfigError = text
+        self._read = ""  # the file's whole text that it is from, where it has been read
         kept = memory.kept() if memory is not None else None
         if kept is not None:
             self._values, self._text = kept["values"], kept["text"]
@@ -150,10 +151,13 @@ class Tuning:
     def read(self) -> None:
         """See what is in the file, for the next two; this takes as long as the disk does."""
         try:
-            self._in_file = self._own(self._path.read_text(encoding="utf-8-sig"))
+            text = self._path.read_text(encoding="utf-8-sig")
+            if text != self._read:  # of several axes it takes a while to find what is said of one
+                self._in_file, self._read = self._own(text), text
         except ConfigError as e:
-            self._in_file = e
+            self._in_file, self._read = e, ""
         except (OSError, UnicodeDecodeError) as e:
+            self._read = ""
             self._in_file = ConfigError(f"{self._path}: cannot be read: {getattr(e, 'strerror', e)}")
 
     def changed_on_disk(self) -> bool:

@@ -21,6 +21,7 @@ from pneud.config.proof import Proof, digest, proven
 from pneud.console.client import Client, RefusedError
 from pneud.loading import Loaded, load
 from pneud.rt.outputs import require_folder, write_whole
+from pneud.safety.supervisor import is_engaged
 from pneud.signals import State
 from pneud.study.commissioning.movement import CURES, Verdict
 from pneud.verbs import AxisOption, ConfigOption, JsonOption, SocketOption, VerbError
@@ -146,6 +147,10 @@ def _on_the_rig(
     if status["state"] != State.DISARMED.label:
         cure = "pneud clear" if status["state"] == State.FAULT.label else "pneud disarm"
         raise VerbError(f"commission: the axis is {status['state']}, not disarmed: {cure}", 1)
+    for name, state in (status.get("others") or {}).items():
+        if is_engaged(State[state.upper()]):
+            words = f"commission: {name} is {state}; the daemon begins anew meanwhile, so disarm all"
+            raise VerbError(f"{words}: pneud disarm", 1)
     loaded = load(status["config"], axis=axis)
     if config_file is not None and load(config_file, axis=axis).text != loaded.text:
         raise VerbError(f"commission: the daemon runs {status['config']}, another configuration")

@@ -129,18 +129,23 @@ class Live:
         self._client, self._status = next_session(
             self._connect, before, SESSION_S, lambda status: status["state"] not in BEGINNING
         )
-        self._rest()
+        self._rest(all_of_them=True)
         self._logs.append(str(self._status["log"]))
 
-    def _rest(self) -> None:
-        """Have the axis disarmed, also where it arms by itself at its start."""
+    def _states(self, all_of_them: bool) -> list[str]:
+        others = (self._status.get("others") or {}).values() if all_of_them else ()
+        return [self._status["state"], *others]
+
+    def _rest(self, *, all_of_them: bool = False) -> None:
+        """Have the axis disarmed, also where it arms by itself at its start, and the others with it."""
         until_ns = time.monotonic_ns() + round(SESSION_S * 1e9)
         self._status = self._client.ask("status")
-        while is_engaged(State[self._status["state"].upper()]):
+        whose = {"axis": None} if all_of_them else {}
+        while any(is_engaged(State[state.upper()]) for state in self._states(all_of_them)):
             if time.monotonic_ns() > until_ns:
                 raise PlaceError(f"the axis is {self._status['state']}, and does not come to rest")
             with contextlib.suppress(RefusedError):
-                self._client.ask("disarm")
+                self._client.ask("disarm", **whose)
             time.sleep(LOOK_S)
             self._status = self._client.ask("status")
 
