@@ -134,10 +134,10 @@ def test_an_order_is_a_request_that_the_console_knows(verb: str, tmp_path: Path)
 
 
 def test_programs_are_those_of_a_folder_and_what_cannot_be_read_says_why(tmp_path: Path) -> None:
-    bad, _, pick = folder_of_programs(tmp_path).list()
+    bad, _, pick = folder_of_programs(tmp_path).listed()
     assert pick == Listed("pick", "pick", 1, "")
     assert "bad.toml" in bad.trouble
-    assert Programs(tmp_path / "gone").list() == NO_PROGRAMS.list() == []
+    assert Programs(tmp_path / "gone").listed() == NO_PROGRAMS.listed() == []
 
 
 @pytest.mark.parametrize(

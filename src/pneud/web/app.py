@@ -129,7 +129,7 @@ class Pages:
 
     async def programs(self, _: Request) -> Response:
         """What programs there are."""
-        found = await asyncio.to_thread(self._programs.list)
+        found = await asyncio.to_thread(self._programs.listed)
         return JSONResponse({"programs": [one._asdict() for one in found]})
 
     async def report(self, request: Request) -> Response:

@@ -31,7 +31,7 @@ class Programs:
         """
         self._folder = folder
 
-    def list(self) -> list[Listed]:
+    def listed(self) -> list[Listed]:
         """Those that there are, and what of them cannot be read; blocks.
 
         Files without records, such as points, are none.
