@@ -42,7 +42,10 @@ from pneud.physics.ratings import DENSITY_ANR_KG_M3
 from pneud.replay.mileage import done_before, done_by
 from pneud.replay.motions import motions
 from pneud.signals import Estimate, Measurement, Mileage
+from pneud.view.mileage import in_words, whence
 from running import serves
+from test_screen_snapshots import FULL, show, text_of
+from test_screen_snapshots import tracking as swinging
 
 LAW = conversions.axis_of(loaded().config, loaded().codecs.command_lsb_v).controller
 AT_REST = NO_ESTIMATE._replace(position_m=0.3, velocity_m_s=0.0, opening_v=0.0)
@@ -433,3 +436,29 @@ def test_neither_an_end_nor_a_kill_loses_what_an_axis_has_done(tmp_path: Path, f
     (before_it, since) = done_before(read_log(log)) or (None, "")
     assert before_it == first
     assert since.startswith("20")
+
+
+# in words
+
+
+def test_a_person_reads_it_in_units_that_suit_it() -> None:
+    little = whole_life(Mileage(7, 12.34, 0.0056, 90.0, 1.2345), Since(Mileage(), 0.0, Kept.NO))
+    much = whole_life(Mileage(), Since(Mileage(1_234_567, 4.56e6, 789.0, 3.6e6, 61.0), 1e9, Kept.KEPT))
+    assert in_words(little) == "strokes 7, travel 12.3 m, air 5.6 l, engaged 1.5 min, hardest stop 1.23 m/s²"
+    assert in_words(much) == (
+        "strokes 1,234,567, travel 4,560.0 km, air 789.0 m³, engaged 1,000.0 h, hardest stop 61 m/s²"
+    )
+    assert [whence(little), whence(much)] == ["in this run", "since 2001-09-09"]
+    assert "not kept" in whence({**much, "kept": "failing"})
+    assert "another daemon" in whence({**much, "kept": "elsewhere"})
+
+
+@pytest.mark.parametrize(("strokes", "words"), [(1234, "1,234 strokes, 4.6 km"), (10**9, " 4.6 km")])
+def test_the_screen_has_a_row_of_it_and_a_few_words_where_there_is_little_room(
+    strokes: int, words: str
+) -> None:
+    done = whole_life(Mileage(strokes, 4567.0, 0.5, 7200.0, 9.0), Since(Mileage(), 0.0, Kept.KEPT))
+    shown = show(swinging(), FULL._replace(mileage=done))
+    assert any(line.endswith(words) for line in text_of(shown, (80, 24)).splitlines())
+    row = next(line for line in text_of(shown, (120, 40)).splitlines() if line.startswith("done"))
+    assert f"strokes {strokes:,}  travel 4.6 km  air 500.0 l  engaged 2.0 h  hardest stop 9 m/s²" in row

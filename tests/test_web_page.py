@@ -35,6 +35,17 @@ STOPS = 20
 AXE = """axe.run(document, { resultTypes: ["violations"] }).then(r => r.violations
   .filter(v => ["serious", "critical"].includes(v.impact))
   .map(v => v.id + ": " + v.nodes.map(n => n.html.slice(0, 120)).join(" | ")))"""
+PROGRAM = """
+schema = 1
+name = "to and fro"
+[[record]]
+do = "goto"
+to_mm = 400.0
+[[record]]
+do = "goto"
+to_mm = 420.0
+speed_mm_s = 10.0
+"""
 UPGRADE = "\r\n".join((
     "GET /live HTTP/1.1", "Host: {}", "Upgrade: websocket", "Connection: Upgrade",
     "Sec-WebSocket-Version: 13", "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "", "",
@@ -112,7 +123,10 @@ def page_of(run: Running, *options: str) -> Iterator[Site]:
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    with running(tmp_path_factory.mktemp("web")) as run, page_of(run, "--operate") as found:
+    folder = tmp_path_factory.mktemp("programs")
+    (folder / "slowly.toml").write_text(PROGRAM)
+    options = ("--operate", "--programs", str(folder))
+    with running(tmp_path_factory.mktemp("web")) as run, page_of(run, *options) as found:
         yield found
 
 
@@ -170,6 +184,31 @@ def test_with_the_page_goes_what_needs_an_operator(site: Site, tab: Tab, how: st
     tab.close()
     eventually(lambda: site.state() != "moving")
     assert site.status()["position_mm"] < 890.0
+
+
+def test_a_program_runs_is_held_without_its_page_and_goes_on_from_the_next_one(
+    site: Site, browser: int, tab: Tab
+) -> None:
+    site.engage(300.0)
+    time.sleep(2.1)  # that command's lease
+    tab.js("document.getElementById('programs').open = true")
+    tab.until("document.querySelector('#listed button') !== null")
+    assert tab.js("document.querySelector('#listed tr').innerText").split()[:3] == ["to", "and", "fro"]
+    tab.js("document.querySelector('#listed button').click()")
+    tab.until("document.getElementById('program').textContent.includes('record 2 of 2')")
+    tab.close()
+    eventually(lambda: site.state() == "holding")
+    assert site.status()["program"]["stage"] == "stopped"
+    assert site.status()["position_mm"] < 419.0
+    other = Tab(browser)
+    try:
+        other.open(f"{site.url}#{site.token}")
+        other.until("!document.getElementById('resume').hidden")
+        other.js("document.getElementById('resume').click()")
+        other.until("document.getElementById('program').textContent.includes('ended')")
+        assert site.status()["position_mm"] == pytest.approx(420.0, abs=1.0)
+    finally:
+        other.close()
 
 
 def test_a_stop_is_soon_on_the_bus(site: Site, tab: Tab, figures: Figures) -> None:

@@ -14,9 +14,10 @@ import pytest
 
 from log_samples import tick_at
 from pneud.console.endpoint import PlaceError
-from pneud.console.protocol import parse
+from pneud.console.protocol import Run, parse
 from pneud.signals import Record, Timing
-from pneud.web.hand import ORDERS, Hand
+from pneud.web.hand import NO_PROGRAMS, ORDERS, Hand
+from pneud.web.programs import Listed, Programs
 from pneud.web.serving import write_metrics
 from pneud.web.strip import SIGNALS, Strip
 
@@ -25,6 +26,7 @@ FIELDS: dict[str, dict[str, Any]] = {
     "jog": {"velocity_mm_s": 5.0},
     "tune_set": {"gains": {"k1": 1.0}},
     "mark": {"text": "x"},
+    "run": {"program": "pick", "cycles": 3},
 }
 
 
@@ -89,11 +91,22 @@ class Desk:
             return []
 
 
-def served(talk: Callable[[Desk, Hand], Coroutine[Any, Any, None]]) -> Desk:
+PROGRAM = 'schema = 1\npoints = "points.toml"\n[[record]]\ndo = "goto"\nto_mm = "there"\n'
+
+
+def folder_of_programs(folder: Path) -> Programs:
+    (folder / "pick.toml").write_text(PROGRAM)
+    (folder / "points.toml").write_text("there = 120.0\n")
+    (folder / "bad.toml").write_text("schema = \n")
+    (folder / "long.toml").write_text(PROGRAM + 600 * '[[record]]\ndo = "goto"\nto_mm = "there"\n')
+    return Programs(folder)
+
+
+def served(talk: Callable[[Desk, Hand], Coroutine[Any, Any, None]], programs: Programs = NO_PROGRAMS) -> Desk:
     desk = Desk()
 
     async def main() -> None:
-        hand = Hand(desk.connect, desk.told.append)
+        hand = Hand(desk.connect, desk.told.append, programs=programs)
         await talk(desk, hand)
         await hand.let_go()
 
@@ -104,16 +117,43 @@ def served(talk: Callable[[Desk, Hand], Coroutine[Any, Any, None]]) -> Desk:
 
 
 @pytest.mark.parametrize("verb", ORDERS)
-def test_an_order_is_a_request_that_the_console_knows(verb: str) -> None:
+def test_an_order_is_a_request_that_the_console_knows(verb: str, tmp_path: Path) -> None:
     async def talk(desk: Desk, hand: Hand) -> None:
         await hand.ask(verb, 7, dict(FIELDS.get(verb, {})))
         (line,) = desk.heard()
         request = parse(line)
         assert (request.verb, request.id) == (verb, 7)
-        if verb in ("goto", "track"):
+        if verb in ("goto", "track", "run"):
             assert getattr(request, "attended") is True, "it ends, held, with the page"  # noqa: B009
+        if isinstance(request, Run):
+            assert request.program is not None
+            assert request.program["points"] == {"there": 120.0}
+            assert (request.program["name"], request.cycles) == ("pick", 3)
 
-    assert served(talk).told == []
+    assert served(talk, folder_of_programs(tmp_path)).told == []
+
+
+def test_programs_are_those_of_a_folder_and_what_cannot_be_read_says_why(tmp_path: Path) -> None:
+    bad, _, pick = folder_of_programs(tmp_path).listed()
+    assert pick == Listed("pick", "pick", 1, "")
+    assert "bad.toml" in bad.trouble
+    assert Programs(tmp_path / "gone").listed() == NO_PROGRAMS.listed() == []
+
+
+@pytest.mark.parametrize(
+    "name", ["../pick", "points", "pick.toml", "", None, 3, {"schema": 1}, "bad", "long"]
+)
+def test_a_page_runs_what_is_in_the_folder_and_nothing_else(name: object, tmp_path: Path) -> None:
+    (tmp_path / "programs").mkdir()
+    programs = folder_of_programs(tmp_path / "programs")
+    (tmp_path / "pick.toml").write_text(PROGRAM)
+
+    async def talk(desk: Desk, hand: Hand) -> None:
+        await hand.ask("run", 7, {"program": name})
+        assert not desk.ends or desk.heard() == []
+
+    (told,) = served(talk, programs).told
+    assert (told["reply"], told["ok"]) == (7, False)
 
 
 @pytest.mark.parametrize(

@@ -38,6 +38,10 @@ def web(
     metrics: Annotated[
         Path | None, typer.Option("--metrics", metavar="FILE.prom", help="Keep metrics in a file, too.")
     ] = None,
+    programs: Annotated[
+        Path | None,
+        typer.Option("--programs", metavar="FOLDER", help="Programs that the page may have gone through."),
+    ] = None,
     axis: AxisOption = None,
     socket: SocketOption = None,
 ) -> int:
@@ -57,6 +61,9 @@ def web(
         raise VerbError("--tls-cert and --tls-key belong together")
     if metrics is not None and metrics.suffix != ".prom":
         raise VerbError(f"{metrics}: node exporter reads files whose names end in .prom")
+
+    if programs is not None and not programs.is_dir():
+        raise VerbError(f"--programs {programs}: is no folder")
 
     # what serves is loaded where it is needed: whoever has made a mistake is told at once
     from pneud.web.admission import Door  # noqa: PLC0415
@@ -84,6 +91,7 @@ def web(
         "who has this link commands" if token else "who has the password commands" if operate else "look only"
     )
     print(f"{place.url}{f'#{token}' if token else ''}  ({who}; Ctrl-C ends it)", flush=True)
-    serving.serve(seen, socket, axis, Door(place, password or token, operate), listener, certificate, metrics)
+    door = Door(place, password or token, operate)
+    serving.serve(seen, socket, axis, door, listener, certificate, metrics, programs)
     print("pneud: the page has ended", file=sys.stderr)
     return 0

@@ -15,7 +15,8 @@ def in_brief(done: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     travel_m, air_l = done["travel_m"], done["air_normal_l"]
     yield "travel", f"{travel_m / _KM:,.1f} km" if travel_m >= _KM else f"{travel_m:.1f} m"
     yield "air", f"{air_l / _M3:,.1f} m³" if air_l >= _M3 else f"{air_l:.1f} l"
-    yield "engaged", f"{done['engaged_h']:,.1f} h"
+    hours = done["engaged_h"]
+    yield "engaged", f"{hours:,.1f} h" if hours >= 1.0 else f"{60.0 * hours:.1f} min"
     yield "hardest stop", f"{done['hardest_stop_m_s2']:.3g} m/s²"
 
 

@@ -223,7 +223,8 @@ def _estimates(scene: _Scene, rows: Rows) -> None:
         rows.put(text + gap)
     if (done := scene.snapshot.info.mileage) is not None and scene.short:
         (_, strokes), (_, travel), *_ = mileage.in_brief(done)
-        _aside(rows, f"done {strokes} strokes, {travel}")
+        whole = f"{strokes} strokes, {travel}"
+        _aside(rows, whole if len(whole) + 3 <= rows.room else travel)
     if learnt is None:
         return
     rows.row("learnt")

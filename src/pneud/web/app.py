@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import sys
 import time
@@ -25,6 +26,7 @@ from pneud.web.axis import Axis
 from pneud.web.hand import Hand
 from pneud.web.live import Gallery, Page
 from pneud.web.metrics import OPENMETRICS, TEXT, text_of
+from pneud.web.programs import Programs
 from pneud.web.reports import ReportError, Reports
 
 LONGEST = 4096  # bytes of what a page may say at once
@@ -64,12 +66,19 @@ class Pages:
     """What is behind the door."""
 
     def __init__(
-        self, axis: Axis, door: Door, gallery: Gallery, reports: Reports, hand: Callable[[Any], Hand]
+        self,
+        axis: Axis,
+        door: Door,
+        gallery: Gallery,
+        reports: Reports,
+        programs: Programs,
+        hand: Callable[[Any], Hand],
     ) -> None:
         self._axis = axis
         self._door = door
         self._gallery = gallery
         self._reports = reports
+        self._programs = programs
         self._hand = hand
 
     def app(self) -> ASGIApp:
@@ -83,6 +92,7 @@ class Pages:
             Route("/uplot.css", _given(asset("uPlot.min.css"), "text/css")),
             Route("/session", self.enter, methods=["POST"]),
             Route("/logs", self.logs),
+            Route("/programs", self.programs),
             Route("/reports/{name}", self.report),
             Route("/metrics", self.metrics),
             WebSocketRoute("/live", self.live),
@@ -116,6 +126,11 @@ class Pages:
         """What logs there are."""
         log = (self._axis.status or {}).get("log")
         return JSONResponse({"logs": await self._reports.list(log)})
+
+    async def programs(self, _: Request) -> Response:
+        """What programs there are."""
+        found = await asyncio.to_thread(self._programs.listed)
+        return JSONResponse({"programs": [one._asdict() for one in found]})
 
     async def report(self, request: Request) -> Response:
         """A report, made where there is none yet; other places cannot have one made."""

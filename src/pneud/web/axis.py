@@ -29,7 +29,18 @@ _STATUS_S = 0.5
 _AGAIN_S = 1.0
 _COMPLETE_S = 0.002
 _LEVELS = {Level.GOOD: "good", Level.LOOK: "look", Level.BAD: "bad"}
-_KEPT = ("name", "bus", "log", "lease", "limits", "rate_hz", "order", "amiss_last_minute", "log_dropped")
+_KEPT = (
+    "name",
+    "bus",
+    "log",
+    "lease",
+    "limits",
+    "rate_hz",
+    "order",
+    "amiss_last_minute",
+    "log_dropped",
+    "program",
+)
 
 
 class Axis:

@@ -14,7 +14,9 @@ from collections.abc import Callable
 from typing import Any
 
 from pneud.console.endpoint import PlaceError
-from pneud.console.line_stream import VERSION, line
+from pneud.console.line_stream import MAX_LINE, VERSION, line
+from pneud.console.records import ProgramError
+from pneud.web.programs import Programs
 
 ORDERS: dict[str, tuple[str, ...]] = {  # what a page may ask, with the fields that it may give
     **dict.fromkeys(("stop", "disarm", "clear", "hold", "home", "tune_get"), ()),
@@ -22,15 +24,18 @@ ORDERS: dict[str, tuple[str, ...]] = {  # what a page may ask, with the fields t
     "goto": ("x_mm", "speed_mm_s"),
     "jog": ("velocity_mm_s",),
     "track": (),
+    "run": ("program", "record", "cycles"),
     "tune_set": ("gains",),
     "mark": ("text",),
 }
 _ALWAYS: dict[str, dict[str, Any]] = {
     "goto": {"attended": True},
     "track": {"what": "reference", "attended": True},
+    "run": {"attended": True},
     "jog": {"lease_s": 0.3},
 }
-_ATTENDED = ("goto", "jog", "track")
+_ATTENDED = ("goto", "jog", "track", "run")
+NO_PROGRAMS = Programs(None)
 _LONGEST = 1 << 20  # of a reply
 _MOST = 1 << 14  # bytes that the console has not taken yet
 _HANG_UP_S = 1.0
@@ -46,17 +51,25 @@ class Hand:
         attends: what it asked for last needs it, or is over by now.
     """
 
-    def __init__(self, connect: Callable[[], socket.socket], tell: Tell, axis: str | None = None) -> None:
+    def __init__(
+        self,
+        connect: Callable[[], socket.socket],
+        tell: Tell,
+        axis: str | None = None,
+        programs: Programs = NO_PROGRAMS,
+    ) -> None:
         """Begin without a connection.
 
         Args:
             connect: makes one; raises PlaceError.
             tell: called with every reply.
             axis: that is commanded, where there are several; the console stops all of them.
+            programs: that it may have gone through, by their names.
         """
         self.attends = False
         self._connect = connect
         self._tell = tell
+        self._programs = programs
         self._axis = {"axis": axis} if axis is not None else {}
         self._writer: asyncio.StreamWriter | None = None
         self._ear: asyncio.Task[None] | None = None
@@ -88,6 +101,12 @@ class Hand:
         if surplus := given.keys() - {*fields}:
             self._refuse(number, f"{verb} has no {', '.join(sorted(surplus))}")
             return
+        if "program" in given:
+            try:
+                given = {**given, "program": await asyncio.to_thread(self._programs.tree, given["program"])}
+            except ProgramError as e:
+                self._refuse(number, str(e))
+                return
         if why := await self.ready():
             self._refuse(number, f"nobody hears: {why}")
             return
@@ -96,6 +115,9 @@ class Hand:
             request = line({"v": VERSION, "id": number, "verb": verb, **given, **always})
         except ValueError:
             self._refuse(number, "numbers are finite")
+            return
+        if len(request) > MAX_LINE:
+            self._refuse(number, f"{verb} is longer than the {MAX_LINE} bytes that the console takes")
             return
         assert self._writer is not None
         if self._writer.transport.get_write_buffer_size() > _MOST:

@@ -24,6 +24,7 @@ from pneud.web.hand import Hand, Tell
 from pneud.web.live import Gallery
 from pneud.web.metrics import text_of
 from pneud.web.places import Listener
+from pneud.web.programs import Programs
 from pneud.web.reports import Reports
 
 CONNECTIONS = 64
@@ -103,6 +104,7 @@ def serve(
     listener: Listener,
     certificate: Certificate | None,
     metrics: Path | None,
+    programs: Path | None = None,
 ) -> None:
     """Serve until a signal says that it is enough.
 
@@ -114,15 +116,16 @@ def serve(
         listener: where they come.
         certificate: for TLS.
         metrics: a file that is to have them, too.
+        programs: a folder of those that pages may have gone through.
     """
     if not door.operate:  # a stop goes through here
         os.nice(_NICE)
-    gallery, reports = Gallery(axis), Reports()
+    gallery, reports, listed = Gallery(axis), Reports(), Programs(programs)
 
     def hand(tell: Tell) -> Hand:
-        return Hand(lambda: find(socket_path), tell, name)
+        return Hand(lambda: find(socket_path), tell, name, listed)
 
-    app = Pages(axis, door, gallery, reports, hand).app()
+    app = Pages(axis, door, gallery, reports, listed, hand).app()
     work: list[Callable[[], Coroutine[Any, Any, None]]] = [axis.follow, gallery.paint]
     if metrics is not None:
         work.append(lambda: _write_metrics(axis, metrics))

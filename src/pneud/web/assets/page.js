@@ -88,6 +88,8 @@
     else if (store.get()) { store.set(""); at("enter").hidden = false; tell("this link is of another run of pneud web: it only looks now"); }
     if (message) tell(message);
     if (operates) read();
+    at("going").hidden = !operates;
+    programs();
   }
   function ask(verb, fields, then) {
     if (!line || line.readyState !== WebSocket.OPEN) {
@@ -139,6 +141,10 @@
     limits = status.limits;
     if (limits) set("travel", `${limits.min_mm.toFixed(0)} … ${limits.max_mm.toFixed(0)} mm, at most ${limits.speed_mm_s.toFixed(0)} mm/s`);
     set("done", status.done ? `in its life: ${status.done}` : "");
+    const p = status.program;
+    set("program", !p ? "none under way" : `${p.name || "a program"}: ${p.stage.replace("_", " ")}, record ${p.record}`
+      + (p.of ? ` of ${p.of}` : "") + (p.words ? ` (${p.words})` : "") + `, ${p.cycle} cycles done`);
+    at("resume").hidden = !(p && p.stage === "stopped");
     set("who", status.lease ? `commanded by process ${status.lease.pid} of user ${status.lease.uid}` : "nobody commands");
   }
 
@@ -307,6 +313,31 @@
     if (Object.values(gains).some(v => !Number.isFinite(v))) { tell("gains are numbers"); return; }
     ask("tune_set", { gains }, reply => { if (reply.ok) { tell(`set: ${reply.changed}`); read(); } });
   });
+
+  // programs
+
+  async function programs() {
+    const answer = await fetch("programs");
+    if (!answer.ok) return;
+    const found = (await answer.json()).programs;
+    at("programs").hidden = !found.length;
+    at("listed").replaceChildren(...found.map(one => {
+      const row = document.createElement("tr"), run = document.createElement("button");
+      run.textContent = "Run"; run.ariaLabel = `run ${one.title}`; run.disabled = !operates || Boolean(one.trouble);
+      run.addEventListener("click", () => {
+        const cycles = Number(at("cycles").value.trim());
+        if (!Number.isInteger(cycles) || cycles < 0) { tell("so often: a whole number; 0 until it is stopped"); return; }
+        ask("run", { program: one.name, cycles });
+      });
+      for (const content of [one.title, one.trouble || String(one.records), `${one.name}.toml`, run]) {
+        const cell = document.createElement("td");
+        cell.append(content); row.append(cell);
+      }
+      return row;
+    }));
+  }
+  at("programs").addEventListener("toggle", () => { if (at("programs").open) programs(); });
+  at("resume").addEventListener("click", () => ask("run", {}));
 
   // logs
 
