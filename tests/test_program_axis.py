@@ -186,10 +186,10 @@ def test_records_shared_with_others_wait_for_them() -> None:
     for record in (1, 2, 3):
         assert next(t for t in to_the_end(rig) if t.progress.stage == Stage.DONE).progress.step == record
         assert {t.progress.stage for t in rig.ticks(30)} == {Stage.DONE}
-        assert rig.tick(GO_ON, 9.0).answer == Answer.WRONG_STATE
-        assert rig.tick(GO_ON, float(record)).answer == Answer.TAKEN
+        assert rig.tick(GO_ON, 9.0).answer == Answer.MALFORMED
+        assert rig.tick(GO_ON).answer == Answer.TAKEN
     assert rig.tick().progress.stage == Stage.ENDED
-    assert rig.tick(GO_ON, 3.0).answer == Answer.WRONG_STATE
+    assert rig.tick(GO_ON).answer == Answer.WRONG_STATE
 
 
 def test_what_is_no_program_is_refused_and_nothing_moves() -> None:

@@ -126,7 +126,7 @@ class RequestKind(IntEnum):
     # (record, rounds, shared): go through the program from there, so often, 0 without end; record 0: go on
     # where it was stopped; shared 1: with a GO_ON behind each record
     RUN = 21
-    GO_ON = 22  # (record,): of the loop, when all axes have done it
+    GO_ON = 22  # of the loop, when all axes have done their record
 
 
 class Stage(IntEnum):

@@ -220,6 +220,10 @@ class AxisDesk:
         self._program = found
         return {"records": len(found.records)}
 
+    def shares(self) -> tuple[str, ...]:
+        """Names of the axes that go through its program."""
+        return self._program.axes if self._program is not None else ()
+
     def _go_through(self, m: protocol.Run) -> Orders:
         if m.program is None:
             return Orders("run, from where it was stopped", (_RESUME,), attended=m.attended)

@@ -15,7 +15,7 @@ GO_ON = "pneud run --resume goes on"
 
 
 def go_through(
-    client: Client,
+    client: Client | Sharing,
     order: int,
     words: str,
     tell: Callable[[dict[str, Any]], None],
@@ -50,6 +50,26 @@ def go_through(
             return status
         tell(program)
         pause(LOOK_S)
+
+
+class Sharing:
+    """Asks for the status of several axes that go through one program: that of the one that matters."""
+
+    def __init__(self, client: Client, axes: list[str]) -> None:
+        self._client = client
+        self._axes = axes
+
+    def ask(self, verb: str) -> dict[str, Any]:
+        """The status of the first one with a fault, else of one whose program does not go on."""
+        told = self._client.ask(verb)
+        each = [{**told["axes"][name], "axis": name} for name in self._axes]
+
+        def matters(status: dict[str, Any]) -> int:
+            latched = any(fault["latched"] for fault in status["faults"])
+            stage = (status["program"] or {}).get("stage")
+            return 2 * latched + (stage == STOPPED)
+
+        return max(each, key=matters)
 
 
 def _check(status: dict[str, Any], program: dict[str, Any] | None, order: int, words: str) -> None:

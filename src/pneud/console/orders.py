@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
 from pneud.console import handoff, protocol
+from pneud.console.programs import AxisFacts, Compiled
 from pneud.console.protocol import ProtocolError
 from pneud.control.reference import Bounds
 from pneud.signals import Request
@@ -25,9 +26,12 @@ class Orders(NamedTuple):
     attended: bool = False  # the axis is to hold where its client goes
     axes: tuple[int, ...] = (0,)  # places of those that are asked, all in one tick
     each: Mapping[int, Request] | None = None  # what, where it is not the same of all
+    steps: tuple[Mapping[int, Request], ...] = ()  # one after the other, where each is not the same of all
 
     def step(self, number: int) -> Mapping[int, Request]:
         """What to ask next of which axes."""
+        if self.steps:
+            return self.steps[number]
         return self.each if self.each is not None else dict.fromkeys(self.axes, self.requests[number])
 
 
@@ -67,6 +71,15 @@ class Desk(Protocol):
         Raises:
             ProtocolError: what is asked for cannot be done.
         """
+
+    def facts(self) -> AxisFacts:
+        """What a program has to know of the axis."""
+
+    def taken(self, found: Compiled) -> dict[str, Any]:
+        """The axis has a program; fields for the reply."""
+
+    def shares(self) -> tuple[str, ...]:
+        """Names of the axes that go through its program."""
 
     def refused(self, answer: int, words: str, outcome: handoff.RequestOutcome) -> ProtocolError:
         """What to tell a client about the axis's refusal."""

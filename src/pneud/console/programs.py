@@ -117,6 +117,20 @@ def requests(steps: Program) -> list[Request]:
     ]
 
 
+def named(tree: Mapping[str, Any]) -> set[str]:
+    """Names of the axes that a program names, whether they are there or not."""
+    found: set[str] = set()
+    listed, points = tree.get("record"), tree.get("points")
+    for record in listed if isinstance(listed, list) else ():
+        if not isinstance(record, Mapping):
+            continue
+        for value in (record.get("to_mm"), record.get("by_mm")):
+            place = points.get(value) if isinstance(points, Mapping) and isinstance(value, str) else value
+            found |= {str(name) for name in place} if isinstance(place, Mapping) else set()
+        found |= {str(record["axis"])} if "axis" in record else set()
+    return found
+
+
 def _with_defaults(record: Any, defaults: Mapping[str, Any]) -> Any:
     """A motion with what it does not say itself, as far as its class has a use for it."""
     if not isinstance(record, Mapping) or record.get("do") not in ("goto", "move"):

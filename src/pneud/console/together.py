@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
-from pneud.console import protocol
+from pneud.console import programs, protocol
 from pneud.console.orders import Desk, Orders
 from pneud.console.protocol import Error, ProtocolError
+from pneud.console.records import ProgramError
 from pneud.control.together import alike
 from pneud.signals import Request, RequestKind
 
@@ -69,12 +71,49 @@ def plan(desks: Sequence[Desk], message: protocol.Request) -> Orders:
     """
     if isinstance(message, protocol.GotoAll):
         return goto(desks, message)
+    if isinstance(message, protocol.Run) and message.axis is None and len(desks) > 1:
+        return run(desks, message)
     axes = meant(desks, message)
     try:
         return desks[axes[0]].plan(message)._replace(axes=axes)
     except ProtocolError as e:
         e.axis = desks[axes[0]].name if len(desks) > 1 else ""
         raise
+
+
+def run(desks: Sequence[Desk], message: protocol.Run) -> Orders:
+    """Have a program done by all axes that it names, each record when all have done the one before.
+
+    Raises:
+        ProtocolError: the program cannot be used, or there is none to go on with.
+    """
+    names = [desk.name for desk in desks]
+    if message.program is None:
+        shared = next((desk.shares() for desk in desks if len(desk.shares()) > 1), ())
+        if not shared:
+            raise ProtocolError(Error.INVALID, f"run names no axis; give one of {', '.join(names)}")
+        axes = tuple(names.index(name) for name in shared)
+        asked = (Request(RequestKind.RUN, (0.0, 0.0, 1.0)),)
+        return Orders("run, from where it was stopped", asked, axes=axes, attended=message.attended)
+    try:
+        named = programs.named(message.program)
+        chosen = [n for n, desk in enumerate(desks) if desk.name in named] or list(range(len(desks)))
+        found = programs.compiled(message.program, [desks[n].facts() for n in chosen])
+        begun = programs.begun(found, message.record, message.cycles)
+    except ProgramError as e:
+        raise ProtocolError(Error.PROGRAM, f"run: {e}") from None
+    lists = [[*programs.requests(steps), begun] for steps in found.steps]
+    steps = tuple(dict(zip(chosen, each, strict=True)) for each in zip(*lists, strict=True))
+
+    def taken() -> dict[str, Any]:
+        for n in chosen:
+            desks[n].taken(found)
+        return {"records": len(found.records)}
+
+    words = programs.run_in_words(found, message.record, message.cycles)
+    return Orders(
+        words, tuple(lists[0]), axes=tuple(chosen), steps=steps, attended=message.attended, done=taken
+    )
 
 
 def goto(desks: Sequence[Desk], message: protocol.GotoAll) -> Orders:

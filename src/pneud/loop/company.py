@@ -10,13 +10,21 @@ from pneud.console.handoff import SharedEnd
 from pneud.loop.turn import Turn
 from pneud.safety.faults import BLOCKS_ARM, CENTRES, F
 from pneud.safety.supervisor import is_engaged
-from pneud.signals import Answer, Defect, Request, RequestKind, Source, State, Tick, Told
+from pneud.signals import Answer, Defect, Request, RequestKind, Source, Stage, State, Tick, Told
 
 ARM, GOTO, RESTART = int(RequestKind.ARM), int(RequestKind.GOTO), int(RequestKind.RESTART)
 DISARM, CENTRE, STOPPING = int(RequestKind.DISARM), int(RequestKind.CENTRE), int(State.STOPPING)
 ENCODER, ODD = int(Source.ENCODER), int(Defect.ODD)
 _TOUCHES = {"stop": int(RequestKind.STOP), "centre": CENTRE, "go_on": 0}
-_UNDO = {ARM: Request(RequestKind.CENTRE), GOTO: Request(RequestKind.HOLD)}
+RUN, RECORD, HOLD = int(RequestKind.RUN), int(RequestKind.RECORD), int(RequestKind.HOLD)
+GO_ON, TAKEN = int(RequestKind.GO_ON), int(Answer.TAKEN)
+DONE, UNDER_WAY = int(Stage.DONE), int(Stage.UNDER_WAY)
+_UNDO = {
+    ARM: Request(RequestKind.CENTRE),
+    GOTO: Request(RequestKind.HOLD),
+    RUN: Request(RequestKind.HOLD),
+    RECORD: Request(RequestKind.RECORD),
+}
 """What is asked of those that have done what others have refused: all do it, or none."""
 
 
@@ -52,6 +60,7 @@ class Company:
         self._asking = asking
         self._begun = False
         self._ties = ties_of(configs)
+        self._sharing: set[int] = set()  # places of those that go through one program
         self._sampled = [(0, 0)] * len(lanes)  # instant that an axis's estimate holds for, and its tick's
 
     def look(self) -> bool:
@@ -68,8 +77,26 @@ class Company:
             self._latched[number] = latched
             if latched & ~before:
                 self._touch(number, centred=latched & ~before & CENTRES != 0)
+            request = lane.turn.tick.request
+            if request is not None and request.kind == RUN and lane.turn.tick.answer == TAKEN:
+                (self._sharing.add if request.values[2] == 1.0 else self._sharing.discard)(number)
+        if self._sharing:
+            self._share()
         if self._ties:
             self._tie()
+
+    def _share(self) -> None:
+        """Have those that go through one program do it record by record, or all hold where one is stopped."""
+        lanes = [self._lanes[number] for number in sorted(self._sharing)]
+        stages = [lane.turn.tick.progress.stage for lane in lanes]
+        if any(stage < UNDER_WAY for stage in stages):
+            for lane, stage in zip(lanes, stages, strict=True):
+                if stage >= UNDER_WAY and not lane.touched:
+                    lane.touched = HOLD
+            self._sharing.clear()
+        elif all(stage == DONE for stage in stages) and not any(lane.touched for lane in lanes):
+            for lane in lanes:
+                lane.touched = GO_ON
 
     def _tie(self) -> None:
         """Tell those who are led what the others have come to, and keep the halves of a gantry together."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
@@ -13,14 +14,15 @@ from rich.style import Style
 
 from pneud.console import programs
 from pneud.console.programs import Compiled
-from pneud.loading import Loaded
+from pneud.loading import Loaded, Together
 from pneud.log.files.naming import log_path, new_log
 from pneud.log.files.writer import LogWriter
 from pneud.physics.ratings import DENSITY_ANR_KG_M3
 from pneud.replay.lockstep import Simulation, backend_of, header_of
 from pneud.replay.motions import AirFlow
-from pneud.replay.programming import Passed, Programming
+from pneud.replay.programming import Passed, Passing, Programming, ProgrammingTogether
 from pneud.replay.running import through
+from pneud.replay.running_together import run_together
 from pneud.signals import Record
 from pneud.view.plot import Curve, plot, samples
 from pneud.view.progress import Report
@@ -29,7 +31,6 @@ LONGEST_S = 1e5
 TOLD_TICKS = 100
 PICTURE = (72, 10)  # cells
 LITRES = 1e3
-MOST_TICKS = 2_000_000  # of which air and picture are made: of longer runs they are those of the first rounds
 
 
 class DryRun(NamedTuple):
@@ -45,7 +46,7 @@ class DryRun(NamedTuple):
 
 
 class _Course:
-    """What a picture and the air are made of, tick by tick."""
+    """What a picture and the air are made of, tick by tick; of the first round."""
 
     def __init__(self) -> None:
         self.flow: list[tuple[float, float, float, float]] = []
@@ -54,7 +55,7 @@ class _Course:
 
     def add(self, record: Record) -> None:
         tick = record.tick
-        if len(self.truth_m) < MOST_TICKS:
+        if tick.progress.lap == 0:
             m = tick.measurement
             self.flow.append((tick.estimate.opening_v, m.p1_pa, m.p2_pa, m.supply_pa))
             self.reference_m.append(tick.reference.position_m)
@@ -100,13 +101,56 @@ def dry_run(
         through(run, rate_hz, writer, look)
         if writer is not None:
             writer.close()
-    summary = _summary(loaded, found, operator, course)
+    summary = _summary(loaded, found, operator.passing, course, operator.why, operator.ended)
     summary["log"] = str(path) if path is not None else None
     return DryRun(summary, _picture(course, operator.passing.passed, rate_hz))
 
 
-def _summary(loaded: Loaded, found: Compiled, operator: Programming, course: _Course) -> dict[str, Any]:
-    rate_hz, passing = loaded.config.loop.rate_hz, operator.passing
+def dry_run_together(
+    axes: Together, found: Compiled, first: int, cycles: int, seed: int, folder: Path | None, report: Report
+) -> dict[str, DryRun]:
+    """Do a program of several axes in simulated time.
+
+    Args:
+        axes: on one bus, all that the program is for.
+        found: as for `dry_run`, likewise the others.
+        first: record to begin with.
+        cycles: rounds.
+        seed: of the noise.
+        folder: for the logs; None for none.
+        report: told how far it is.
+
+    Returns:
+        What it came to for each axis, by its name.
+    """
+    rate_hz, begun = axes[0].config.loop.rate_hz, programs.begun(found, first, cycles)
+    room_m = max(axis.config.plant.sensors.encoder_resolution_m for axis in axes)
+    wanted = [[*programs.requests(steps), begun] for steps in found.steps]
+    operator, courses = ProgrammingTogether(wanted, found.steps, room_m), [_Course() for _ in axes]
+
+    def see(records: Sequence[Record]) -> bool:
+        operator.see(records)
+        for course, record in zip(courses, records, strict=True):
+            course.add(record)
+        return operator.over
+
+    def look(number: int) -> None:
+        if number % TOLD_TICKS == 0:
+            report("simulating", number / rate_hz, 0.0, "s")
+
+    ran = run_together(axes, LONGEST_S, seed, folder, look, operator.ask, see)
+    told = {}
+    for axis, passing, course in zip(axes, operator.passing, courses, strict=True):
+        summary = _summary(axis, found, passing, course, operator.why, operator.ended)
+        summary["log"] = ran[axis.config.name]["log"]
+        told[axis.config.name] = DryRun(summary, _picture(course, passing.passed, rate_hz))
+    return told
+
+
+def _summary(
+    loaded: Loaded, found: Compiled, passing: Passing, course: _Course, why: str, ended: bool
+) -> dict[str, Any]:
+    rate_hz = loaded.config.loop.rate_hz
     o, p1, p2, supply = np.asarray(course.flow, dtype=float).reshape(-1, 4).T
     kg = np.nan_to_num(AirFlow(loaded.config).kg_s(o, p1, p2, supply)) / rate_hz
     litres = np.concatenate(([0.0], np.cumsum(kg))) / DENSITY_ANR_KG_M3 * LITRES
@@ -132,11 +176,11 @@ def _summary(loaded: Loaded, found: Compiled, operator: Programming, course: _Co
     return {
         "schema": 1,
         "program": found.name,
-        "ended": operator.ended,
-        "why": operator.why or None,
+        "ended": ended,
+        "why": why or None,
         "wrong": passing.wrong,
         "records": rows,
-        "cycles": whole[-1].lap + 1 if whole and operator.ended else (whole[-1].lap if whole else 0),
+        "cycles": whole[-1].lap + 1 if whole and ended else (whole[-1].lap if whole else 0),
         "took_s": round(whole[-1].end_s - whole[0].begin_s, 6) if whole else None,
         "cycle_s": {"least": min(rounds_s), "most": max(rounds_s)} if rounds_s else None,
         "worst_mm": _mm(max((one.worst_m for one in whole), default=math.nan)),

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
 from pneud.control import program
-from pneud.control.program import Program, Step
+from pneud.control.program import Program
 from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES
-from pneud.signals import Answer, Record, Request, RequestKind, Stage, State
+from pneud.signals import Answer, Record, Request, RequestKind, Stage, State, Tick
 
 DUE, DONE, ENDED, STOPPED = int(Stage.DUE), int(Stage.DONE), int(Stage.ENDED), int(Stage.STOPPED)
 WORKING = (int(Stage.UNDER_WAY), DONE, DUE, int(Stage.LATE))
@@ -51,6 +51,7 @@ class Passing:
         self._record = self._lap = 0
         self._goal_m = math.nan
         self._worst_m = 0.0
+        self._is_done = False  # and waits for others
 
     def see(self, record: Record) -> None:
         """One tick."""
@@ -66,7 +67,7 @@ class Passing:
             and tick.progress.step
         ):
             self._begin(tick.progress.step, tick.progress.lap, tick.t_ns, tick.reference.position_m)
-        if not self._record:
+        if not self._record or self._is_done:
             return
         error_m = abs(record.true_error_m)
         self._worst_m = max(self._worst_m, error_m if math.isfinite(error_m) else 0.0)
@@ -84,7 +85,7 @@ class Passing:
             self._goal_m = (stands_m if math.isnan(self._goal_m) else self._goal_m) + step.target_m
         elif step.kind in (program.TRACK, program.FORCE):
             self._goal_m = math.nan
-        self._began_ns, self._worst_m = t_ns, 0.0
+        self._began_ns, self._worst_m, self._is_done = t_ns, 0.0, False
 
     def _follows(self, before: int, record: int) -> bool:
         step = self._steps[before - 1]
@@ -92,7 +93,7 @@ class Passing:
         return record in goals | ({before + 1} if step.kind != program.JUMP else set()) | {step.otherwise}
 
     def _end(self, record: Record) -> None:
-        tick, step = record.tick, self._steps[self._record - 1]
+        tick, step, self._is_done = record.tick, self._steps[self._record - 1], True
         off_m, true = math.nan, True
         if step.kind in program.MOTIONS and step.ends != program.AT_ONCE:
             off_m = self._goal_m - record.truth_m
@@ -157,29 +158,68 @@ class Programming:
         if self.over:
             return
         self.passing.see(record)
-        if tick.request is not None and tick.answer != Answer.TAKEN:
-            self.over, self.why = True, f"refused: {Answer(tick.answer).name.lower().replace('_', ' ')}"
-        elif tick.latched:
-            names = [name for bit, name in enumerate(FAULT_NAMES) if tick.latched >> bit & 1]
-            self.over, self.why = True, f"fault {', '.join(names)} in record {tick.progress.step}"
-        elif tick.progress.stage == STOPPED:
-            self.over, self.why = True, f"stopped in record {tick.progress.step}"
-        elif tick.progress.stage == ENDED:
+        self.why = _why(tick)
+        self.ended = tick.progress.stage == ENDED
+        self.over = self.ended or bool(self.why)
+
+
+class ProgrammingTogether:
+    """The same for several axes: all are armed, handed their steps, and set going in one tick each.
+
+    Attributes:
+        passing: what has been done, of each axis.
+        over: as of `Programming`, likewise the next two.
+        ended: all have come to the end.
+        why: else why not.
+    """
+
+    def __init__(self, wanted: Sequence[Sequence[Request]], steps: Sequence[Program], room_m: float) -> None:
+        """Nothing has been asked for yet.
+
+        Args:
+            wanted: of each axis, one request a tick; all are as long.
+            steps: of each axis.
+            room_m: as for `Passing`.
+        """
+        self._wanted = [dict(enumerate(each)) for each in zip(*wanted, strict=True)]
+        self._wanted.insert(0, dict.fromkeys(range(len(wanted)), ARM))
+        self.passing = [Passing(one, room_m) for one in steps]
+        self.over = self.ended = False
+        self.why = ""
+        self._armed = False
+
+    def ask(self, last: Sequence[Tick]) -> Mapping[int, Request]:
+        """What is asked of the axes in this tick."""
+        if not self._wanted or self.over:
+            return {}
+        if self._armed:
+            ready = all(tick.state == State.HOLDING for tick in last)
+        else:
+            ready = all(tick.state == State.DISARMED and not tick.present & BLOCKS_ARM for tick in last)
+        if not ready:
+            return {}
+        self._armed = True
+        return self._wanted.pop(0)
+
+    def see(self, records: Sequence[Record]) -> None:
+        """What became of it in a tick."""
+        if self.over:
+            return
+        for passing, record in zip(self.passing, records, strict=True):
+            passing.see(record)
+        for record in records:
+            why = _why(record.tick)
+            if why and not self.why:
+                self.over, self.why = True, why
+        if all(record.tick.progress.stage == ENDED for record in records):
             self.over = self.ended = True
 
 
-def walked(steps: Sequence[Step]) -> int:
-    """How many records a round goes through at most, where every loop is gone through."""
-    run, count = program.Run(program.DUE, next=1, laps=1, counts=(0,) * len(steps)), 0
-    while count < 1_000_000:
-        run = program.begins(run, tuple(steps))
-        if run.stage == ENDED:
-            break
-        count += 1
-        step = steps[run.record - 1]
-        run = run._replace(stage=DUE)
-        if step.kind == program.JUMP:
-            run = run._replace(next=step.to)
-        elif step.kind == program.REPEAT:
-            run = program.repeated(run, step)
-    return count
+def _why(tick: Tick) -> str:
+    """Why a program does not go on; empty where it does."""
+    if tick.request is not None and tick.answer != Answer.TAKEN:
+        return f"refused: {Answer(tick.answer).name.lower().replace('_', ' ')}"
+    if tick.latched:
+        names = [name for bit, name in enumerate(FAULT_NAMES) if tick.latched >> bit & 1]
+        return f"fault {', '.join(names)} in record {tick.progress.step}"
+    return f"stopped in record {tick.progress.step}" if tick.progress.stage == STOPPED else ""

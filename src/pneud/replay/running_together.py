@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,18 @@ from pneud.log.format.header import SNAPSHOT_S
 from pneud.loop.summary import summarise
 from pneud.loop.tally import Tally
 from pneud.replay.lockstep import backend_of, header_of
-from pneud.replay.together import Together
-from pneud.signals import RequestKind
+from pneud.replay.together import Ask, Together
+from pneud.signals import Record, RequestKind
 
 
 def run_together(
-    axes: Axes, duration_s: float, seed: int, folder: Path | None, look: Callable[[int], None]
+    axes: Axes,
+    duration_s: float,
+    seed: int,
+    folder: Path | None,
+    look: Callable[[int], None],
+    ask: Ask | None = None,
+    see: Callable[[Sequence[Record]], bool] | None = None,
 ) -> dict[str, dict[str, Any]]:
     """All ticks of axes that track together.
 
@@ -29,6 +35,8 @@ def run_together(
         seed: of the noise.
         folder: for a log of each; None for none.
         look: called with each tick's place, from 0.
+        ask: what operators want; else all are armed and track.
+        see: called with the records of each tick; whether it is enough.
 
     Returns:
         A summary of each by its name, as of one alone.
@@ -38,7 +46,7 @@ def run_together(
         BuildError: the compiled law is required and cannot be had.
     """
     rate_hz, hows = axes[0].config.loop.rate_hz, [backend_of(axis) for axis in axes]
-    run = Together(axes, duration_s, seed, hows)
+    run = Together(axes, duration_s, seed, hows, ask=ask)
     tallies = [Tally(truth=True, timed=False, sync=axis.config.bus.sync) for axis in axes]
     snapshot_ticks = max(1, round(SNAPSHOT_S * rate_hz))
     paths: list[Path | None] = [None] * len(axes)
@@ -50,6 +58,8 @@ def run_together(
             writers.append(LogWriter(logs.enter_context(new_log(log)), header))
         for number, records in enumerate(run.records()):
             look(number)
+            if see is not None and see(records):
+                run.end()
             for lane, tally, record in zip(run.lanes, tallies, records, strict=True):
                 tally.add(record, ending=lane.shut)
                 request = record.tick.request

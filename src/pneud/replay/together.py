@@ -176,6 +176,10 @@ class Together:
         self._armed = True
         return dict.fromkeys(range(len(self.lanes)), ARM)
 
+    def end(self) -> None:
+        """Tell the axes to shut down, with the next tick."""
+        self._total = 0
+
     def _own_request(self, count: int, lane: SimulatedLane) -> Request | None:
         if count >= self._total and not lane.shut:
             lane.shut = True

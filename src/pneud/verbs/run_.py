@@ -9,7 +9,7 @@ import typer
 
 from pneud.console import programs
 from pneud.console.client import Client, RefusedError
-from pneud.console.going import go_through
+from pneud.console.going import Sharing, go_through
 from pneud.console.results import refused, show
 from pneud.verbs import (
     AxisOption,
@@ -80,7 +80,8 @@ def run_(
                 return 0
             with progress(how) as report:
                 words = f"run {tree['name']}" if program is not None else "run"
-                found = go_through(client, reply["order"], words, lambda p: _tell(p, cycles, report))
+                told = Sharing(client, reply["axes"]) if "axes" in reply else client
+                found = go_through(told, reply["order"], words, lambda p: _tell(p, cycles, report))
         except RefusedError as e:
             return refused(e, json)
     show({**reply, "state": found["state"], "program": found["program"]}, json, f"{found['state']}: ended")
@@ -131,12 +132,22 @@ def _simulate(
     how: str,
 ) -> int:
     """Do it in simulated time."""
-    from pneud.loading import load  # noqa: PLC0415 - a simulation, which others need not load
+    from pneud.loading import load, load_axes  # noqa: PLC0415 - a simulation, which others need not load
     from pneud.replay import dry_run  # noqa: PLC0415
 
-    loaded = load(config or "virtual.toml", axis=axis)
     if cycles == 0:
         raise VerbError("run: --dry-run ends: give --cycles a number from 1 on")
+    axes = load_axes(config or "virtual.toml")
+    if len(axes) > 1 and axis is None:
+        found = programs.compiled(tree, [programs.facts_of(one.config) for one in axes])
+        with progress(how) as report:
+            each = dry_run.dry_run_together(axes, found, first, cycles, seed, output, report)
+        if json:
+            print(json_.dumps({"schema": 1, "axes": {name: one.summary for name, one in each.items()}}))
+        else:
+            print("\n\n".join(f"axis {name}:\n{dry_run.in_words(one)}" for name, one in each.items()))
+        return 0 if all(one.good for one in each.values()) else 1
+    loaded = load(config or "virtual.toml", axis=axis)
     found = programs.compiled(tree, [programs.facts_of(loaded.config)])
     with progress(how) as report:
         ran = dry_run.dry_run(loaded, found, first, cycles, seed, output, report)

@@ -1,0 +1,186 @@
+"""Programs in rounds: in simulated time by the thousand, over a daemon by the hundred.
+
+    python -m hil.programs                      # one axis and two, 1,000 rounds each, simulated
+    python -m hil.programs --real --cycles 100  # over daemons on unixcan, for a quiet machine
+
+Each line says how many rounds there were, whether every record came in its turn and every load that was in
+position was so by the truth, how much the rounds differ in time, and, where there is a log, whether its
+replay is identical. Exit status 1 where one of these does not hold.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pneud.config.conversions import plant_of
+from pneud.console import programs
+from pneud.console.client import Client, RefusedError
+from pneud.console.endpoint import PlaceError
+from pneud.console.going import Sharing, go_through
+from pneud.loading import Together, load_axes
+from pneud.log.files.reader import read_log
+from pneud.replay.dry_run import dry_run, dry_run_together
+from pneud.replay.programming import Passing
+from pneud.view.progress import silent
+
+FOLDER = Path(__file__).parent.parent / "examples" / "programs"
+FORMS = (("pick-and-place.toml", "virtual.toml"), ("two-axes-pick-and-place.toml", "two-axes.toml"))
+SPREAD_S = 2e-3
+PATIENCE_S = 60.0
+PNEUD = (sys.executable, "-m", "pneud.cli")
+
+
+class Rounds(NamedTuple):
+    """What the rounds of an axis came to."""
+
+    axis: str
+    rounds: int
+    wrong: int
+    spread_s: float
+    round_s: float
+    identical: bool | None  # None where there was no log
+
+    @property
+    def good(self) -> bool:
+        """All holds."""
+        return not self.wrong and self.spread_s <= SPREAD_S + 1e-9 and self.identical is not False
+
+    def in_words(self) -> str:
+        """A line."""
+        replay = {None: "", True: ", replay identical", False: ", replay differs"}[self.identical]
+        return (
+            f"{self.axis}: {self.rounds} rounds of {self.round_s:.3f} s, spread {1e3 * self.spread_s:.1f} ms,"
+            f" {self.wrong} wrong{replay}"
+        )
+
+
+def simulated(name: str, config: str, cycles: int, seed: int, folder: Path | None) -> Iterator[Rounds]:
+    """Rounds in simulated time; with a folder for logs, they are replayed."""
+    axes = load_axes(config)
+    found = programs.compiled(
+        programs.tree_of(FOLDER / name), [programs.facts_of(axis.config) for axis in axes]
+    )
+    if len(axes) == 1:
+        each = {axes[0].config.name: dry_run(axes[0], found, 1, cycles, seed, folder, silent)}
+    else:
+        each = dry_run_together(axes, found, 1, cycles, seed, folder, silent)
+    for axis, ran in each.items():
+        s = ran.summary
+        cycle = s["cycle_s"] or {"least": s["took_s"] or 0.0, "most": s["took_s"] or 0.0}
+        lost = 0 if s["ended"] else 1
+        yield Rounds(
+            axis, s["cycles"], len(s["wrong"]) + lost, cycle["most"] - cycle["least"], cycle["most"],
+            identical(Path(s["log"])) if s["log"] else None,
+        )  # fmt: skip
+
+
+def identical(log: Path) -> bool:
+    """Whether a replay is."""
+    done = subprocess.run([*PNEUD, "replay", str(log), "--json"], capture_output=True, text=True, check=False)
+    return bool(json.loads(done.stdout or "{}").get("identical"))
+
+
+@contextmanager
+def daemon(config: str, folder: Path) -> Iterator[Client]:
+    """A daemon on a virtual bus, which tracks."""
+    socket = folder / "console.sock"
+    words = [*PNEUD, "--virtual", "--config", config, "--headless", "--log", str(folder / "logs"), "--socket"]
+    with subprocess.Popen([*words, str(socket)], stdout=subprocess.DEVNULL) as process:
+        try:
+            with _connected(str(socket), process) as client:
+                yield client
+        finally:
+            process.terminate()
+
+
+@contextmanager
+def _connected(socket: str, process: subprocess.Popen[bytes]) -> Iterator[Client]:
+    deadline_s = time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline_s and process.poll() is None:
+        try:
+            with Client(socket) as client:
+                while any(one["state"] != "tracking" for one in _each(client)):
+                    time.sleep(0.1)
+                yield client
+                return
+        except PlaceError:
+            time.sleep(0.1)
+    raise SystemExit("the daemon does not come to track")
+
+
+def _each(client: Client) -> list[dict[str, Any]]:
+    status = client.ask("status")
+    return list(status["axes"].values()) if "axes" in status else [status]
+
+
+def real(name: str, config: str, cycles: int) -> Iterator[Rounds]:
+    """Rounds over a daemon; what they came to is read from its logs."""
+    axes = load_axes(config)
+    tree = programs.tree_of(FOLDER / name)
+    found = programs.compiled(tree, [programs.facts_of(axis.config) for axis in axes])
+    with tempfile.TemporaryDirectory(prefix="pneud-") as place:
+        folder = Path(place)
+        (folder / "logs").mkdir()
+        with daemon(config, folder) as client:
+            reply = client.ask("run", program=tree, cycles=cycles)
+            told = Sharing(client, reply["axes"]) if "axes" in reply else client
+            try:
+                go_through(told, reply["order"], name, lambda _: None)
+            except RefusedError as e:
+                print(f"pneud: {e}", file=sys.stderr)
+        yield from read(axes, found, folder / "logs", cycles)
+
+
+def read(axes: Together, found: programs.Compiled, logs: Path, cycles: int) -> Iterator[Rounds]:
+    """What is in the logs of a run."""
+    for axis, steps in zip(axes, found.steps, strict=True):
+        (log,) = logs.glob("*.mcap") if len(axes) == 1 else logs.glob(f"{axis.config.name}-*.mcap")
+        passing, ended = Passing(steps, plant_of(axis.config).encoder_resolution_m), False
+        for tick in read_log(log):
+            passing.see(tick.record)
+            ended = ended or tick.progress.lap >= cycles
+        rounds_s = passing.rounds_s() or [0.0]
+        wrong = len(passing.wrong) + (not ended)
+        done = len({one.lap for one in passing.passed})
+        spread_s = max(rounds_s) - min(rounds_s)
+        yield Rounds(axis.config.name, done, wrong, spread_s, max(rounds_s), identical(log))
+
+
+def main() -> int:
+    """Run them all.
+
+    Returns:
+        Exit status: 0 where all holds.
+    """
+    parser = argparse.ArgumentParser(prog="python -m hil.programs", description=__doc__)
+    parser.add_argument("--real", action="store_true", help="over daemons, in real time")
+    parser.add_argument("--cycles", type=int, default=None, help="rounds; default 1,000, or 100 in real time")
+    parser.add_argument("--seed", type=int, default=0, help="of the noise, simulated")
+    parser.add_argument(
+        "--log", type=Path, default=None, help="simulated: a folder for logs, and replay them"
+    )
+    asked = parser.parse_args()
+    good = True
+    for name, config in FORMS:
+        if asked.real:
+            rounds = real(name, config, 100 if asked.cycles is None else asked.cycles)
+        else:
+            cycles = 1000 if asked.cycles is None else asked.cycles
+            rounds = simulated(name, config, cycles, asked.seed, asked.log)
+        for one in rounds:
+            print(f"{name}: {one.in_words()}", flush=True)
+            good = good and one.good
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
