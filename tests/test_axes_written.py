@@ -78,6 +78,21 @@ def test_a_commissioned_axis_has_its_values_with_where_they_are_from(file: Path)
     assert load_axes(file)[1].config.cylinder.moving_mass_kg == 16.5
 
 
+def test_what_goes_for_one_axis_and_stands_above_for_all_is_as_usual_for_that_one(file: Path) -> None:
+    before = load_axes(file)
+
+    def change(document: Any) -> None:
+        document["plant"]["sensors"].remove("pressure_resolution_pa")
+        put(document, ("plant", "sensors", "pressure_bits"), 16)
+
+    rewrite(file, change, names(file)[1])
+    one, other = load_axes(file)
+    assert one.config == before[0].config
+    sensors = other.config.plant.sensors
+    assert (sensors.pressure_resolution_pa, sensors.pressure_bits) == (0.0, 16)
+    assert sensors.pressure_noise_pa == 100.0
+
+
 def test_the_file_of_one_axis_is_written_whole(tmp_path: Path) -> None:
     shutil.copy(resources.configs() / "virtual.toml", tmp_path)
     shutil.copy(resources.configs() / "pneud.dbc", tmp_path)

@@ -88,8 +88,9 @@ def with_axis(text: str, path: Path, part: Part, own: str) -> str:
     document, said = tomlkit.parse(text), tomlkit.parse(own)
     table = next(table for table in document[AXIS] if table.get("name") == name)
     try:
-        for key in before.keys() - after.keys():
-            _take_out(table, key, f"{path}: axis {name}: {key}")
+        usual = flat(parse(own, str(path)).model_dump(by_alias=True))
+        for key in sorted(before.keys() - after.keys()):
+            _take_out(table, key, usual.get(key), f"axis {name}: {key}")
         for key, value in after.items():
             if key not in before or before[key] != value or repr(before[key]) != repr(value):
                 put(table, tuple(key.split(".")), _item_at(said, key))
@@ -108,18 +109,21 @@ def _item_at(document: Any, key: str) -> Any:
     return document
 
 
-def _take_out(table: Any, key: str, where: str) -> None:
-    """Take a key out of an axis's own tables.
+def _take_out(table: Any, key: str, usual: Any, where: str) -> None:
+    """Take a key out of an axis's own tables; what stands above, for all, is as it usually is for this one.
 
     Raises:
-        InlineError: it stands above, for all.
+        InlineError: it stands above, and is usually nothing.
     """
-    *steps, last = key.split(".")
+    own, (*steps, last) = table, key.split(".")
     for step in steps:
-        table = table.get(step, {})
-    if last not in table:
+        own = own.get(step, {})
+    if last in own:
+        own.remove(last)
+    elif usual is None:
         raise InlineError(f"{where} stands above [[axis]], for all, and would have to go: write it into each")
-    table.remove(last)
+    else:
+        put(table, tuple(key.split(".")), list(usual) if isinstance(usual, tuple) else usual)
 
 
 def put_text(path: Path, text: str) -> None:
