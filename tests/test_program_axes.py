@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import random
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,12 +16,17 @@ from pneud.console import programs, protocol, together
 from pneud.console.programs import AxisFacts, Compiled
 from pneud.console.protocol import ProtocolError
 from pneud.control.reference import Bounds
+from pneud.loading import load_axes
+from pneud.replay.lockstep import backend_of
 from pneud.replay.programming import ProgrammingTogether
 from pneud.replay.together import Together
-from pneud.signals import Record, Request, RequestKind, Stage, State
+from pneud.safety.faults import BLOCKS_ARM, names
+from pneud.signals import Record, Request, RequestKind, Stage, State, Tick
 from several import several
 from test_goto_wait import status as plain_status
 
+ARM, CLEAR = Request(RequestKind.ARM), Request(RequestKind.CLEAR)
+PROGRAM = Path(__file__).parent.parent / "examples/programs/two-axes-pick-and-place.toml"
 TREE: dict[str, Any] = {
     "schema": 1,
     "name": "both",
@@ -71,6 +77,54 @@ def test_where_one_is_stopped_the_other_holds(tmp_path: Path) -> None:
     assert (x.progress.step, x.progress.stage) == (4, Stage.STOPPED)
     assert (y.progress.step, y.progress.stage) == (4, Stage.STOPPED)
     assert not y.latched
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(12))
+def test_a_fault_in_any_record_of_either_is_named_and_both_go_on_there(seed: int) -> None:
+    """Of the twelve records that come with pneud; which axis is struck, and when, is left to chance."""
+    r, axes = random.Random(seed), load_axes("two-axes.toml")
+    found = programs.compiled(programs.tree_of(PROGRAM), [programs.facts_of(axis.config) for axis in axes])
+    wanted = [[*programs.requests(steps), programs.begun(found, 1, 1)] for steps in found.steps]
+    operator, record, axis = ProgrammingTogether(wanted, found.steps, 1e-6), seed + 1, r.randrange(2)
+    struck, after = False, [ARM, Request(RequestKind.RUN, (0.0, 0.0, 1.0))]
+    seen: list[tuple[int, int]] = []
+
+    def ask(last: Sequence[Tick]) -> Mapping[int, Request]:
+        if not struck:
+            return operator.ask(last)
+        faulty = {n: CLEAR for n, tick in enumerate(last) if tick.state == State.FAULT}
+        if faulty:
+            return faulty
+        held = State.HOLDING, Stage.STOPPED
+        armed = all((tick.state, tick.progress.stage) == held for tick in last)
+        off = {n: ARM for n, tick in enumerate(last) if tick.state == State.DISARMED}
+        if off and all(not last[n].present & BLOCKS_ARM for n in off):
+            return off
+        return dict.fromkeys((0, 1), after.pop()) if armed and len(after) > 1 else {}
+
+    sim = Together(axes, 30.0, seed, [backend_of(axes[0])] * 2, ask=ask)
+    healthy, wait = sim.lanes[axis].conditions, r.randrange(3)
+    for records in sim.records():
+        ticks = [one.tick for one in records]
+        operator.see(records)
+        sim.lanes[axis].conditions = healthy
+        if not struck and ticks[axis].progress.step >= record:
+            wait -= 1
+            if wait < 0:
+                sim.lanes[axis].conditions = SimpleNamespace(host=lambda *_: 1)  # type: ignore[assignment]
+                struck, at = True, ticks[0].progress.step
+        elif struck and ticks[axis].latched:
+            assert names(ticks[axis].latched) == ["link_down"]
+            assert ticks[axis].command.enable == 0
+            assert ticks[axis].progress.stage == Stage.STOPPED
+        if struck and ticks[0].progress.stage >= Stage.UNDER_WAY:
+            seen.append((ticks[0].progress.step, ticks[1].progress.step))
+        if struck and all(tick.progress.stage == Stage.ENDED for tick in ticks):
+            sim.end()
+    assert all(one.turn.tick.progress.stage == Stage.ENDED for one in sim.lanes)
+    assert len(after) == 1
+    assert set(range(at + 1, 13)) <= {x for x, _ in seen} & {y for _, y in seen}
 
 
 FACTS = AxisFacts("a1", 0.02, 0.98, Bounds(0.5, 5.0, 100.0), 2e-5, 2e-3, 0.05)
