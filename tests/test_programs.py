@@ -126,7 +126,7 @@ REFUSED = [
     (tree({"do": "until", "input": "stop"}), "no input 'stop'; there is start, part"),
     (tree({"do": "output", "output": "horn", "on": True}), "no output 'horn'; there is lamp"),
     (tree({"do": "output", "output": "lamp", "on": 1}), "on is true or false, not 1"),
-    (tree({"do": "force", "force_n": 100}), "this axis has no control of force"),
+    (tree({"do": "force", "force_n": 2000}), "2000 N are more than limits.force and the supply allow"),
     (tree(WAIT, {"do": "repeat", "to": "a", "times": 1.5}), "times is a whole number, not 1.5"),
     (
         tree({**GOTO, "to_mm": 990}),
