@@ -21,7 +21,9 @@ from pneud.control.reference import Bounds
 from pneud.signals import Request, RequestKind
 
 ROOT = Path(__file__).parent.parent
-X = AxisFacts("x", 0.02, 0.98, Bounds(0.5, 5.0, 100.0), 2e-5, 2e-3, 0.05, ("start", "part"), ("lamp",))
+X = AxisFacts(
+    "x", 0.02, 0.98, Bounds(0.5, 5.0, 100.0), 2e-5, 2e-3, 0.05, ("start", "part"), ("lamp",), 560.0, 470.0
+)
 Y = X._replace(name="y", inputs=("gate",), outputs=())
 GOTO, WAIT = {"do": "goto", "to_mm": 100.0}, {"do": "wait", "for_s": 0.1}
 
