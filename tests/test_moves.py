@@ -38,7 +38,7 @@ def test_a_text_is_a_list_of_moves_in_millimetres() -> None:
 def test_forces_stand_among_the_moves() -> None:
     assert steps_of("100,200N,-50.5N@1000") == [Move(0.1), Push(200.0), Push(-50.5, 1000.0)]
     for text in ("N", "200N1", "200N@", "200N@-1", "200N@1@2", "nanN"):
-        with pytest.raises(MovesError, match="a force is NN or NN@N_S|a move is"):
+        with pytest.raises(MovesError, match=r"a force is NN or NN@N_S|a move is"):
             steps_of(text)
 
 
