@@ -29,6 +29,7 @@ COMMANDS: dict[str, dict[str, Any]] = {  # fields of requests that have some
     "goto": {"x_mm": 100},
     "goto_all": {"axes": {"virtual": 100}},
     "jog": {"velocity_mm_s": 10},
+    "force": {"force_n": 100},
     "track": {"what": "reference"},
     "upload": {"first": True, "pieces": [PIECE]},
     "probe": {"voltage_v": 1, "rate_v_s": 0.1, "travel_mm": 1, "speed_mm_s": 30, "force_n": 100},

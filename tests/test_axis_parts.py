@@ -351,6 +351,7 @@ def kept(state: AxisState, m: Measurement, after: State, **asked: Any) -> AxisSt
         STANDING,
         ODOMETER,
         RUN,
+        P,
     )
 
 

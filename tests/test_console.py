@@ -193,6 +193,7 @@ def test_requests_reach_the_loop_in_its_units_and_the_log_with_their_author(desk
         ("arm", {}),
         ("goto", {"x_mm": 120.0, "speed_mm_s": 50, "jerk_mm_s3": 4000}),
         ("jog", {"velocity_mm_s": -20, "lease_s": 0.2}),
+        ("force", {"force_n": -50, "low_mm": 100, "high_mm": 300, "timeout_s": 2}),
         ("hold", {}),
         ("track", {"what": "reference"}),
         ("upload", {"first": True, "pieces": [PIECE]}),
@@ -211,6 +212,7 @@ def test_requests_reach_the_loop_in_its_units_and_the_log_with_their_author(desk
         Request(kind.ARM),
         Request(kind.GOTO, (0.12, 0.05, 0.0, 4.0)),
         Request(kind.JOG, (-0.02, 200.0)),
+        Request(kind.FORCE, (-50.0, 0.0, 0.1, 0.3, 0.0, 2.0)),
         Request(kind.HOLD),
         Request(kind.TRACK, (0.0,)),
         Request(kind.PIECE),
@@ -221,6 +223,24 @@ def test_requests_reach_the_loop_in_its_units_and_the_log_with_their_author(desk
     who = f"uid {os.geteuid()} pid {os.getpid()}: "
     assert desk.said[1] == who + "goto 120 mm speed 50 jerk 4000 → taken"
     assert desk.said[-2] == who + "mark oil?changed → taken"
+
+
+@pytest.mark.parametrize(
+    ("fields", "kind"),
+    [
+        ({"force_n": 1000}, "beyond_limits"),
+        ({"force_n": -500}, "beyond_limits"),
+        ({"force_n": 50, "speed_mm_s": 5000}, "beyond_limits"),
+        ({"force_n": 50, "low_mm": 100}, "invalid"),
+        ({"force_n": 50, "low_mm": 300, "high_mm": 100}, "out_of_travel"),
+        ({"force_n": 50, "low_mm": 300, "high_mm": 2000}, "out_of_travel"),
+    ],
+)
+def test_a_force_that_cannot_be_is_refused_by_the_console(
+    desk: Bench, fields: dict[str, Any], kind: str
+) -> None:
+    assert desk.error(desk.connect(), "force", **fields) == kind
+    assert desk.requests == []
 
 
 def test_a_jog_that_is_only_renewed_is_one_command_in_the_log(desk: Bench) -> None:

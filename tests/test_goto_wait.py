@@ -19,7 +19,7 @@ from commands import PNEUD, eventually, object_of, pneud
 from console_bench import bench
 from pneud.console.client import Client, RefusedError
 from pneud.console.endpoint import PlaceError
-from pneud.console.waiting import SETTLE_S, wait
+from pneud.console.waiting import SETTLE_S, wait, wait_for_force
 from pneud.log.files.reader import read_log
 from pneud.signals import State
 from running import patient_axis, serves
@@ -236,3 +236,16 @@ def test_over_a_running_daemon(tmp_path: Path) -> None:
 def lease_is_free(path: str) -> bool:
     with Client(path) as client:
         return bool(client.ask("status")["lease"] is None)
+
+
+def test_a_force_is_waited_for_in_pressing_and_no_hold_before_it_counts() -> None:
+    before = status("holding", in_position=True)
+    console = Console(before, status("pressing"), found := status("pressing", in_position=True))
+    assert wait_for_force(console, 7, 200.0, None, lambda: console.now_s, console.pause) is found  # type: ignore[arg-type]
+    late = Console(status("pressing"))
+    with pytest.raises(RefusedError, match=r"force 200 N: not in position in time") as e:
+        wait_for_force(late, 7, 200.0, 1.0, lambda: late.now_s, late.pause)  # type: ignore[arg-type]
+    assert e.value.kind == "timeout"
+    torn = Console(status("stopping", faults=LATCHED))
+    with pytest.raises(RefusedError, match="fault travel"):
+        wait_for_force(torn, 7, 200.0, None, lambda: torn.now_s, torn.pause)  # type: ignore[arg-type]

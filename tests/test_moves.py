@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from axis_rig import quick
 from pneud.compiled.backend import INTERPRETED
+from pneud.config.conversions import cylinder_of
 from pneud.config.sections import ConfigError
 from pneud.control.reference import rest
 from pneud.loading import load
@@ -16,7 +18,7 @@ from pneud.log.files.reader import LogReader
 from pneud.replay import following
 from pneud.replay.following import Following
 from pneud.replay.lockstep import Simulation
-from pneud.replay.moves import Course, Move, MovesError, in_words, moves_of
+from pneud.replay.moves import Course, Move, MovesError, Push, in_words, moves_of, steps_of
 from pneud.signals import (
     Answer,
     Record,
@@ -31,6 +33,28 @@ from pneud.verbs.sim import sim
 
 def test_a_text_is_a_list_of_moves_in_millimetres() -> None:
     assert moves_of("100,250@300,-1.5") == [Move(0.1), Move(0.25, 0.3), Move(-0.0015)]
+
+
+def test_forces_stand_among_the_moves() -> None:
+    assert steps_of("100,200N,-50.5N@1000") == [Move(0.1), Push(200.0), Push(-50.5, 1000.0)]
+    for text in ("N", "200N1", "200N@", "200N@-1", "200N@1@2", "nanN"):
+        with pytest.raises(MovesError, match=r"a force is NN or NN@N_S|a move is"):
+            steps_of(text)
+
+
+def test_a_force_is_pressed_until_it_has_been_there_for_a_while() -> None:
+    loaded = load("virtual.toml", change={"plant": {"contact": {"position_m": 0.44, "stiffness_n_m": 3e4}}})
+    rod_n = cylinder_of(loaded.config).rod_force_n
+    course = Course(steps_of("438,150N,435"), rod_n)
+    run = Simulation(loaded, 9.0, how=quick(), operator=course.ask)
+    for record in run.records():
+        course.see(record)
+    assert course.good
+    pressed = course.results[1]
+    assert pressed["at_n"] == pytest.approx(150.0, abs=2.0)
+    assert 440.0 < pressed["at_mm"] < 446.0
+    assert "force 150 N: reached after" in in_words(course.results)
+    assert "force 9 N: not reached" in in_words([{"to_n": 9.0, "reached_s": None, "at_n": None}])
 
 
 @pytest.mark.parametrize("text", ["", "x", "1,", "1@2@3", "1@0", "1@-3", "nan", "inf", "1@inf", "1;2"])

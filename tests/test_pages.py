@@ -18,6 +18,7 @@ from pneud.config.reading import AXIS, parse
 NOT_HERE = {
     r"make (test|pages)\b.*": "steps of .ci/run; the pages are compared in tests/test_site.py",
     r"make (vm|systemd|campaign-vm)\b.*|hil/vm/run .*": "need a virtual machine; steps of .ci/run",
+    r"python -m hil\.force .*": "minutes; tests/test_hil_commands.py runs a part",
     r"make campaign\b.*": "minutes; a step of .ci/run",
     r"make (information|strange)\b.*": "minutes; tests/test_hil_commands.py runs a part of each",
     r"python -m hil\.web\b.*": "minutes, and nothing beside it; tests/test_web_page.py has the crowd",
@@ -53,6 +54,7 @@ ELSEWHERE = {
 # What a page takes for granted, made beforehand
 GIVEN = {
     "laws.md": ["pneud --virtual"],
+    "force.md": [f"cp {ROOT}/configs/virtual.toml press.toml", f"cp {ROOT}/configs/pneud.dbc ."],
     "identification.md": [
         "pneud sim -o run.mcap --duration 4",
         f"pneud export run.mcap -o bus.log && cp {ROOT}/configs/pneud.dbc .",

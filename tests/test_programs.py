@@ -21,7 +21,9 @@ from pneud.control.reference import Bounds
 from pneud.signals import Request, RequestKind
 
 ROOT = Path(__file__).parent.parent
-X = AxisFacts("x", 0.02, 0.98, Bounds(0.5, 5.0, 100.0), 2e-5, 2e-3, 0.05, ("start", "part"), ("lamp",))
+X = AxisFacts(
+    "x", 0.02, 0.98, Bounds(0.5, 5.0, 100.0), 2e-5, 2e-3, 0.05, ("start", "part"), ("lamp",), 560.0, 470.0
+)
 Y = X._replace(name="y", inputs=("gate",), outputs=())
 GOTO, WAIT = {"do": "goto", "to_mm": 100.0}, {"do": "wait", "for_s": 0.1}
 
@@ -126,7 +128,7 @@ REFUSED = [
     (tree({"do": "until", "input": "stop"}), "no input 'stop'; there is start, part"),
     (tree({"do": "output", "output": "horn", "on": True}), "no output 'horn'; there is lamp"),
     (tree({"do": "output", "output": "lamp", "on": 1}), "on is true or false, not 1"),
-    (tree({"do": "force", "force_n": 100}), "this axis has no control of force"),
+    (tree({"do": "force", "force_n": 2000}), "2000 N are more than limits.force and the supply allow"),
     (tree(WAIT, {"do": "repeat", "to": "a", "times": 1.5}), "times is a whole number, not 1.5"),
     (
         tree({**GOTO, "to_mm": 990}),

@@ -16,6 +16,7 @@ from pneud.axis.cycle import Axis, AxisState
 from pneud.axis.requests import NOTHING, Asked, ask
 from pneud.config.conversions import axis_of
 from pneud.config.reading import with_settings
+from pneud.control.force import NO_PRESS
 from pneud.control.model import Model
 from pneud.control.plan import FOLLOWING, GOING, IDLE, JOINING, RESTING, Plan, follow
 from pneud.control.probe import NO_PROBE
@@ -88,7 +89,7 @@ def test_all_that_is_tuned_fits_into_a_request() -> None:
 def asked(wanted: Sine, plan: Plan, now: Reference, gains: tuple[float, ...] = NOW) -> Asked:
     s = Supervisor(int(State.TRACKING), 0, 1000, False)
     request = Request(GAINS, (*gains, *wanted))
-    return ask(request, s, 0, plan, (), now, NOWHERE, AT_NS, P.controller, P.reference, NO_PROBE, P)
+    return ask(request, s, 0, plan, (), now, NOWHERE, AT_NS, P.controller, P.reference, NO_PROBE, NO_PRESS, P)
 
 
 sines = st.builds(

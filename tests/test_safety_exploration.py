@@ -22,6 +22,7 @@ from pneud.signals import ENGAGED, Host, Measurement, Request, RequestKind, Stat
 SINGLES = [1 << fault for fault in F]
 PAIRS = [a | b for a, b in combinations(SINGLES, 2)]
 PROBE = Request(RequestKind.PROBE, (1.0, 0.2, 2e-3, 0.05, 150.0, 100.0))
+FORCE = Request(RequestKind.FORCE, (150.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 REQUESTS = (
     None,
     Request(RequestKind.ARM),
@@ -38,6 +39,7 @@ REQUESTS = (
     Request(RequestKind.TRACK, (0.0,)),
     Request(RequestKind.PIECE),
     PROBE,
+    FORCE,
     Request(RequestKind.GAINS, (1e9,) * 9),
     Request(RequestKind.GAINS, (*tunables(ready().axis.state.law), 0.4, 0.03, 3.0)),
     Request(99, (1.0, 2.0)),
@@ -97,6 +99,7 @@ SITUATIONS: dict[str, Callable[[], Rig]] = {
     "stopping, then centred": lambda: after(tracking(), RequestKind.DISARM),
     "shutting down": lambda: after(tracking(), RequestKind.SHUTDOWN),
     "probing": lambda: after(ready(), PROBE.kind, *PROBE.values),
+    "pressing": lambda: after(holding(), FORCE.kind, *FORCE.values),
     "fault": faulty,
 }
 

@@ -166,6 +166,8 @@ def _run() -> Iterator[Tick]:
     yield from rig.ticks(100)
     yield rig.tick(ARM)
     yield from rig.ticks(30)
+    yield rig.tick(RequestKind.FORCE, 40.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    yield from rig.ticks(40)
     yield rig.tick(RequestKind.GOTO, 0.45, 0.0, 0.0, 0.0)
     yield from rig.ticks(100)
     yield rig.tick(RequestKind.JOG, 0.1, 20.0)

@@ -35,6 +35,7 @@ STEERED = {
     JOG: State.MOVING,
     TRACK: State.TRACKING,
     HOME: State.HOMING,
+    RequestKind.FORCE: State.PRESSING,
 }
 Step = tuple[Supervisor, int, int, bool, Supervisor]
 

@@ -85,6 +85,8 @@ _CONVERSATION = """\
 < {"v": 1, "id": 2, "ok": true, "order": 2, "state": "holding"}
 > {"v": 1, "id": 3, "verb": "goto", "x_mm": 1200.0}
 < {"v": 1, "id": 3, "ok": false, "error": {"type": "out_of_travel", "message": "1200 mm lies outside the travel 21 … 979 mm; the nearest allowed is 979 mm", "nearest_mm": 979.0}}
+> {"v": 1, "id": 3, "verb": "force", "force_n": 5000}
+< {"v": 1, "id": 3, "ok": false, "axis": "virtual", "error": {"type": "beyond_limits", "message": "5000 N are more than limits.force and the supply allow; at most 564.3 N"}}
 > {"v": 1, "id": 3, "verb": "goto_all", "axes": {"virtual": 120.0}}
 < {"v": 1, "id": 3, "ok": false, "error": {"type": "wrong_state", "message": "goto: virtual is starting; axes set out together from where they hold"}}
 > {"v": 1, "id": 4, "verb": "jog", "velocity_mm_s": -20.0, "lease_s": 0.3}

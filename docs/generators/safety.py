@@ -29,6 +29,7 @@ _STATES = {
     State.STOPPING: "the load is brought to rest under control; then it is held, or the valve is centred",
     State.FAULT: "the valve is centred, and stays so until the fault is cleared",
     State.PROBING: "the valve is opened slowly and without a loop, and centred at the first bound",
+    State.PRESSING: "the piston presses with a force, within bounds of travel, speed and time ([force.md](force.md))",
 }
 _REACTIONS = {
     Reaction.CENTRE: "the valve is centred in the same tick, past the slew limit, and disabled. Cannot arm",
@@ -49,6 +50,7 @@ _CIA_402 = {
     State.STOPPING: "Quick stop active; with a latched fault Fault reaction active",
     State.FAULT: "Fault",
     State.PROBING: "Operation enabled",
+    State.PRESSING: "Operation enabled (profile torque)",
 }
 _DEBOUNCES = {
     "sensor_timeout_ns": "`bus.sensor_timeout_ms`",

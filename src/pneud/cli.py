@@ -41,7 +41,7 @@ GROUPS = {
     ),
     "Running daemon": (
         *("status", "arm", "disarm", "stop", "clear", "home", "hold", "restart"),
-        *("goto", "jog", "run", "teach", "mark", "track", "top", "tune", "web", "mqtt"),
+        *("goto", "jog", "force", "run", "teach", "mark", "track", "top", "tune", "web", "mqtt"),
     ),
 }
 ORDER = tuple(name for group in GROUPS.values() for name in group)

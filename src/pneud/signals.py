@@ -84,6 +84,7 @@ class State(IntEnum):
     STOPPING = 7
     FAULT = 8
     PROBING = 9
+    PRESSING = 10
 
     @property
     def label(self) -> str:
@@ -96,7 +97,10 @@ def state_name(state: int) -> str:
     return State(state).label if 0 <= state < len(State) else f"state {state}"
 
 
-ENGAGED = (State.TRACKING, State.MOVING, State.HOLDING, State.HOMING, State.STOPPING, State.PROBING)
+ENGAGED = (
+    *(State.TRACKING, State.MOVING, State.HOLDING, State.HOMING, State.STOPPING, State.PROBING),
+    State.PRESSING,
+)
 
 
 class RequestKind(IntEnum):
@@ -122,6 +126,9 @@ class RequestKind(IntEnum):
     PROBE = 14  # (voltage, rate, travel, speed, force, lease in ticks): a bounded opening without a loop
     RESTART = 15  # centre for good, and let the daemon begin anew with what its file says; not while engaged
     CENTRE = 16  # at once, and disarmed: of the loop, where a fault takes another axis
+    # (force, ramp, low, high, speed, time): press with a force of the piston, within a window of the travel;
+    # 0 for the configured ramp, speed and time, twice 0 for the whole travel
+    FORCE = 17
     RECORD = 20  # the values of a `control.program.Step`: one more record of the program; (): empty it
     # (record, rounds, shared): go through the program from there, so often, 0 without end; record 0: go on
     # where it was stopped; shared 1: with a GO_ON behind each record

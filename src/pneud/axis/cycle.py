@@ -15,15 +15,26 @@ from pneud.axis.sensing import NAN, NO_ESTIMATE, Belief, Driven, drive, sense
 from pneud.axis.standing import AT_WORK, Standing, judge
 from pneud.axis.state import INSIDE, AxisParameters, AxisState, Doubt, configured, learnt_so_far, switched_on
 from pneud.axis.stops import UNHELD, excused, gentle, outside
-from pneud.control import homing, probe
+from pneud.control import force, homing, probe
+from pneud.control.force import Press
 from pneud.control.leading import NOT_LED, aim
 from pneud.control.plan import FOLLOWING, IDLE, NONE, Plan
 from pneud.control.program import DUE, UNDER_WAY, Run, halted, look, progress, stopped
-from pneud.control.step import Controller, forget
+from pneud.control.step import Controller, forget, unlearnt
 from pneud.safety import checks
 from pneud.safety.faults import F
 from pneud.safety.output import emit
-from pneud.safety.supervisor import DISARMED, HOLDING, HOMING, PROBING, Supervisor, advance, is_engaged, trip
+from pneud.safety.supervisor import (
+    DISARMED,
+    HOLDING,
+    HOMING,
+    PRESSING,
+    PROBING,
+    Supervisor,
+    advance,
+    is_engaged,
+    trip,
+)
 from pneud.safety.watch import Watch, forget_position, remember
 from pneud.signals import (
     Command,
@@ -42,6 +53,9 @@ __all__ = ["FOLLOWING", "Axis", "AxisParameters", "AxisState"]
 NO_INPUTS = 0  # no frame tells of any
 SATURATED, NOT_FINITE = 1 << F.SATURATED, 1 << F.NOT_FINITE
 CENTRED_COMMAND = Command(voltage_v=0.0, enable=0, saturated=0, law_v=NAN, s=NAN, ustar=NAN)
+
+
+REACHED = AT_WORK._replace(in_position=1)  # the force that is asked for
 
 
 def cycle(
@@ -70,7 +84,9 @@ def cycle(
     belief, seen, lasting, present = sense(state, m, arming, t_ns, p)
     outside_m = outside(state.outside_m, m.position_m, is_engaged(before.state), p.limits)
     spared = excused(outside_m, m.position_m, belief.estimate, p.limits)
-    watch, lasted = remember(state.watch, seen, lasting & UNHELD if spared else lasting, m.t_ns, p.limits)
+    if spared or state.pressed:
+        lasting &= UNHELD
+    watch, lasted = remember(state.watch, seen, lasting, m.t_ns, p.limits)
     present -= present & spared
     present |= lasted | doubtful | checks.of_host(m.host)
     course = guide(state, belief, m, present, p, told)
@@ -93,6 +109,7 @@ def cycle(
                 state.law,
                 configured(state, p),
                 state.probe,
+                state.press,
                 p,
             )
             if run.stage >= UNDER_WAY and request.kind in ENDS and asked.answer == TAKEN:
@@ -110,6 +127,9 @@ def cycle(
         course = redirect(course, asked, after.state, state, belief, p)
         bounded = p if outside_m == INSIDE else gentle(p)
         driven = actuate(course, after.state, m, belief, state.last_v, law, bounded)
+        if state.pressed and driven.controller is not None and course.controller is not None:
+            # what a load is pressed against is neither friction nor load
+            driven = driven._replace(controller=unlearnt(driven.controller, course.controller.learnt))
         if driven.faults:
             after = trip(after, driven.faults)
     elif asked.law is not None and course.controller is not None:
@@ -132,7 +152,7 @@ def cycle(
             law.cylinder.rod_force_n,
         )
     reference = aim(course.reference, course.led, p.leading)
-    standing = stand(state, after.state, belief.estimate, reference, driven.command, t_ns, p)
+    standing = stand(state, after.state, belief.estimate, reference, course.press, driven.command, t_ns, p)
     odometer = state.odometer
     if t_ns - odometer.looked_ns >= LOOK_NS:
         known = belief.controller is not None and not course.found
@@ -171,12 +191,20 @@ def cycle(
         standing,
         odometer,
         run,
+        p,
     )
     return state, tick
 
 
 def stand(
-    state: AxisState, now: int, e: Estimate, r: Reference, command: Command, t_ns: int, p: AxisParameters
+    state: AxisState,
+    now: int,
+    e: Estimate,
+    r: Reference,
+    press: Press,
+    command: Command,
+    t_ns: int,
+    p: AxisParameters,
 ) -> Standing:
     """How the load stands at its target; not at all where the reference has not come to its end.
 
@@ -185,12 +213,13 @@ def stand(
         now: state of this tick.
         e: the estimate.
         r: the reference.
+        press: how far pressing has come.
         command: that leaves.
         t_ns: this tick's SYNC.
         p: parameters.
     """
     if now != HOLDING:
-        return AT_WORK
+        return REACHED if now == PRESSING and press.reached else AT_WORK
     step_v, error_m = command.voltage_v - state.last_v, r.position_m - e.position_m
     return judge(state.standing, t_ns, error_m, e.velocity_m_s, step_v, p.expected)
 
@@ -216,9 +245,12 @@ def actuate(
         p: parameters.
     """
     dt, e = (1 + m.skipped) * law.h, belief.estimate
-    if state in (HOMING, PROBING):
+    if state in (HOMING, PROBING, PRESSING):
         if state == HOMING:
             law_v = homing.command(course.homing, m, e, p.homing, law)
+        elif state == PRESSING:
+            assert course.controller is not None
+            law_v = force.command(course.press, course.controller, e, last_v, law)
         else:
             law_v = probe.opening_v(course.probe, belief.sampled_ns)
         out = emit(law_v, last_v, dt, p.output)
@@ -244,6 +276,7 @@ def put_away(
     standing: Standing,
     odometer: Odometer,
     run: Run,
+    p: AxisParameters,
 ) -> AxisState:
     """All that has to be remembered of this tick.
 
@@ -262,6 +295,7 @@ def put_away(
         standing: at its target.
         odometer: what the axis has done.
         run: how far the program is.
+        p: parameters.
     """
     plan, profile, reference = course.plan, state.profile, state.reference
     if plan.phase != NONE and not is_engaged(after.state):
@@ -273,6 +307,11 @@ def put_away(
     program = state.program
     if asked.program is not None:
         program = asked.program
+    pressed = state.pressed
+    if after.state == PRESSING:
+        pressed = 1
+    elif pressed and force.is_free(belief.estimate, learnt_so_far(state).load_n, p.pressing):
+        pressed = 0
     # a homing that is cut may leave the load at the stop, beyond the travel: the axis can be homed again
     cut = state.supervisor.state == HOMING and not is_engaged(after.state)
     return AxisState(
@@ -301,6 +340,8 @@ def put_away(
         led=course.led if is_engaged(after.state) else NOT_LED,
         program=program,
         run=run,
+        press=course.press,
+        pressed=pressed,
     )
 
 

@@ -7,15 +7,16 @@ from typing import NamedTuple
 from pneud.axis.requests import Asked
 from pneud.axis.sensing import NAN, Belief
 from pneud.axis.state import AxisParameters, AxisState, configured, learnt_so_far
-from pneud.control import homing, leading, probe
+from pneud.control import force, homing, leading, probe
+from pneud.control.force import Press
 from pneud.control.homing import Homing
 from pneud.control.leading import GANTRY, Led, aim, anew, shifted, skew_m
 from pneud.control.plan import IDLE, LED, Plan, follow, halting, resting
 from pneud.control.probe import Probe
 from pneud.control.reference import rest
-from pneud.control.step import ControllerState, change, join, resume
+from pneud.control.step import ControllerState, change, forget, join, join_in_motion, resume
 from pneud.safety.faults import F
-from pneud.safety.supervisor import HOLDING, HOMING, PROBING, STOPPING, is_engaged
+from pneud.safety.supervisor import HOLDING, HOMING, PRESSING, PROBING, STOPPING, is_engaged
 from pneud.signals import Measurement, Reference, Told
 
 # an encoder that was silent, wrong or jumped may have lost count
@@ -26,6 +27,8 @@ LOSES_REFERENCE = sum(
 # plain numbers: to get at a member of an enumeration takes longer than most of what is done with it
 TRAVEL, TRACKING_ERROR, OPERATOR_LOST = 1 << F.TRAVEL, 1 << F.TRACKING_ERROR, 1 << F.OPERATOR_LOST
 SKEW, LED_BEYOND = 1 << F.SKEW, 1 << F.LED_BEYOND
+FORCE_WINDOW, FORCE_SPEED = 1 << F.FORCE_WINDOW, 1 << F.FORCE_SPEED
+FORCE_TIMEOUT, FORCE_DIRECTION = 1 << F.FORCE_TIMEOUT, 1 << F.FORCE_DIRECTION
 NO_REFERENCE = Reference(NAN, NAN, NAN, NAN)
 
 
@@ -44,6 +47,7 @@ class Course(NamedTuple):
     probe: Probe
     led: Led  # by another axis
     unled: bool  # which it was, and is no longer
+    press: Press
 
 
 def guide(
@@ -72,6 +76,7 @@ def guide(
         skew = skew_m(told, e.position_m, belief.sampled_ns, p.leading)
         if abs(skew) > p.leading.skew_m:
             present |= SKEW
+    press = state.press
     if p.homing.incremental and (not referenced or before == HOMING):
         present &= ~TRAVEL  # the stop lies beyond it
     if before == HOMING:
@@ -86,6 +91,10 @@ def guide(
         probed = probed._replace(lease=probed.lease - 1 - m.skipped)
         present |= (probed.lease < 0) << F.OPERATOR_LOST
         probed, at_rest = probe.proceed(probed, e, m, belief.sampled_ns, law.h, law.cylinder, law.gas)
+    elif before == PRESSING:
+        press, ended = force.proceed(press, e, belief.sampled_ns, (1 + m.skipped) * law.h, law, p.pressing)
+        present |= given_up(ended)
+        reference = force.motion_of(e, law, p.motion.acceleration_m_s2)
     elif is_engaged(before):
         if plan.phase == LED:
             guided = leading.follow(
@@ -119,7 +128,19 @@ def guide(
         probed,
         led,
         unled,
+        press,
     )
+
+
+def given_up(ended: int) -> int:
+    """The fault that ends pressing, 0 for none."""
+    if ended == force.FINE:
+        return 0
+    if ended == force.WINDOW:
+        return FORCE_WINDOW
+    if ended == force.SPEED:
+        return FORCE_SPEED
+    return FORCE_TIMEOUT if ended == force.TIMEOUT else FORCE_DIRECTION
 
 
 def redirect(
@@ -144,6 +165,8 @@ def redirect(
         asked_for = course.probe if asked.probe is None else asked.probe
         return course._replace(probe=asked_for, reference=rest(e.position_m))
     led = course.led
+    if after == PRESSING:
+        return _pressing(course, asked, state)
     if asked.plan is not None:
         plan = asked.plan
         if plan.phase == LED:
@@ -164,6 +187,8 @@ def redirect(
     goal = aim(reference, led, p.leading)
     if before == HOMING or not is_engaged(before):
         controller = join(controller, e, goal, state.law)
+    elif before == PRESSING:
+        controller = join_in_motion(controller, e, goal, state.law)
     if asked.law is not None:
         controller = change(controller, e, goal, state.law, asked.law)
     return course._replace(plan=plan, reference=reference, controller=controller, present=present, led=led)
@@ -182,3 +207,13 @@ def _homewards(course: Course, before: int, belief: Belief, p: AxisParameters) -
         course = course._replace(plan=IDLE, homing=begun, referenced=False)
     velocity_m_s = homing.direction(course.homing.part, p.homing) * p.homing.speed_m_s
     return course._replace(reference=Reference(e.position_m, velocity_m_s, 0.0, 0.0))
+
+
+def _pressing(course: Course, asked: Asked, state: AxisState) -> Course:
+    """Pressing, from where it begins on: there is no plan; the reference is where the load is."""
+    controller = course.controller
+    assert controller is not None
+    if asked.law is not None:
+        controller = forget(controller, state.law, asked.law)
+    press = course.press if asked.press is None else asked.press
+    return course._replace(plan=IDLE, controller=controller, press=press)

@@ -9,6 +9,7 @@ from pneud.axis.guidance import Course
 from pneud.axis.requests import (
     BEYOND_LIMITS,
     BLOCKED,
+    FORCE,
     GOTO,
     HOLD,
     HOME,
@@ -35,8 +36,7 @@ from pneud.signals import Estimate, Request, RequestKind
 
 RECORD, RUN, GO_ON = int(RequestKind.RECORD), int(RequestKind.RUN), int(RequestKind.GO_ON)
 OWN = (RECORD, RUN, GO_ON)
-FORCE = 17
-ENDS = (HOLD, GOTO, JOG, TRACK, HOME)  # whoever asks for one of these takes over from the program
+ENDS = (HOLD, GOTO, JOG, TRACK, HOME, FORCE)  # whoever asks for one of these takes over from the program
 FIRST_KIND = RECORD
 MOST_LAPS = 1e9
 MOST_MASSES = 100.0  # of the axis's own, that a workpiece may have
@@ -192,6 +192,7 @@ def _asked(
         state.law,
         configured(state, p),
         state.probe,
+        state.press,
         p,
     )
     return asked, run

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 from pneud.axis.state import AxisParameters
 from pneud.axis.stops import soft_limits, way_inside
-from pneud.control import model
+from pneud.control import force, model
+from pneud.control.force import LEAST_RATE_N_S, Aim, Press
 from pneud.control.leading import GANTRY, POSITION, REFERENCE
 from pneud.control.model import Model
 from pneud.control.plan import COMING_TO_REST, FOLLOWING, GOING, JOINING, LED, Plan, halting, resting
@@ -60,10 +61,12 @@ ARM, DISARM, CLEAR = int(RequestKind.ARM), int(RequestKind.DISARM), int(RequestK
 SHUTDOWN, MARK, STOP = int(RequestKind.SHUTDOWN), int(RequestKind.MARK), int(RequestKind.STOP)
 HOLD, GOTO, JOG = int(RequestKind.HOLD), int(RequestKind.GOTO), int(RequestKind.JOG)
 HOME, PROBE, RESTART = int(RequestKind.HOME), int(RequestKind.PROBE), int(RequestKind.RESTART)
-CENTRE = int(RequestKind.CENTRE)
+CENTRE, FORCE = int(RequestKind.CENTRE), int(RequestKind.FORCE)
 TRACK, PIECE, GAINS = int(RequestKind.TRACK), int(RequestKind.PIECE), int(RequestKind.GAINS)
 STEERING = (HOLD, GOTO, JOG, TRACK)
-STEERED = (int(State.TRACKING), int(State.MOVING), int(State.HOLDING))  # may be asked to go elsewhere
+PRESSING = int(State.PRESSING)
+# may be asked to go elsewhere
+STEERED = (int(State.TRACKING), int(State.MOVING), int(State.HOLDING), PRESSING)
 
 CONFIGURED, UPLOADED = 0.0, 1.0  # what TRACK asks for
 ARRIVED_M = 1e-9  # no way is shorter
@@ -91,6 +94,7 @@ COUNTS = {
     PROBE: (6,),
     RESTART: (0,),
     CENTRE: (0,),
+    FORCE: (6,),
 }
 
 
@@ -107,6 +111,7 @@ class Asked(NamedTuple):
     probe: Probe | None = None  # from now on
     program: Program | None = None  # from now on
     run: Run | None = None  # how far it is
+    press: Press | None = None  # from now on
 
 
 NOTHING = Asked(int(Answer.NONE))
@@ -124,6 +129,7 @@ def ask(
     law: Controller,
     configured: Sine,
     probed: Probe,
+    pressed: Press,
     p: AxisParameters,
 ) -> Asked:
     """What becomes of a request in this tick.
@@ -140,6 +146,7 @@ def ask(
         law: with its present gains.
         configured: the present reference.
         probed: the last probe, perhaps under way.
+        pressed: likewise the last pressing.
         p: parameters.
     """
     kind, values = request
@@ -178,6 +185,10 @@ def ask(
         return Asked(NOT_REFERENCED if unknown else WRONG_STATE)
     if present & (CENTRES | STOPS):
         return Asked(BLOCKED)
+    if kind == FORCE and p.leading.how >= GANTRY:
+        return Asked(WRONG_STATE)  # one half of a gantry would press the other askew
+    if kind == FORCE:
+        return _press(values, s, e, now_ns, law, pressed, p)
     if kind == GOTO:
         return _goto(values, now, now_ns, p)
     if kind == JOG and values[0] != 0.0:
@@ -245,6 +256,35 @@ def _probe(
     if s.closing:
         return Asked(CLOSING)
     return Asked(BLOCKED) if present & BLOCKS[PROBE] else Asked(TAKEN, PROBE, probe=wanted)
+
+
+def _press(
+    values: tuple[float, ...],
+    s: Supervisor,
+    e: Estimate,
+    now_ns: int,
+    law: Controller,
+    before: Press,
+    p: AxisParameters,
+) -> Asked:
+    """A force of the piston; where one is asked for already, the ramp goes on from there."""
+    force_n, rate_n_s, low_m, high_m, speed_m_s, time_s = values
+    least_m, most_m = soft_limits(p)
+    if low_m == 0.0 == high_m:
+        low_m, high_m = p.limits.travel_min_m, p.limits.travel_max_m
+    elif not least_m <= low_m < high_m <= most_m:
+        return Asked(OUT_OF_TRAVEL)
+    if not low_m <= e.position_m <= high_m:
+        return Asked(OUT_OF_TRAVEL)
+    k = p.pressing
+    usual = max(LEAST_RATE_N_S, min(k.rate_n_s, abs(force_n - force.piston_n(e, law)) / force.SHORTEST_S))
+    aim = Aim(force_n, rate_n_s or usual, low_m, high_m, speed_m_s or k.speed_m_s, time_s or k.time_s)
+    if aim.rate_n_s < LEAST_RATE_N_S or aim.speed_m_s < SLOWEST.speed_m_s or aim.time_s <= 0.0:
+        return Asked(MALFORMED)
+    if not -k.in_n <= force_n <= k.out_n or aim.speed_m_s > p.limits.speed_m_s:
+        return Asked(BEYOND_LIMITS)
+    goes_on = s.state == PRESSING
+    return Asked(TAKEN, FORCE, press=force.begin(aim, before, goes_on, e, now_ns, law))
 
 
 def _tune(

@@ -7,6 +7,7 @@ from typing import NamedTuple
 from pneud.axis.mileage import Odometer
 from pneud.axis.standing import AT_WORK, Expected, Standing
 from pneud.control.adaptation import Learnt
+from pneud.control.force import NO_PRESS, Press, Pressing
 from pneud.control.homing import NOWHERE, Homing, HomingParameters
 from pneud.control.leading import NOT_LED, Leading, Led
 from pneud.control.plan import IDLE, Plan
@@ -67,6 +68,7 @@ class AxisParameters(NamedTuple):
     learnt: Learnt = Learnt()  # in an earlier run: where adaptation starts
     shunned: Shunned = Shunned()  # speeds at which no short way to a position peaks
     leading: Leading = Leading()  # by another axis
+    pressing: Pressing = Pressing()
 
 
 class AxisState(NamedTuple):
@@ -97,6 +99,8 @@ class AxisState(NamedTuple):
     led: Led = NOT_LED  # by another axis
     program: Program = ()
     run: Run = NO_RUN  # how far the program is
+    press: Press = NO_PRESS  # the last one, perhaps under way
+    pressed: int = 0  # 1 from then on until the load has come free
 
     @property
     def phase(self) -> int:

@@ -18,6 +18,7 @@ from pneud.config.sections import GRAVITY_M_S2
 from pneud.control import model
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.feedforward import Creep
+from pneud.control.force import Pressing
 from pneud.control.homing import HomingParameters
 from pneud.control.homogeneous import Feedback, feedback
 from pneud.control.laws.sliding import Sliding
@@ -51,6 +52,10 @@ FAST_S = 0.01  # where there is no lead
 SHUNNED = (0.35, 1.6)  # times v_s, between which friction falls steeply
 JERK_SHARE = 0.15  # of what the open valve does to the force, that the jerk of a short move may take
 BLOCKED_KG = 1e9  # nothing moves that
+FORCE_SHARE = 0.9  # of the piston's greatest force that may be asked for
+FREE_SHARE = 0.15  # of it: what opposes a load that is pressed against nothing is less, its weight apart
+RAMP_S, RAMP_SHARE = 0.05, 1.5  # in which that force comes, or the part of the valve's flow that it takes
+LEAST_FORCE_N, FORCE_TOLERANCE = 2.0, 0.01  # tolerance of a force: at least, and as a part of it
 BLEND_S = 0.1  # in which one set of gains gives way to another
 
 
@@ -415,6 +420,26 @@ def homing_of(c: Config) -> HomingParameters:
     )
 
 
+def pressing_of(c: Config) -> Pressing:
+    """What may be asked for of the piston's force, and what counts as reached."""
+    asked, k, g = c.limits.force, cylinder_of(c), flow.gas_of(c)
+    gauge_pa = g.supply_pa - g.atmosphere_pa
+    out_n, in_n = gauge_pa * k.A1, gauge_pa * k.A2
+    most_n = asked.most_n or math.inf
+    usual = min(max(out_n, in_n) / RAMP_S, RAMP_SHARE * k.F1_nominal * c.valve.u_max_v)
+    return Pressing(
+        out_n=min(most_n, FORCE_SHARE * out_n),
+        in_n=min(most_n, FORCE_SHARE * in_n),
+        rate_n_s=asked.rate_n_s or usual,
+        speed_m_s=min(asked.speed_m_s, c.limits.speed_m_s),
+        time_s=asked.time_s,
+        tolerance_n=asked.tolerance_n or LEAST_FORCE_N,
+        share=0.0 if asked.tolerance_n else FORCE_TOLERANCE,
+        settled_ns=round(c.in_position.time_s * 1e9),
+        free_n=min(FREE_SHARE * max(out_n, in_n), 0.5 * c.limits.disagreement_n),
+    )
+
+
 def slot_of(law: ControlConfig, h: float) -> Slot:
     """The laws beside the sliding one for a sample time [s], and whether one of them runs."""
     kind = next((entry.kind for entry in IN_SLOT if entry.name == law.law), SLIDING)
@@ -463,6 +488,7 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
         learnt=start_of(c),
         shunned=shunned_of(c),
         leading=leading_of(c),
+        pressing=pressing_of(c),
     )
 
 

@@ -39,6 +39,17 @@ def detail_of(c: Config, u_max_v: float, gas_constant: float, temperature_k: flo
         p2_offset_pa=s.p2_offset_pa,
         supply_offset_pa=s.supply_offset_pa,
         hose_s=p.hoses.delay_s,
+        contact_n_m=p.contact.stiffness_n_m,
+        contact_m=contact_m(c) if p.contact.stiffness_n_m else 0.0,
+        contact_n_s_m=p.contact.damping_n_s_m if p.contact.stiffness_n_m else 0.0,
+        contact_side=-1.0 if p.contact.stiffness_n_m and p.contact.side == "rear" else 1.0,
     )
     plain = Detail(regulator_kg_s_pa=found.regulator_kg_s_pa)
     return Detail() if found == plain else found._replace(on=True)
+
+
+def contact_m(c: Config) -> float:
+    """Where what the load runs against begins, in the true cylinder's effective coordinate."""
+    p, k = c.plant, c.cylinder
+    rear_m = p.cylinder.dead_length_1_m or k.dead_length_1_m
+    return rear_m + p.hoses.volume_1_m3 / k.piston_area_1_m2 + p.contact.position_m

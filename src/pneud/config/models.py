@@ -367,6 +367,18 @@ class WayConfig(Section):
     margin_m: NonNegative = 1e-3  # positions this close to limits.travel cannot be asked for
 
 
+class PressConfig(Section):
+    """What pressing with a force keeps to, where nothing else is asked for."""
+
+    most_n: Positive | None = None  # greatest force that may be asked for; none: 0.9 of the piston's
+    rate_n_s: Positive | None = (
+        None  # of the ramp; none: the piston's force in 0.08 s, or what the valve can do
+    )
+    speed_m_s: Positive = 0.2  # of the load, until it is pressed against something; faster is a fault
+    time_s: Annotated[float, Field(gt=0, le=3600)] = 5.0  # until the force is reached; longer is a fault
+    tolerance_n: Positive | None = None  # of the force; none: 2 N, or 1 % of it
+
+
 class LimitsConfig(Section):
     """What the axis may never exceed; positions in the stroke coordinate, pressures absolute."""
 
@@ -388,6 +400,7 @@ class LimitsConfig(Section):
     stop_then: Literal["hold", "centre"] = "hold"  # after a stop that was asked for
     transfer: TransferConfig = TransferConfig()
     motion: WayConfig = WayConfig()
+    force: PressConfig = PressConfig()
 
     @model_validator(mode="after")
     def _ordered(self) -> LimitsConfig:

@@ -181,6 +181,15 @@ class PlantSensorsConfig(Section):
         return self
 
 
+class PlantContactConfig(Section):
+    """Something to press against: a spring with a damper that the load runs into, and out of again."""
+
+    position_m: NonNegative = 0.0  # where it begins, stroke coordinate
+    stiffness_n_m: Annotated[float, Field(ge=0, le=1e7)] = 0.0  # 0: nothing is there
+    damping_n_s_m: Annotated[float, Field(ge=0, le=1e5)] = 0.0
+    side: Literal["front", "rear"] = "front"  # in front of the load, or behind it
+
+
 class PlantWiringConfig(Section):
     """Mistakes in putting the rig together, each by itself or with others."""
 
@@ -235,3 +244,4 @@ class PlantConfig(Section):
     sensors: PlantSensorsConfig = PlantSensorsConfig()
     wiring: PlantWiringConfig = PlantWiringConfig()
     beam: PlantBeamConfig | None = None
+    contact: PlantContactConfig = PlantContactConfig()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pneud.axis.requests import STEERED
-from pneud.config.conversions import shunned_of
+from pneud.config.conversions import cylinder_of, pressing_of, shunned_of
 from pneud.config.learnt import start_of, values_learnt
 from pneud.console import programs, protocol, together
 from pneud.console.facts import RunFacts
@@ -67,6 +67,7 @@ class AxisDesk:
         self._watch = watch
         self._memory = memory
         self._processes = processes
+        self._rod_force_n = cylinder_of(run.config).rod_force_n
         self._tuning = Tuning(run.config, run.path, run.text, memory, run.own)
         self._program: programs.Compiled | None = None  # that the axis has taken
 
@@ -81,7 +82,7 @@ class AxisDesk:
         return {
             "schema": 1,
             "name": r.config.name,
-            **(told := self._watch.fields()),
+            **(told := self._watch.fields(self._rod_force_n)),
             "program": self._of_program(told["program"]),
             "learnt": values_learnt(self._watch.learnt or start_of(r.config), r.config) or None,
             "learnt_from": r.config.control.adaptation.start.log or None,
@@ -155,6 +156,8 @@ class AxisDesk:
                 return Orders(f"jog {v:g} mm/s", (request,), attended=True)
             case protocol.Probe():
                 return self._probe(message)
+            case protocol.Force():
+                return self._force(message)
             case protocol.Track(what=what, attended=attended):
                 request = Request(RequestKind.TRACK, (float(what == "profile"),))
                 return Orders(f"track {what}", (request,), attended=attended)
@@ -273,6 +276,35 @@ class AxisDesk:
         values = (m.x_mm * _MM, *((bound or 0.0) * _MM for bound in bounds))
         return Orders(words, (Request(RequestKind.GOTO, values),), attended=m.attended)
 
+    def _force(self, m: protocol.Force) -> Orders:
+        pressing, allowed = pressing_of(self._run.config), self._limits()
+        most_n = pressing.out_n if m.force_n > 0.0 else -pressing.in_n
+        if abs(m.force_n) > abs(most_n):
+            raise ProtocolError(
+                Error.BEYOND_LIMITS,
+                f"{m.force_n:g} N are more than limits.force and the supply allow; at most {most_n:.4g} N",
+                nearest_n=most_n,
+            )
+        window = (m.low_mm, m.high_mm)
+        if (m.low_mm is None) != (m.high_mm is None):
+            raise ProtocolError(Error.INVALID, "force: low_mm and high_mm go together")
+        if m.low_mm is not None and m.high_mm is not None:
+            low_mm, high_mm = allowed["min_mm"], allowed["max_mm"]
+            if not low_mm <= m.low_mm < m.high_mm <= high_mm:
+                raise ProtocolError(
+                    Error.OUT_OF_TRAVEL,
+                    f"force: the window {m.low_mm:g} … {m.high_mm:g} mm has to lie within the travel"
+                    f" {low_mm:g} … {high_mm:g} mm",
+                )
+        if m.speed_mm_s is not None and m.speed_mm_s * _MM > self._run.config.limits.speed_m_s:
+            raise ProtocolError(
+                Error.BEYOND_LIMITS, f"force: {m.speed_mm_s:g} mm/s is faster than limits.speed_m_s"
+            )
+        words = f"force {m.force_n:g} N"
+        more = (m.rate_n_s, *((x or 0.0) * _MM for x in (*window, m.speed_mm_s)), m.timeout_s)
+        values = (m.force_n, *(x or 0.0 for x in more))
+        return Orders(words, (Request(RequestKind.FORCE, values),), attended=m.attended)
+
     def _check_speed(self, speed_mm_s: float) -> None:
         highest_mm_s = self._limits()["speed_mm_s"]
         if abs(speed_mm_s) > highest_mm_s:
@@ -308,6 +340,8 @@ class AxisDesk:
                     f"{words}: the way leaves the travel"
                     f" {limits.travel_min_m / _MM:g} … {limits.travel_max_m / _MM:g} mm"
                 )
+                if words.startswith("force "):
+                    text = f"{words}: the load stands outside the window that is asked for"
             case Answer.BEYOND_LIMITS:
                 text = f"{words}: faster or harder than the configuration's limits"
             case Answer.UNSTABLE:

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pneud.config.conversions import expected_of
+from pneud.config.conversions import expected_of, pressing_of
 from pneud.config.models import Config
 from pneud.config.toml import TomlError, tables_of
 from pneud.console import records
@@ -40,7 +40,8 @@ class AxisFacts(NamedTuple):
     time_s: float
     inputs: tuple[str, ...] = ()  # by their bits
     outputs: tuple[str, ...] = ()
-    presses: bool = False  # it has a control of force
+    out_n: float = 0.0  # greatest force of the piston outwards; 0 for one that is not pressed
+    in_n: float = 0.0  # and inwards
 
 
 class Compiled(NamedTuple):
@@ -59,7 +60,8 @@ class Compiled(NamedTuple):
 
 def facts_of(c: Config) -> AxisFacts:
     """What a program has to know of a configured axis."""
-    limits, way, expected = c.limits, c.limits.motion, expected_of(c)
+    limits, way, expected, pressing = c.limits, c.limits.motion, expected_of(c), pressing_of(c)
+    alone = c.reference.follow is None or c.reference.follow.skew_m is None
     return AxisFacts(
         c.name,
         max(limits.travel_min_m, 0.0) + way.margin_m,
@@ -68,6 +70,8 @@ def facts_of(c: Config) -> AxisFacts:
         expected.tolerance_m,
         expected.velocity_m_s,
         c.in_position.time_s,
+        out_n=pressing.out_n if alone else 0.0,
+        in_n=pressing.in_n if alone else 0.0,
     )
 
 
@@ -293,8 +297,13 @@ def _until(where: str, record: Mapping[str, Any], step: Step, axis: AxisFacts) -
 
 
 def _press(where: str, record: Mapping[str, Any], step: Step, axis: AxisFacts) -> Step:
-    if not axis.presses:
-        raise ProgramError(f"{where}: this axis has no control of force; leave the record out")
+    if axis.out_n == 0.0:
+        raise ProgramError(f"{where}: half of a gantry is not pressed; leave the record out")
+    if not -axis.in_n <= record["force_n"] <= axis.out_n:
+        raise ProgramError(
+            f"{where}: {record['force_n']:g} N are more than limits.force and the supply allow,"
+            f" {-axis.in_n:.4g} … {axis.out_n:.4g} N"
+        )
     return step._replace(
         force_n=record["force_n"],
         rate_n_s=record.get("ramp_n_s", 0.0),

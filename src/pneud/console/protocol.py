@@ -125,6 +125,22 @@ class Jog(RequestBase):
     lease_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.3
 
 
+Newtons = Annotated[float, Field(ge=-1e6, le=1e6)]
+
+
+class Force(RequestBase):
+    """Press with a force of the piston; what is not given is as configured, the window all the travel."""
+
+    verb: Literal["force"]
+    force_n: Newtons
+    rate_n_s: Annotated[float, Field(ge=1, le=1e9)] | None = None
+    low_mm: Millimetres | None = None
+    high_mm: Millimetres | None = None
+    speed_mm_s: Rate | None = None
+    timeout_s: Annotated[float, Field(gt=0, le=3600)] | None = None
+    attended: bool = False  # ends, held, where its client goes
+
+
 class Track(RequestBase):
     """Follow the configured reference, or the uploaded profile."""
 
@@ -185,7 +201,20 @@ class Mark(RequestBase):
 
 
 Request = (
-    Plain | Arm | Goto | GotoAll | Jog | Probe | Track | Run | Upload | TuneGet | TuneSet | TuneReload | Mark
+    Plain
+    | Arm
+    | Goto
+    | GotoAll
+    | Jog
+    | Probe
+    | Force
+    | Track
+    | Run
+    | Upload
+    | TuneGet
+    | TuneSet
+    | TuneReload
+    | Mark
 )
 VERBS: dict[str, type[Request]] = {
     verb: kind for kind in Request.__args__ for verb in kind.model_fields["verb"].annotation.__args__

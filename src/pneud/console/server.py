@@ -30,6 +30,7 @@ INFO, WARNING = 2, 3  # levels of the log's events
 _MOTION = (
     *(RequestKind.ARM, RequestKind.DISARM, RequestKind.STOP, RequestKind.HOLD),
     *(RequestKind.HOME, RequestKind.GOTO, RequestKind.TRACK, RequestKind.RUN),
+    RequestKind.FORCE,
 )
 _RENEWED = (RequestKind.JOG, RequestKind.PROBE)  # by the same again, which is no other command
 _CHUNK = 16 * 1024

@@ -69,13 +69,17 @@ class StatusWatch:
             elif went >> fault.bit & 1:
                 print(f"pneud: {fault.name} is over: the log goes on", file=sys.stderr, flush=True)
 
-    def fields(self) -> dict[str, Any]:
-        """The part of `status` that the records tell."""
+    def fields(self, rod_force_n: float = 0.0) -> dict[str, Any]:
+        """The part of `status` that the records tell.
+
+        Args:
+            rod_force_n: of the atmosphere on the rod's side, which is no force of the piston.
+        """
         fields: dict[str, Any] = {
             "state": State.STARTING.label,
             "faults": [],
             "cause": None,
-            **dict.fromkeys(("position_mm", "velocity_mm_s", "reference_mm", "error_mm")),
+            **dict.fromkeys(("position_mm", "velocity_mm_s", "reference_mm", "error_mm", "force_n")),
             "in_position": False,
             "hunting": None,
             "program": None,
@@ -112,6 +116,7 @@ class StatusWatch:
         fields["velocity_mm_s"] = _scaled(tick.estimate.velocity_m_s, 1e3)
         fields["reference_mm"] = _scaled(tick.reference.position_m, 1e3)
         fields["error_mm"] = _scaled(tick.error_m, 1e3)
+        fields["force_n"] = _scaled(tick.estimate.x3_n - rod_force_n, 1.0)
         fields["in_position"] = bool(tick.in_position)
         if tick.hunting:
             fields["hunting"] = {"cause": Hunting(tick.hunting).label, "cure": HUNTING_CURES[tick.hunting]}

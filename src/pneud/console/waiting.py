@@ -15,7 +15,7 @@ SETTLE_S = 5.0  # that a load has at most, once its reference has come to the en
 SILENT_S = 5.0  # that a loop may be, before it counts as gone
 STEADY_S = 0.1  # that an error has to stay within a tolerance of the caller's
 SAME_MM = 1e-3  # a reference no further from a target stands there
-UNDER_WAY, ARRIVED = "moving", "holding"
+UNDER_WAY, ARRIVED, PRESSING = "moving", "holding", "pressing"
 
 
 def wait(
@@ -44,7 +44,39 @@ def wait(
     Raises:
         RefusedError: it does not come there: `fault`, `replaced`, `stopped`, `gone` or `timeout`.
     """
-    arrival = Arrival(order, x_mm, clock(), tolerance_mm, timeout_s)
+    return _until(Arrival(order, x_mm, clock(), tolerance_mm, timeout_s), client, clock, pause)
+
+
+def wait_for_force(
+    client: Client,
+    order: int,
+    force_n: float,
+    timeout_s: float | None = None,
+    clock: Callable[[], float] = time.monotonic,
+    pause: Callable[[float], None] = time.sleep,
+) -> dict[str, Any]:
+    """Wait until the piston's force is as asked for.
+
+    Args:
+        client: of the console that has taken the order.
+        order: number in its reply.
+        force_n: that was asked for.
+        timeout_s: from now; None for that of the axis, which then stops.
+        clock: seconds.
+        pause: lets so many seconds go by.
+
+    Returns:
+        The status with which it is.
+
+    Raises:
+        RefusedError: as in `wait`.
+    """
+    return _until(Reaching(order, force_n, clock(), timeout_s), client, clock, pause)
+
+
+def _until(
+    arrival: Arrival, client: Client, clock: Callable[[], float], pause: Callable[[float], None]
+) -> dict[str, Any]:
     while True:
         try:
             status = client.ask("status")
@@ -133,6 +165,18 @@ class Arrival:
         else:
             return
         raise RefusedError({"type": kind, "message": f"{self._words}: {text}"}, str(status.get("axis", "")))
+
+
+class Reaching(Arrival):
+    """A force that was asked for, and whether it is there."""
+
+    def __init__(self, order: int, force_n: float, now_s: float, timeout_s: float | None = None) -> None:
+        """As in `wait_for_force`; `now_s` by the clock that `looks` has, too."""
+        super().__init__(order, math.nan, now_s, None, timeout_s, f"force {force_n:g} N", (PRESSING,))
+
+    def looks(self, status: dict[str, Any], now_s: float) -> bool:
+        """As of an arrival; where the load holds, it has not begun to press."""
+        return super().looks(status, now_s) and status["state"] == PRESSING
 
 
 def _is_near(status: dict[str, Any], tolerance_mm: float | None) -> bool:

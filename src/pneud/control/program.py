@@ -167,7 +167,8 @@ def look(
     elif what == JOINED:
         met = phase == FOLLOWING
     elif what == PRESSED:
-        met = state == PRESSING and in_position != 0
+        # in the tick in which it is asked for, what is said is of the motion before
+        met = state == PRESSING and in_position != 0 and t_ns > run.since_ns
     elif what == POSITION:
         met = run.low <= e.position_m <= run.high
     elif what == THRUST:

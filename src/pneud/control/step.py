@@ -47,7 +47,7 @@ from pneud.control.standstill import (
     stirred,
 )
 from pneud.physics.cylinder import F0, Cylinder, F1_exhaust, F1_fill, x3_of
-from pneud.physics.friction import Friction
+from pneud.physics.friction import Friction, relaxation_rate
 from pneud.physics.gas import Gas
 from pneud.physics.valve import SpoolTransition, Valve, dead_zone_inverse, opening, spool_transition
 from pneud.signals import Estimate, Reference
@@ -55,6 +55,7 @@ from pneud.signals import Estimate, Reference
 NAN = float("nan")
 STILL_RATE = 0.5  # of the rate of F̂ that is fed forward at rest, where much of it answers the law itself
 RECALL = 0.05  # share of what F̂ says of the bristles of a standing load that is believed in a tick
+SLIDES_M_S = 5e-3  # faster, a load slides
 X1_MARGIN = 1e-3  # least chamber length the model is evaluated at [m]
 
 
@@ -334,6 +335,18 @@ def join(state: ControllerState, e: Estimate, r: Reference, p: Controller) -> Co
     return carried(state, engage(s.w3), bristles_m, 0.0, 0.0, own)
 
 
+def join_in_motion(state: ControllerState, e: Estimate, r: Reference, p: Controller) -> ControllerState:
+    """As `join`, for a load that moves: its bristles are bent as far as that speed bends them in the end."""
+    if abs(e.velocity_m_s) <= SLIDES_M_S:
+        return join(state, e, r, p)
+    p = as_learnt(p, state.learnt)
+    rate = relaxation_rate(e.velocity_m_s, p.friction)
+    bristles_m = e.velocity_m_s / rate if rate > 0.0 else 0.0
+    state = carried(state, state.sliding, bristles_m, 0.0, 0.0, state.own)
+    s = situation(state, e, r, p)
+    return carried(state, engage(s.w3), bristles_m, 0.0, 0.0, joined(s, e.force_n - s.friction.now_n, p.slot))
+
+
 def change(
     state: ControllerState, e: Estimate, r: Reference, before: Controller, after: Controller
 ) -> ControllerState:
@@ -399,6 +412,11 @@ def forgotten(so_far: Learnt, before: Controller, after: Controller) -> Learnt:
 def forget(state: ControllerState, before: Controller, after: Controller) -> ControllerState:
     """The state of an axis that nobody leads, as `change` has it of one that is led."""
     return kept(state, state.bristles_m, state.standstill, forgotten(state.learnt, before, after))
+
+
+def unlearnt(state: ControllerState, learnt: Learnt) -> ControllerState:
+    """The state of a tick from which nothing is learnt beyond what has been."""
+    return kept(state, state.bristles_m, state.standstill, learnt)
 
 
 def _resistance(state: ControllerState, e: Estimate, r: Reference, p: Controller) -> float:

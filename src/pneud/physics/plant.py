@@ -31,6 +31,10 @@ class Detail(NamedTuple):
     p2_offset_pa: float = 0.0
     supply_offset_pa: float = 0.0
     hose_s: float = 0.0  # from the valve's opening to the flow into the chamber
+    contact_n_m: float = 0.0  # stiffness of what the load runs against; 0: nothing is there
+    contact_m: float = 0.0  # where that begins, effective coordinate
+    contact_n_s_m: float = 0.0  # its damping
+    contact_side: float = 1.0  # in front of the load; −1: behind it
 
 
 class Wiring(NamedTuple):

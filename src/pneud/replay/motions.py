@@ -1,8 +1,8 @@
 """What a log's axis was led to do, one motion after another, with the figures that people judge a drive by.
 
 A motion is a stretch in one state: a move (`goto`), a `jog`, a `hold`, a `track` of the configured reference,
-an uploaded `profile`, a `stop`, a halt on the way (`halt`), `home`, `probe`. A request for another one begins
-another one. How a motion settles is seen in the hold behind it.
+an uploaded `profile`, a `stop`, a halt on the way (`halt`), `home`, `probe`, `force`. A request for another
+one begins another one. How a motion settles is seen in the hold behind it; how a force does, in itself.
 
 Air is what the model has flow from the supply: the opening that the valve is believed to have had, and the
 measured pressures, by the configured valve. Rates of pressures would tell without a model, but their noise is
@@ -32,6 +32,7 @@ from pneud.signals import Answer, Reference, Request, RequestKind, State, error_
 Floats = NDArray[np.float64]
 
 LOOKED_S = 5.0  # into the hold behind a motion for when it settles: what moves it later is something else
+AT_S = 0.1  # at the end of pressing, over which its force is taken
 NAN = math.nan
 
 _KINDS = {
@@ -41,6 +42,7 @@ _KINDS = {
     State.HOMING: "home",
     State.STOPPING: "stop",
     State.PROBING: "probe",
+    State.PRESSING: "force",
 }
 _DIRECTED = ("goto", "jog", "halt")  # come from one side to where they end, as a stop does
 _GRID = 4096
@@ -67,6 +69,9 @@ class Motion(NamedTuple):
     air_anr_m3: float  # from the supply; 1e-3 is a normal litre
     air_energy_j: float  # what that air could have done, had it expanded to the atmosphere at its temperature
     work_j: float  # of the piston on load, friction and mass while it drives
+    to_n: float = NAN  # force of the piston that was asked for
+    at_n: float = NAN  # and that was there at the end
+    beyond_n: float = NAN  # further than was asked for, at most
 
     @property
     def duration_s(self) -> float:
@@ -116,9 +121,11 @@ class AirFlow:
 class _Open:
     """A motion that goes on, or whose settling is still looked at."""
 
-    def __init__(self, kind: str, begin_s: float, from_m: float, to_m: float) -> None:
+    def __init__(self, kind: str, begin_s: float, from_m: float, to_m: float, to_n: float = NAN) -> None:
         self.kind, self.begin_s, self.from_m, self.to_m = kind, begin_s, from_m, to_m
         self.asked = not math.isnan(to_m)
+        self.to_n, self.from_n, self.at_n = to_n, NAN, NAN
+        self.beyond_n = 0.0 if not math.isnan(to_n) else NAN
         self.end_s = self.last_s = begin_s
         self.count = 0
         self.square = self.max_m = self.speed_m_s = self.air_kg = self.energy_j = self.work_j = 0.0
@@ -140,6 +147,7 @@ class _Open:
             max(0.0, self.outside_s - self.end_s) if held and self.outside_s < self.tail_s else NAN,
             self.in_position_s - self.begin_s,
             self.speed_m_s, self.air_kg / DENSITY_ANR_KG_M3, self.energy_j, self.work_j,
+            self.to_n, self.at_n, self.beyond_n,
         )  # fmt: skip
 
 
@@ -156,6 +164,7 @@ class _Columns(NamedTuple):
     energy_j: Floats
     work_j: Floats
     in_position: NDArray[np.bool_]
+    force_n: Floats  # of the piston
 
 
 class Motions:
@@ -212,14 +221,14 @@ class Motions:
         return _Columns(
             t_s, dt_s, error, position, speed, real("reference.position_m"), air_kg,
             air_kg * self.air.joule_per_kg(supply), np.maximum(force * speed, 0.0) * dt_s,
-            block.ticks["in_position"] != 0,
+            block.ticks["in_position"] != 0, force,
         )  # fmt: skip
 
     def _redirects(self, request: Request) -> bool:
         """Whether another motion begins, be the state the same."""
         if request.kind == RequestKind.JOG:
             return request.values[0] not in (0.0, self._jog_m_s)  # else it renews a lease, or ends the jog
-        return request.kind in (RequestKind.GOTO, RequestKind.TRACK)
+        return request.kind in (RequestKind.GOTO, RequestKind.TRACK, RequestKind.FORCE)
 
     def _begin(self, state: int, request: Request | None, c: _Columns, at: int) -> None:
         settles = state == State.HOLDING
@@ -232,8 +241,11 @@ class Motions:
             kind, self._jog_m_s = "jog", request.values[0]
         elif request is not None and request == Request(RequestKind.TRACK, (1.0,)):
             kind = "profile"
+        to_n = NAN
+        if request is not None and request.kind == RequestKind.FORCE and state == State.PRESSING:
+            to_n = request.values[0]
         if kind:
-            self._now = _Open(kind, float(c.t_s[at]), float(c.position_m[at]), to_m)
+            self._now = _Open(kind, float(c.t_s[at]), float(c.position_m[at]), to_m, to_n)
 
     def _end(self, settles: bool = False) -> None:
         """What was going on is over; how it settles is looked at in a hold behind it."""
@@ -241,7 +253,7 @@ class Motions:
         ended, self._now = self._now, None
         if ended is None:
             return
-        if settles and ended.kind != "hold":
+        if settles and ended.kind not in ("hold", "force"):
             self._before = ended
             self._place = len(self._done)
         self._done.append(ended.finish())
@@ -269,6 +281,8 @@ class Motions:
         _stretch(m, c.position_m)
         if not m.asked and not math.isnan(c.reference_m[-1]):
             m.to_m = float(c.reference_m[-1])
+        if m.kind == "force":
+            _pressed(m, c)
         if self._before is not None:
             self._settle(self._before, c)
 
@@ -285,6 +299,18 @@ class Motions:
         if len(outside):
             m.outside_s = float(t_s[outside[-1]] + self._period_s)
         m.tail_s = float(t_s[-1])
+
+
+def _pressed(m: _Open, c: _Columns) -> None:
+    """What a force comes to: it ends in the mean over a while, and says itself when it is reached."""
+    said = np.flatnonzero(c.in_position)
+    if math.isnan(m.in_position_s) and len(said):
+        m.in_position_s = float(c.t_s[said[0]])
+    if math.isnan(m.from_n):
+        m.from_n = float(c.force_n[0])
+    m.at_n = float(c.force_n[c.t_s >= c.t_s[-1] - AT_S].mean())
+    beyond = c.force_n - m.to_n if m.to_n >= m.from_n else m.to_n - c.force_n
+    m.beyond_n = max(m.beyond_n, float(beyond.max())) if not math.isnan(m.to_n) else NAN
 
 
 def _stretch(m: _Open, position_m: Floats) -> None:

@@ -1,8 +1,9 @@
-"""An operator of a simulation who asks for one position after another, and what becomes of each."""
+"""An operator of a simulation who asks for one position or force after another, and what becomes of each."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -20,6 +21,13 @@ class Move(NamedTuple):
     speed_m_s: float = 0.0
 
 
+class Push(NamedTuple):
+    """A force of the piston to press with, by a ramp, 0 for the configured one."""
+
+    to_n: float
+    rate_n_s: float = 0.0
+
+
 class MovesError(Exception):
     """A list of moves makes no sense; the text is one line for a person."""
 
@@ -32,17 +40,38 @@ def moves_of(text: str) -> list[Move]:
     Raises:
         MovesError: it is no such list.
     """
-    found = []
+    return [Move(*_numbers(part, 1e-3, _MOVE)) for part in text.split(",")]
+
+
+def steps_of(text: str) -> list[Move | Push]:
+    """As `moves_of`, with forces among them: "450,200N,-100N@500", newtons and with `@` newtons a second.
+
+    Raises:
+        MovesError: it is no such list.
+    """
+    found: list[Move | Push] = []
     for part in text.split(","):
-        try:
-            numbers = [float(number) * 1e-3 for number in part.split("@")]
-        except ValueError:
-            numbers = []
-        sound = 1 <= len(numbers) <= 2 and all(map(math.isfinite, numbers))
-        if not sound or min(numbers[1:], default=1.0) <= 0.0:
-            raise MovesError(f"{part!r}: a move is MM or MM@MM_S, such as 100,250@300")
-        found.append(Move(*numbers))
+        force, n, ramp = part.partition("N")
+        if n and (not ramp or ramp.startswith("@")):
+            found.append(Push(*_numbers(force + ramp, 1.0, _PUSH)))
+        else:
+            found.append(Move(*_numbers(part, 1e-3, _MOVE)))
     return found
+
+
+_MOVE = "a move is MM or MM@MM_S, such as 100,250@300"
+_PUSH = "a force is NN or NN@N_S, such as 200N@1000"
+
+
+def _numbers(part: str, unit: float, form: str) -> list[float]:
+    try:
+        numbers = [float(number) * unit for number in part.split("@")]
+    except ValueError:
+        numbers = []
+    sound = 1 <= len(numbers) <= 2 and all(map(math.isfinite, numbers))
+    if not sound or min(numbers[1:], default=1.0) <= 0.0:
+        raise MovesError(f"{part!r}: {form}")
+    return numbers
 
 
 class Course:
@@ -52,8 +81,9 @@ class Course:
         over: the last one has been held, one was refused, or a fault has ended it.
     """
 
-    def __init__(self, moves: list[Move]) -> None:
-        self._moves = moves
+    def __init__(self, moves: Sequence[Move | Push], rod_force_n: float = 0.0) -> None:
+        self._moves = list(moves)
+        self._rod_force_n = rod_force_n
         self._results: list[dict[str, Any]] = []
         self._armed = self._ended = self.over = False
         self._asked_ns = self._stood_ns = self._arrived_ns = -1
@@ -70,11 +100,14 @@ class Course:
                 return None
             self._armed = True
             return Request(RequestKind.ARM)
-        if state != State.HOLDING or not self._next or not self._moves:
+        if state not in (State.HOLDING, State.PRESSING) or not self._next or not self._moves:
             return None
         self._next = False
         move = self._moves.pop(0)
-        self._results.append({"to_mm": _mm(move.to_m), "in_position_s": None, "error_mm": None})
+        self._results.append(_open(move))
+        if isinstance(move, Push):
+            values = (move.to_n, move.rate_n_s, 0.0, 0.0, 0.0, 0.0)
+            return Request(RequestKind.FORCE, values)
         return Request(RequestKind.GOTO, (move.to_m, move.speed_m_s))
 
     def see(self, record: Record) -> None:
@@ -83,10 +116,13 @@ class Course:
         asked = 0 if tick.request is None else tick.request.kind
         if tick.state == State.FAULT or (asked == RequestKind.ARM and tick.answer != Answer.TAKEN):
             self.over = True
-        elif asked == RequestKind.GOTO:
+        elif asked in (RequestKind.GOTO, RequestKind.FORCE):
             self._begin(record)
         elif not self._next and not self.over:
-            self._follow(record)
+            if "to_n" in self._results[-1]:
+                self._press(record)
+            else:
+                self._follow(record)
 
     def _begin(self, record: Record) -> None:
         tick = record.tick
@@ -118,6 +154,20 @@ class Course:
         result["overshoot_mm"] = _mm(self._overshoot_m)
         self._next, self.over = True, not self._moves
 
+    def _press(self, record: Record) -> None:
+        tick, result = record.tick, self._results[-1]
+        if tick.state != State.PRESSING or not tick.in_position:
+            self._arrived_ns = -1
+            return
+        if self._arrived_ns < 0:
+            self._arrived_ns = tick.t_ns
+        if tick.t_ns - self._arrived_ns < DWELL_S * 1e9:
+            return
+        result["reached_s"] = round(1e-9 * (self._arrived_ns - self._asked_ns), 4)
+        result["at_n"] = round(tick.estimate.x3_n - self._rod_force_n, 3)
+        result["at_mm"] = _mm(record.truth_m)
+        self._next, self.over = True, not self._moves
+
     @property
     def begun(self) -> bool:
         """A move has been asked for."""
@@ -126,19 +176,25 @@ class Course:
     @property
     def longest_s(self) -> float:
         """That the moves whose speed is given may take on their ways, the first one all the way out [s]."""
-        ways = pairwise([Move(0.0), *self._moves])
+        ways = pairwise([Move(0.0), *(m for m in self._moves if isinstance(m, Move))])
         return sum(abs(m.to_m - a.to_m) / m.speed_m_s for a, m in ways if m.speed_m_s > 0.0)
 
     @property
     def results(self) -> list[dict[str, Any]]:
         """Of each move, in mm and s, those that were not asked for included."""
-        left = [{"to_mm": _mm(m.to_m), "in_position_s": None, "error_mm": None} for m in self._moves]
-        return self._results + left
+        return self._results + [_open(m) for m in self._moves]
 
     @property
     def good(self) -> bool:
-        """The load has come to every position."""
-        return all(result["in_position_s"] is not None for result in self.results)
+        """The load has come to every position, and every force."""
+        return all(r["reached_s" if "to_n" in r else "in_position_s"] is not None for r in self.results)
+
+
+def _open(move: Move | Push) -> dict[str, Any]:
+    """What is to become of a move."""
+    if isinstance(move, Push):
+        return {"to_n": move.to_n, "reached_s": None, "at_n": None}
+    return {"to_mm": _mm(move.to_m), "in_position_s": None, "error_mm": None}
 
 
 def _mm(metres: float) -> float:
@@ -149,6 +205,9 @@ def in_words(results: list[dict[str, Any]]) -> str:
     """A line for each move."""
     lines = []
     for r in results:
+        if "to_n" in r:
+            lines.append(_pressed(r))
+            continue
         if r["in_position_s"] is not None:
             words = f"in position after {r['in_position_s']:.3f} s, error {r['error_mm']:.3f} mm"
             words += f", overshoot {r['overshoot_mm']:.3f} mm"
@@ -158,3 +217,12 @@ def in_words(results: list[dict[str, Any]]) -> str:
             words = "not reached" + (f", error {r['error_mm']:.3f} mm" if r["error_mm"] is not None else "")
         lines.append(f"goto {r['to_mm']:g} mm: {words}")
     return "\n".join(lines)
+
+
+def _pressed(r: dict[str, Any]) -> str:
+    """A line for a force."""
+    if r["reached_s"] is not None:
+        words = f"reached after {r['reached_s']:.3f} s, {r['at_n']:.1f} N at {r['at_mm']:.3f} mm"
+    else:
+        words = f"refused: {r['refused'].replace('_', ' ')}" if "refused" in r else "not reached"
+    return f"force {r['to_n']:g} N: {words}"

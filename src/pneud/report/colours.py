@@ -20,6 +20,7 @@ STATE_COLOURS = {
     State.STOPPING: "#e69f00",
     State.FAULT: "#d55e00",
     State.PROBING: "#f0e442",
+    State.PRESSING: "#7a5195",
 }
 
 

@@ -282,8 +282,9 @@ def _motion(m: Motion, shift_s: float) -> tuple[str, ...]:
         f'<button data-from="{begin - room:.4f}" data-to="{end + room:.4f}"'
         f' aria-label="zoom to {html.escape(m.kind)} at {begin:.3f} s">zoom</button>'
     )
+    kind = m.kind if math.isnan(m.to_n) else f"force {m.to_n:g} N: {m.at_n:.1f} N"
     return (
-        m.kind,
+        kind,
         figure(begin, ".3f"),
         figure(m.duration_s, ".3f"),
         figure(m.from_m, ".3f", 1e3),

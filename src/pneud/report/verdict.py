@@ -10,7 +10,7 @@ from pneud.loop.tracking import over_in_words
 from pneud.report.frame import BAD, GOOD, LOOK, Verdict
 from pneud.report.gather import LoggedRun
 from pneud.report.spans import Span
-from pneud.signals import HUNTING_CURES, State, state_name
+from pneud.signals import ENGAGED, HUNTING_CURES, State, state_name
 
 _NEAR = 0.5  # part of a limit from which it deserves a look
 _OFTEN = 0.01  # part of the ticks
@@ -69,10 +69,7 @@ def _while_engaged(run: LoggedRun, span: Span) -> bool:
     )
 
 
-_ENGAGED = tuple(
-    s.label
-    for s in (State.TRACKING, State.MOVING, State.HOLDING, State.HOMING, State.STOPPING, State.PROBING)
-)
+_ENGAGED = tuple(s.label for s in ENGAGED)
 
 
 def _error(run: LoggedRun) -> Iterator[tuple[str, str]]:

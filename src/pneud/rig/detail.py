@@ -165,6 +165,16 @@ def rubbing(v: float, mean_pa: float, f: Friction, d: Detail) -> Friction:
     )
 
 
+def touching(x: float, v: float, d: Detail) -> float:
+    """Force [N] against positive motion of what the load runs into; it pushes, and never pulls."""
+    if d.contact_n_m <= 0.0:
+        return 0.0
+    deep_m = d.contact_side * (x - d.contact_m)
+    if deep_m <= 0.0:
+        return 0.0
+    return d.contact_side * max(0.0, d.contact_n_m * deep_m + d.contact_n_s_m * d.contact_side * v)
+
+
 def shown(before_pa: float, pressure_pa: float, h: float, d: Detail) -> float:
     """What a pressure sensor has come to after a step."""
     if d.pressure_lag_s <= 0.0:

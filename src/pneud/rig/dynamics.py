@@ -16,7 +16,18 @@ from pneud.physics.plant import PlantParameters
 from pneud.physics.slip import slip
 from pneud.physics.valve import opening, spool_transition
 from pneud.rig.chamber import exchange
-from pneud.rig.detail import PLAIN, Chamber, Depth, behind_play, breathe, later, rubbing, shown, supplied
+from pneud.rig.detail import (
+    PLAIN,
+    Chamber,
+    Depth,
+    behind_play,
+    breathe,
+    later,
+    rubbing,
+    shown,
+    supplied,
+    touching,
+)
 
 
 class PlantState(NamedTuple):
@@ -213,8 +224,8 @@ def _march_in_detail(
         p1, mass1, p2, mass2 = one.pressure_pa, one.mass_kg, two.pressure_pa, two.mass_kg
         supply = supplied(supply, one.drawn_kg + two.drawn_kg, h, p.gas, d)
 
-        force = 0.5 * (before + p1 * c.A1 - p2 * c.A2) - load
         guess = v + 0.5 * h * a
+        force = 0.5 * (before + p1 * c.A1 - p2 * c.A2) - load - touching(x, guess, d)
         f = rubbing(guess, 0.5 * (p1 + p2), p.friction, d)
         z_new, bent = z, elements
         if d.slips:

@@ -90,6 +90,10 @@ class F(IntEnum):
     LED_BEYOND = 64
     PROGRAM = 65
     PROGRAM_LATE = 66
+    FORCE_WINDOW = 67
+    FORCE_SPEED = 68
+    FORCE_TIMEOUT = 69
+    FORCE_DIRECTION = 70
 
 
 class Fault(NamedTuple):
@@ -554,6 +558,32 @@ TABLE: tuple[Fault, ...] = (
         "pneud status tells the record: the load does not come into its tolerance, or what is waited for does"
         " not happen; clear, arm, and go on with pneud run --resume",
         clears="with the next tick",
+    ),
+    Fault(
+        F.FORCE_WINDOW,
+        Reaction.STOP,
+        "a load that is to press has left the window of travel that was asked for",
+        "check what it was to press against: it may be missing, have given way, or stand elsewhere; then"
+        " clear, arm, and lead it back",
+    ),
+    Fault(
+        F.FORCE_SPEED,
+        Reaction.STOP,
+        "a load that is to press has been faster than was asked for, for 20 ms, or twice as fast",
+        "check what it was to press against: it may have broken; ask for more speed, or a slower ramp, where"
+        " the load has to go far",
+    ),
+    Fault(
+        F.FORCE_TIMEOUT,
+        Reaction.STOP,
+        "the force that was asked for has not been reached in the time that was asked for",
+        "check supply, leaks, and what it presses against; ask for less force, a faster ramp or more time",
+    ),
+    Fault(
+        F.FORCE_DIRECTION,
+        Reaction.STOP,
+        "force or load have gone the other way than was asked for, for 50 ms",
+        "check the sign of the force that was asked for, the hoses, and what else pushes the load (weight)",
     ),
 )
 

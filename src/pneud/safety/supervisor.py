@@ -16,11 +16,12 @@ HOLDING, MOVING, HOMING = int(State.HOLDING), int(State.MOVING), int(State.HOMIN
 HOLD, GOTO, JOG = int(RequestKind.HOLD), int(RequestKind.GOTO), int(RequestKind.JOG)
 TRACK, HOME = int(RequestKind.TRACK), int(RequestKind.HOME)
 PROBE, PROBING = int(RequestKind.PROBE), int(State.PROBING)
+FORCE, PRESSING = int(RequestKind.FORCE), int(State.PRESSING)
 CENTRE = int(RequestKind.CENTRE)
 
 # what a request makes of a disarmed axis, and of an engaged one
 ENGAGES = {ARM: HOLDING, TRACK: TRACKING, HOME: HOMING, PROBE: PROBING}
-STEERS = {HOLD: MOVING, GOTO: MOVING, JOG: MOVING, TRACK: TRACKING, HOME: HOMING}
+STEERS = {HOLD: MOVING, GOTO: MOVING, JOG: MOVING, TRACK: TRACKING, HOME: HOMING, FORCE: PRESSING}
 BLOCKS = {
     ARM: BLOCKS_ARM,
     TRACK: BLOCKS_ARM,
@@ -44,7 +45,7 @@ INITIAL = Supervisor(STARTING, 0, 0, False)
 
 def is_engaged(state: int) -> bool:
     """Whether the valve may leave its centre in this state."""
-    return TRACKING <= state <= STOPPING or state == PROBING
+    return TRACKING <= state <= STOPPING or state >= PROBING
 
 
 def advance(s: Supervisor, present: int, request: int, at_rest: bool) -> Supervisor:

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from pneud.axis.stops import soft_limits
-from pneud.config.conversions import axis_of
+from pneud.config.conversions import axis_of, cylinder_of
 from pneud.config.sections import ConfigError
 from pneud.console import profiles
 from pneud.console.profiles import ProfileError
@@ -26,7 +26,7 @@ from pneud.loop.summary import in_words, summarise
 from pneud.replay.following import Following
 from pneud.replay.following import in_words as followed
 from pneud.replay.lockstep import Simulation, backend_of, header_of
-from pneud.replay.moves import Course, moves_of
+from pneud.replay.moves import Course, moves_of, steps_of
 from pneud.replay.moves import in_words as moves_in_words
 from pneud.replay.running import Ran, through
 from pneud.replay.running_together import run_together
@@ -59,7 +59,11 @@ DWELL_S = 1.0  # at each of the steps
 TOLD_TICKS = 100
 GotoOption = Annotated[
     str | None,
-    typer.Option("--goto", metavar="MM[@MM_S],…", help="Go to positions in turn, in place of tracking."),
+    typer.Option(
+        "--goto",
+        metavar="MM[@MM_S],…",
+        help="Go to positions in turn, in place of tracking; 200N[@N_S] among them presses.",
+    ),
 ]
 TrackOption = Annotated[
     str | None,
@@ -208,7 +212,7 @@ def _together(axes: Together, duration_s: float, seed: int, output: Path | None,
 def _operator(goto: str | None, track: str | None, loaded: Loaded) -> Course | Following | None:
     """Who asks for something else than to track the reference."""
     if goto is not None:
-        return Course(moves_of(goto))
+        return Course(steps_of(goto), cylinder_of(loaded.config).rod_force_n)
     if track is None:
         return None
     c = loaded.config

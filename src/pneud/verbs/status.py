@@ -56,10 +56,14 @@ def in_words(s: dict[str, Any]) -> list[str]:
         kind = " and ".join(k for k in ("latched", "present") if fault[k])
         cure = "" if several and fault["name"] in cause["faults"] else f": {fault['cure']}"
         lines.append(f"fault {fault['name']} ({kind}; {fault['effect']}){cure}")
-    lines.append(
-        f"position {number(s['position_mm'], '.3f')} mm, reference {number(s['reference_mm'], '.3f')} mm,"
-        f" error {number(s['error_mm'], '.3f')} mm{', in position' if s['in_position'] else ''}"
-    )
+    if s["state"] == "pressing":
+        there = ", as asked for" if s["in_position"] else ""
+        lines.append(f"force {number(s['force_n'], '.1f')} N{there}, at {number(s['position_mm'], '.3f')} mm")
+    else:
+        lines.append(
+            f"position {number(s['position_mm'], '.3f')} mm, reference {number(s['reference_mm'], '.3f')} mm,"
+            f" error {number(s['error_mm'], '.3f')} mm{', in position' if s['in_position'] else ''}"
+        )
     if s["program"]:
         lines.append(_program(s["program"]))
     if s["hunting"]:

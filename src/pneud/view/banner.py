@@ -61,7 +61,9 @@ def banner_of(record: Record | None, info: ScreenInfo, silent_s: float) -> Banne
         return Banner(Level.LOOK, words, f"check {HUNTING_CURES.get(tick.hunting, 'the gains')}", keys)
     if cause is not None:
         return Banner(Level.LOOK, f"{words}; {cause.words}", cause.cure, keys)
-    if tick.in_position:
+    if tick.in_position and tick.state == State.PRESSING:
+        words = "presses with the force asked for"
+    elif tick.in_position:
         words = f"holds, in position, {length(tick.error_m).strip()} off its target"
     if tick.progress.stage >= Stage.UNDER_WAY:
         rounds = f", {tick.progress.lap} rounds done" if tick.progress.lap else ""
@@ -78,11 +80,13 @@ _PARTS: dict[int, tuple[str, tuple[str, ...]]] = {
     State.HOMING: ("looks for the encoder's reference", ()),
     State.STOPPING: ("comes to rest", ()),
     State.PROBING: ("opens the valve slowly: the movement test", ()),
+    State.PRESSING: ("presses with a force", ("h", "g", "d", "m")),
 }
 _ENDS = "space stops it; h ends the program and holds"
 _MORE = {
     State.TRACKING: "; h holds, g goes to a position",
     State.MOVING: "; g goes elsewhere",
+    State.PRESSING: "; h holds where it is",
     State.HOLDING: "; g goes to a position, t follows the reference, ← → move",
 }
 
