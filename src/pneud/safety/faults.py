@@ -90,6 +90,7 @@ class F(IntEnum):
     LED_BEYOND = 64
     PROGRAM = 65
     PROGRAM_LATE = 66
+    SYNC_LOST = 67
 
 
 class Fault(NamedTuple):
@@ -554,6 +555,12 @@ TABLE: tuple[Fault, ...] = (
         "pneud status tells the record: the load does not come into its tolerance, or what is waited for does"
         " not happen; clear, arm, and go on with pneud run --resume",
         clears="with the next tick",
+    ),
+    Fault(
+        F.SYNC_LOST,
+        Reaction.CENTRE,
+        'no SYNC has come for bus.sensor_timeout_ms from the controller that bus.sync = "follow" waits for',
+        "start the daemon that makes SYNC on this bus, and see why it has ended",
     ),
 )
 
