@@ -59,7 +59,8 @@ def test_every_other_row_is_provoked_too() -> None:
         F.LED_BEYOND,
         F.PROGRAM,
         F.PROGRAM_LATE,
-    }  # by tests of axes that are led, and of programs
+        *(F.FORCE_WINDOW, F.FORCE_SPEED, F.FORCE_TIMEOUT, F.FORCE_DIRECTION),
+    }  # by tests of axes that are led, of programs, and of pressing
     stopping = {f.bit for f in TABLE if f.reaction == Reaction.STOP}
     assert {case.fault for case in STOPPING} | elsewhere == stopping
     assert {case.fault for case in BLOCKING} == {f.bit for f in TABLE if f.reaction == Reaction.NO_ARM}
