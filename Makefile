@@ -16,7 +16,7 @@ COVERING := $(addprefix tests/test_,control_*.py safety_*.py $(addsuffix .py,axi
 PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 
 .DEFAULT_GOAL := help
-.PHONY: help virtual test lint types contracts ci-tests coverage mutation lowest vm systemd install-service docs pages pictures campaign campaign-vm information strange soak clean
+.PHONY: help virtual test lint types contracts ci-tests coverage mutation lowest vm systemd install-service docs pages pictures campaign campaign-vm devices devices-vm device-faults canopen-starts information strange soak clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 17
@@ -85,6 +85,18 @@ campaign: $(DEV) ## fault scenarios in real time: build/campaign/matrix.html (se
 campaign-vm: $(DEV) ## the same over real SocketCAN, in a virtual machine
 	@mkdir -p build/campaign-vm
 	@exec hil/vm/run -t 2400 -w build/campaign-vm -- $(BIN)/python hil/campaign.py --bus vcan0 -o build/campaign-vm $(ARGS)
+
+devices: $(DEV) ## the axis on rigs of other people's devices (see docs/hil.md)
+	@exec $(BIN)/python -m hil.devices $(ARGS)
+
+devices-vm: $(DEV) ## the same over real SocketCAN, in a virtual machine
+	@exec hil/vm/run -t 900 -- $(BIN)/python -m hil.devices --bus vcan0 $(ARGS)
+
+device-faults: $(DEV) ## the fault scenarios on them, in simulated time (minutes; see docs/hil.md)
+	@exec $(BIN)/python -m hil.device_faults $(ARGS)
+
+canopen-starts: $(DEV) ## starts of a CANopen rig whose nodes misbehave, in real time (see docs/hil.md)
+	@exec $(BIN)/python -m hil.canopen_starts $(ARGS)
 
 information: $(DEV) ## what late, lost and odd frames do to the command, in simulated time (see docs/hil.md)
 	@exec $(BIN)/python -m hil.information $(ARGS)

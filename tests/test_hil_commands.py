@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-COMMANDS = sorted(path.stem for path in (ROOT / "hil").glob("*.py"))
+COMMANDS = sorted(
+    path.stem for path in (ROOT / "hil").glob("*.py") if "__main__" in path.read_text(encoding="utf-8")
+)
 
 
 def run(*words: str) -> subprocess.CompletedProcess[str]:

@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from hil.device_sets import device_sets
 
-from device_sets import device_sets
 from dumped import dumped, identifiers
 
 pytestmark = pytest.mark.vm

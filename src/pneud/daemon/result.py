@@ -130,4 +130,4 @@ def _judged(session: Session, axis: AxisRun, lane: Lane) -> dict[str, Any] | Non
         return None
     tally = lane.tally
     seen = verdict.Observed(tally.ever_present, tally.ever_latched, tally.state, effects["engaged"])
-    return verdict.judge(scenario, axis.config, seen, effects)
+    return verdict.judge(scenario, axis.config, seen, effects, verdict.blind_spots(axis.ready.loaded))

@@ -160,5 +160,5 @@ def _run(loaded: Loaded, duration_s: float, seed: int, scenario: Scenario | None
     if simulation.engine is not None and scenario is not None:
         simulation.engine.settle()
         effects = simulation.engine.effects.as_dict()
-        run.summary["scenario"] = verdict.judge(scenario, c, seen, effects)
+        run.summary["scenario"] = verdict.judge(scenario, c, seen, effects, verdict.blind_spots(loaded))
     return run

@@ -173,7 +173,8 @@ def sim(
     )
     if run.engine is not None and scenario is not None:
         run.engine.settle()
-        summary["scenario"] = verdict.judge(scenario, loaded.config, seen, run.engine.effects.as_dict())
+        effects, blind = run.engine.effects.as_dict(), verdict.blind_spots(loaded)
+        summary["scenario"] = verdict.judge(scenario, loaded.config, seen, effects, blind)
     if course is not None:
         summary["moves" if isinstance(course, Course) else "profile"] = course.results
     never = tally.never_armed() if course is None or not course.begun else None

@@ -11,6 +11,8 @@ from pneud import resources
 from pneud.config.toml import changed_text
 
 EXTENDED = 0x80000000
+FORMATS = 'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","StandardCAN_FD";\n'
+FORMATS += 'BA_DEF_DEF_ "VFrameFormat" "StandardCAN";\n'
 HEAD = 'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_: CONTROLLER NODE\n\n'
 
 
@@ -20,6 +22,7 @@ class Message(NamedTuple):
     number: int
     length: int
     signals: tuple[str, ...]
+    fd: bool = False  # its frames are of CAN FD
 
     def text(self, name: str) -> str:
         lines = [f"BO_ {self.number} {name}: {self.length} NODE"]
@@ -41,7 +44,9 @@ class DeviceSet(NamedTuple):
     def dbc(self) -> str:
         """The DBC."""
         types = (f"SIG_VALTYPE_ {one};\n" for one in self.floats)
-        return HEAD + "".join(m.text(name) for name, m in self.messages.items()) + "".join(types)
+        fd = [f'BA_ "VFrameFormat" BO_ {m.number} 1;\n' for m in self.messages.values() if m.fd]
+        formats = FORMATS + "".join(fd) if fd else ""
+        return HEAD + "".join(m.text(name) for name, m in self.messages.items()) + formats + "".join(types)
 
     def write(self, folder: Path, name: str, base: str = "virtual.toml", **change: Any) -> Path:
         """The configuration as a file, with its DBC beside it: another one's, with these devices."""
@@ -224,6 +229,41 @@ def _extended() -> DeviceSet:
     return DeviceSet({"SYNC": sync, **messages}, SIGNALS | {"sync": "SYNC.Cnt"}, GUARDS)
 
 
+def _flexible() -> DeviceSet:
+    """All in one frame of CAN FD, and the command in a short one."""
+    messages = {
+        "ALL": Message(0x1A0, 32, (
+            "Pos 0|64@1- (1E-9,0) m", "A 64|32@1- (1,0) Pa", "B 96|32@1- (1,0) Pa", "S 128|32@1- (1,0) Pa",
+            "Out 160|16@1- (0.5,0) mV", "Status 176|8@1+ (1,0) ", "State 184|8@1+ (1,0) ",
+            "Age 192|16@1+ (1,0) us", "Cnt 240|8@1+ (1,0) ", "Crc 248|8@1+ (1,0) ",
+        ), fd=True),
+        "CMD": CMD._replace(fd=True),
+    }  # fmt: skip
+    signals = {key: signal.replace("ENC.", "ALL.").replace("AIR.", "ALL.").replace("VALVE.", "ALL.")
+               for key, signal in SIGNALS.items()}  # fmt: skip
+    floats = ("416 A : 1", "416 B : 1", "416 S : 1")
+    guards = {"ALL": GUARDS["ENC"], "CMD": GUARDS["CMD"]}
+    return DeviceSet(messages, signals, guards, {"fd": True, "data_bitrate_bit_s": 4e6}, floats)
+
+
+def _longest() -> DeviceSet:
+    """A sensor box with the longest frames there are, big-endian, beside a classic valve."""
+    messages = {
+        "BOX": Message(0x1A0 << 16 | EXTENDED, 64, (
+            "Pos 7|64@0- (1,0) m", "A 71|64@0- (1,0) bar", "B 391|64@0- (1,0) bar", "Cnt 483|12@0+ (1,0) ",
+            "Crc 503|16@0+ (1,0) ",
+        ), fd=True),
+        "VALVE": VALVE, "CMD": CMD,
+    }  # fmt: skip
+    places = {"position_m": "BOX.Pos", "p1_pa": "BOX.A", "p2_pa": "BOX.B"}
+    box = {"counter": "Cnt", "crc": "Crc", "protection": "crc16-ccitt"}
+    guards = {"BOX": box, "VALVE": GUARDS["VALVE"], "CMD": GUARDS["CMD"]}
+    number = messages["BOX"].number
+    floats = tuple(f"{number} {name} : 2" for name in ("Pos", "A", "B"))
+    rates = {"fd": True, "data_bitrate_bit_s": 2e6}
+    return DeviceSet(messages, lacking("status", "age_s", "supply_pa", **places), guards, rates, floats)
+
+
 def device_sets() -> dict[str, DeviceSet]:
     """All of them, by name."""
     counts = {"signal": "ENC.Pos", "counts_per_m": -1e6, "offset": 0.75}
@@ -264,4 +304,6 @@ def device_sets() -> dict[str, DeviceSet]:
         "two-encoders": _two_encoders(),
         "free": DeviceSet(MESSAGES, SIGNALS, GUARDS, {"sync": False}),
         "bare": _bare(),
+        "flexible": _flexible(),
+        "longest": _longest(),
     }

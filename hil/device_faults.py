@@ -1,0 +1,297 @@
+"""The fault scenarios on rigs of other people's devices: what is noticed, and what is still safe.
+
+    .venv/bin/python -m hil.device_faults -o out                  # in simulated time, on every set
+    .venv/bin/python -m hil.device_faults --bus unixcan --sets words,bare --scenarios recorder-killed
+
+A fault that the devices of a set cannot show is named by `pneud check` (`not noticed here`). Where a
+scenario's fault is one of these and nothing shows, the run is judged by what is still safe: another fault
+has taken the axis and it has come to rest, or it goes on where it should be; the load has met no end stop
+harder than expected. All else is judged as on pneud's own devices.
+
+Exit status: 0 where everything came as expected, 1 where something did not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from hil.device_sets import DeviceSet, device_sets
+
+from pneud import resources
+from pneud.bus.codec import DatabaseError
+from pneud.config.sections import ConfigError
+from pneud.config.toml import toml_text
+from pneud.loading import Loaded, load
+from pneud.replay.lockstep import Simulation, backend_of
+from pneud.replay.running import through
+from pneud.safety.supervisor import is_engaged
+from pneud.scenario import verdict
+from pneud.scenario.files import load_scenario
+from pneud.scenario.format import Babble, Scenario
+from pneud.signals import Record
+
+Case = dict[str, Any]
+_SENDERS = ("encoder", "pressure", "valve")
+_OF_FRAMES = ("missing", "corrupt", "frozen", "late")  # faults of a frame, whoever's values are in it
+_TAKEN = ("valve_rebooted", "valve_disagrees", "valve_active")  # of a valve that hears another controller
+PNEUD = [sys.executable, "-m", "pneud.cli"]
+PATIENCE_S = 90.0
+Otherwise = dict[str, tuple[str, ...]]
+SYNC_ID, COMMAND_ID = 0x080, 0x203  # of pneud's own frames, which scenarios name
+_OF_ROLE = {"encoder": "position_m", "pressure": "p1_pa", "valve_status": "state"}
+
+
+FREE_MM = 1.0  # more where sensors run free: evidence comes between two ticks
+TIMEOUT_MM = 25.0  # what the scenarios allow where a time-out has to pass
+# where sensors run free: no tick waits for them, and none is asked for anything
+_FREE: Otherwise = {
+    "babble": ("pressure_missing",),  # which is noticed first
+    "queue-full-for-long": ("send_failed", "send_blocked"),  # sensors go on without SYNC
+}
+# a quarter of a gauge pressure cannot be told by a number without a sign: the node has nothing to send
+_GAUGE: Otherwise = {"pressure-wrong-scale": ("pressure_missing",)}
+# longer frames leave gaps between those of the babbler, and the encoder's are the first in them
+_LONG: Otherwise = {"babble": ("pressure_missing",)}
+_BOX: Otherwise = {"babble": ("valve_missing",)}
+# one of both encoders shows it
+_TWO: Otherwise = dict.fromkeys(("encoder-drift", "encoder-slip", "encoder-wrong-scale"), ("encoder_error",))
+OTHERWISE: dict[str, Otherwise] = {
+    "free": _FREE, "bare": {**_FREE, **_GAUGE}, "gauge": _GAUGE, "extended": _LONG, "longest": _BOX,
+    "two-encoders": _TWO,
+}  # fmt: skip
+"""Faults that a scenario leads to on a set, in the place of those that it expects."""
+_FREELY = {"unsettled": "which frames are lost says nothing of ticks where sensors run free"}
+_FULL = {"busy-bus": "its frames leave less of the bus free than this takes"}
+_MUXED = _FULL | {"unsettled": "what has come of a multiplexed message waits for the rest of it"}
+_ALONE = {"unsettled": "all is in one frame"}
+LEFT_OUT: dict[str, dict[str, str]] = {
+    "free": _FREELY, "bare": _FREELY, "extended": _FULL, "apart": _FULL, "multiplexed": _MUXED,
+    "two-encoders": _FULL | {"bad-information": "what one encoder gets over, two do not agree about"},
+    "longest": _FULL, "multiplexed-counted": _MUXED, "one-for-all": _ALONE, "flexible": _ALONE,
+}  # fmt: skip
+"""What says nothing on a set, and why."""
+SHARED = {
+    "one-for-all": ("pressure",),
+    "longest": ("pressure",),
+    "flexible": ("pressure", "valve_status", "valve"),
+}
+"""Whose values are in the encoder's frame."""
+
+
+def adapted(scenario: Scenario, name: str, axis: Loaded) -> Scenario:
+    """A scenario as it is on a set: who speaks in the controller's place uses the identifiers of the set."""
+    codecs, faults = axis.codecs, list[Any]()
+    own = {SYNC_ID: codecs.sync, COMMAND_ID: codecs.valve_command}
+    spoken = [(f, own.get(f.can_id) if isinstance(f, Babble) else None) for f in scenario.fault]
+    for fault, codec in spoken:
+        if codec is None:
+            faults.append(fault)
+            continue
+        of_sync = codec is codecs.sync
+        # some valves take it for the controller's
+        data = codec.encode(counter=1) if of_sync else codec.encode(0.0, 0, 1, counter=0)
+        faults.append(fault.model_copy(update={"can_id": codec.can_id, "data": data.hex()}))
+    faults = [_shared(fault, SHARED.get(name, ())) for fault in faults]
+    expect, travel_mm = scenario.expect, scenario.expect.travel_mm
+    if any(codec is not None for _, codec in spoken):
+        expect = expect.model_copy(update={"also": (*expect.also, *_TAKEN)})
+    senders = ("encoder", *SHARED.get(name, ()))
+    ends = [end for one in expect.faults for sender, _, end in (one.partition("_"),) if sender in senders]
+    if len(senders) > 1 and (ends := [end for end in ends if end in _OF_FRAMES]):
+        also = [f"{sender}_{end}" for end in ends for sender in _SENDERS]
+        others = [one for one in expect.faults if one not in also]
+        shown = (*others, *(f"encoder_{end}" for end in ends))
+        expect = expect.model_copy(update={"faults": shown, "also": (*expect.also, *also)})
+    if not axis.config.bus.sync:
+        travel_mm += FREE_MM
+    if found := OTHERWISE.get(name, {}).get(scenario.name):
+        told = {"faults": found, "also": (*expect.also, *expect.faults, "send_blocked"), "evidence": None}
+        expect = expect.model_copy(update=told | {"after": "sensor_timeout", "reaction": "centre"})
+        travel_mm = max(travel_mm, TIMEOUT_MM)
+    expect = expect.model_copy(update={"travel_mm": travel_mm, "reason": expect.reason or "see FREE_MM"})
+    return scenario.model_copy(update={"fault": tuple(faults), "expect": expect, "change": {}})
+
+
+def _shared(fault: Any, others: tuple[str, ...]) -> Any:
+    """A fault of frames or nodes, where the encoder's frame is that of others."""
+    for key in ("frames", "nodes"):
+        named = getattr(fault, key, ())
+        if not set(others).isdisjoint(named):
+            own = dict.fromkeys("encoder" if one in others else one for one in named)
+            fault = fault.model_copy(update={key: tuple(own)})
+    if {getattr(fault, "of", ""), getattr(fault, "node", "")} & set(others) and not hasattr(fault, "code"):
+        key = "of" if hasattr(fault, "of") else "node"
+        fault = fault.model_copy(update={key: "encoder"}) if others == ("pressure",) else fault
+    return fault
+
+
+def changed_for(scenario: Scenario, one: DeviceSet) -> dict[str, Any]:
+    """What a scenario changes of the axis, said of the messages of a set where it says it of frames.
+
+    Raises:
+        KeyError: the set has no such message.
+    """
+    change = dict(scenario.change)
+    bus = dict(change.get("bus", {}))
+    frames = bus.pop("frames", {})
+    if not frames:
+        return change
+    messages = {name: dict(guards) for name, guards in one.guards.items()}
+    for role, told in frames.items():
+        told_by = one.signals[_OF_ROLE[role]]
+        name = str(told_by["signal"] if isinstance(told_by, dict) else told_by).partition(".")[0]
+        own = {key: told[key] for key in ("node", "heartbeat_timeout_ms") if key in told}
+        messages[name] = messages.get(name, {}) | own
+    return change | {"bus": bus | {"messages": messages}}
+
+
+def axis_of(file: Path, scenario: Scenario, one: DeviceSet) -> Loaded:
+    """The axis of a set, as a scenario wants it.
+
+    Raises:
+        ConfigError: the scenario does not go with the set.
+        DatabaseError: likewise.
+    """
+    return load(file, change=changed_for(scenario, one) or None)
+
+
+def simulated(axis: Loaded, scenario: Scenario) -> Case:
+    """One scenario in simulated time; and how far the true load was from where it should be [mm]."""
+    run = Simulation(axis, scenario.duration_s, how=backend_of(axis), scenario=scenario)
+    assert run.engine is not None
+    effects, off_m = run.engine.effects, [0.0]
+
+    def look(_: int, record: Record) -> None:
+        if effects.onset_ns >= 0 and is_engaged(record.tick.state):
+            off_m[0] = max(off_m[0], abs(record.true_error_m))
+
+    seen = through(run, axis.config.loop.rate_hz, look=look).seen
+    run.engine.settle()
+    found = verdict.judge(scenario, axis.config, seen, effects.as_dict(), verdict.blind_spots(axis))
+    return found | {"off_mm": 1e3 * off_m[0]}
+
+
+def played(axis: Loaded, scenario: Scenario, bus: str, folder: Path) -> Case:
+    """One scenario in real time."""
+    file = folder / f"{scenario.name}.toml"
+    file.write_text(axis.text)
+    channel = f"unixcan:faults-{os.getpid()}-{scenario.name[:24]}" if bus == "unixcan" else f"socketcan:{bus}"
+    played = folder / f"{scenario.name}.scenario.toml"
+    told = scenario.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude={"change"})
+    played.write_text(toml_text(told))
+    words = ["--virtual", "--config", file, "--scenario", played, "--bus", channel]
+    words += ["--duration", scenario.duration_s + 2.0, "--headless", "--json"]
+    words += ["--log", folder / "log" / f"{scenario.name}.mcap", "--socket", folder / "s"]
+    done = subprocess.run(
+        [*PNEUD, *map(str, words)], capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
+    try:
+        found: Case = json.loads(done.stdout)["scenario"]
+    except (ValueError, KeyError):
+        return {"met": False, "problems": [f"exit {done.returncode}: {done.stderr.strip()[-200:]}"]}
+    return found
+
+
+def case(name: str, one: DeviceSet, scenario: Scenario, bus: str, folder: Path) -> Case:
+    """A scenario on a set; what failed in real time is played once more."""
+    told: Case = {"set": name, "scenario": scenario.name, "expected": list(scenario.expect.faults)}
+    file = one.write(folder, name, scenario.config)
+    try:
+        axis = axis_of(file, scenario, one)
+    except (ConfigError, DatabaseError, KeyError) as e:
+        return told | {"met": True, "left_out": f"does not go with it: {e}", "problems": [], "unnoticed": []}
+    if why := LEFT_OUT.get(name, {}).get(scenario.name):
+        return told | {"met": True, "left_out": why, "problems": [], "unnoticed": []}
+    scenario = adapted(scenario, name, axis)
+    if bus == "sim":
+        return told | simulated(axis, scenario)
+    found = played(axis, scenario, bus, folder)
+    if not found["met"]:
+        found = played(axis, scenario, bus, folder) | {"again": found["problems"]}
+    return told | found
+
+
+def of_set(work: tuple[str, list[str], str]) -> list[Case]:
+    """All scenarios on a set."""
+    name, scenarios, bus = work
+    with tempfile.TemporaryDirectory() as folder:
+        place, one = Path(folder), device_sets()[name]
+        (place / "log").mkdir()
+        return [case(name, one, load_scenario(s), bus, place) for s in scenarios]
+
+
+def in_words(cases: Iterable[Case]) -> Iterator[str]:
+    """What there is to say of the cases of a set: what fails, what is not noticed."""
+    for found in cases:
+        name = f"{found['set']:20} {found['scenario']:26}"
+        if "left_out" in found:
+            yield f"--   {name} {found['left_out']}"
+        elif not found["met"]:
+            yield f"FAIL {name} {'; '.join(found['problems'])}"
+        elif found["unnoticed"]:
+            instead = f"{', '.join(found['faults'])} instead" if found["faults"] else "goes on"
+            off = f", {found['off_mm']:.2f} mm off" if "off_mm" in found else ""
+            yield f"safe {name} {', '.join(found['unnoticed'])} not noticed: {instead}{off}"
+        if found.get("again"):
+            yield f"     {name} at the first try: {'; '.join(found['again'])}"
+
+
+def main() -> int:
+    """The command."""
+    parser = argparse.ArgumentParser(description="Plays fault scenarios on rigs of other people's devices.")
+    parser.add_argument("--bus", default="sim", help="sim, unixcan, or an interface such as vcan0")
+    parser.add_argument("--sets", default="", help="names, separated by commas")
+    parser.add_argument("--scenarios", default="", help="names, separated by commas")
+    parser.add_argument("--jobs", type=int, default=1, help="processes; in simulated time only")
+    parser.add_argument("-o", "--output", type=Path, default=None, help="folder for device_faults.json")
+    o = parser.parse_args()
+    sets = chosen(parser.error, "set", o.sets, device_sets())
+    there = {path.stem: load_scenario(path.stem) for path in sorted(resources.scenarios().glob("*.toml"))}
+    scenarios = chosen(parser.error, "scenario", o.scenarios, there)
+    if o.bus == "sim":
+        scenarios = [name for name in scenarios if not there[name].needs_machine]
+    elif o.bus == "unixcan":
+        clock = [name for name, s in there.items() if any(f.kind == "clock_step" for f in s.fault)]
+        scenarios = [n for n in scenarios if not there[n].needs_interface and n not in clock]
+    began, cases = time.monotonic(), list[Case]()
+    work = [(name, scenarios, o.bus) for name in sets]
+    with ProcessPoolExecutor(o.jobs if o.bus == "sim" else 1) as pool:
+        for found in pool.map(of_set, work):
+            cases += found
+            print("\n".join(in_words(found)), flush=True)
+    seconds = time.monotonic() - began
+    if o.output is not None:
+        o.output.mkdir(parents=True, exist_ok=True)
+        told = {"schema": 1, "bus": o.bus, "seconds": seconds, "cases": cases}
+        (o.output / "device_faults.json").write_text(json.dumps(told, indent=1))
+    bad = sum(not found["met"] for found in cases)
+    blind = sum(bool(found["unnoticed"]) for found in cases if found["met"])
+    out = sum("left_out" in found for found in cases)
+    print(
+        f"{o.bus}: {len(sets)} sets, {len(scenarios)} scenarios:"
+        f" {len(cases) - bad - blind - out} as expected,"
+        f" {blind} not noticed and safe, {bad} not as expected, {out} left out, {seconds:.0f} s"
+    )
+    return 0 if not bad else 1
+
+
+def chosen(error: Callable[[str], Any], what: str, names: str, there: Iterable[str]) -> list[str]:
+    """The names asked for, of those that are there; all where none is."""
+    wanted = [name for name in names.split(",") if name]
+    if unknown := sorted(set(wanted) - set(there)):
+        error(f"no such {what}: {', '.join(unknown)}; there are {', '.join(there)}")
+    return wanted or list(there)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
