@@ -48,8 +48,17 @@ class Ends:
         self.counts = wire.counts()
         self.frames: list[Frame] = []
 
-    def take(self, receive: wire.Receive, *, wait_ns: int = 0, most: int = MOST, offset_ns: int = 0) -> int:
-        return receive(self.epoll, self.sources, offset_ns, self.frames, most, wait_ns, self.counts, Frame)
+    def take(
+        self,
+        receive: wire.Receive,
+        *,
+        wait_ns: int = 0,
+        most: int = MOST,
+        offset_ns: int = 0,
+        fd: int = wire.CLASSIC,
+    ) -> int:
+        known = self.epoll, self.sources, offset_ns, self.frames, most, wait_ns, self.counts, Frame
+        return receive(*known, fd)
 
 
 @contextmanager
@@ -68,27 +77,35 @@ def packet(can_id: int, data: bytes) -> bytes:
     return wire.PACKET.pack(can_id, len(data), data)
 
 
+def fd_packet(can_id: int, flags: int, data: bytes) -> bytes:
+    return wire.FD_PACKET.pack(can_id, len(data), flags, data)
+
+
+identifiers = st.integers(0, 2**32 - 1)
 packets = st.one_of(
-    st.builds(packet, st.integers(0, 2**32 - 1), st.binary(max_size=8)),
-    st.binary(min_size=1, max_size=40),
+    st.builds(packet, identifiers, st.binary(max_size=8)),
+    st.builds(fd_packet, identifiers, st.integers(0, 255), st.binary(max_size=64)),
+    st.binary(min_size=1, max_size=90),
     st.binary(min_size=16, max_size=16),
+    st.binary(min_size=72, max_size=72),
 )
+kinds = st.sampled_from((wire.CLASSIC, 0, wire.FD_FLAG))
 
 
-@given(st.lists(st.tuples(st.integers(0, 2), packets), max_size=20))
-def test_both_ways_take_the_same(sent: list[tuple[int, bytes]]) -> None:
+@given(st.lists(st.tuples(st.integers(0, 2), packets), max_size=20), kinds)
+def test_both_ways_take_the_same(sent: list[tuple[int, bytes]], fd: int) -> None:
     taken = []
     for receive in WAYS.values():
         with ends(3) as some:
             for source, data in sent:
                 some.pairs[source][1].send(data)
-            found = some.take(receive)
+            found = some.take(receive, fd=fd)
             stamps = [frame.stamp_ns for frame in some.frames]
             assert all(a <= b for a, b in pairwise(stamps)) or found == wire.UNORDERED
             assert all(type(frame) is Frame for frame in some.frames)
             by_stamp = sorted(some.frames)
             taken.append(([frame[1:] for frame in by_stamp], list(some.counts)))
-            assert some.take(receive) == wire.ORDERED
+            assert some.take(receive, fd=fd) == wire.ORDERED
             assert len(some.frames) + some.counts[wire.MALFORMED] == len(sent)
     assert all(one == taken[0] for one in taken)
 
@@ -208,8 +225,20 @@ def test_a_target_that_another_thread_has_closed_counts_as_gone(send: wire.Send)
             send((closed,), 1, b"", True)
 
 
+@pytest.mark.parametrize("length", wire.FD_LENGTHS)
+def test_a_frame_of_can_fd_is_one_of_the_kernels(send: wire.Send, length: int) -> None:
+    marks = {wire.FD_FLAG: 4, wire.FD_FLAG | wire.SWITCH_FLAG: 5}
+    with ends() as some:
+        ((ours, theirs),) = some.pairs
+        for mark, flags in marks.items():
+            assert send((theirs,), 0x98765432 | mark, bytes(range(length)), True) == 0
+            assert ours.recv(90) == fd_packet(0x98765432, flags, bytes(range(length)))
+
+
 def test_what_is_no_frame_is_not_sent(send: wire.Send) -> None:
-    for can_id, data in ((1, bytes(9)), (-1, b""), (2**64, b""), ("1", b""), (1, "x")):
+    fd = [(wire.FD_FLAG, bytes(n)) for n in range(65) if n not in wire.FD_LENGTHS]
+    fd += [(wire.SWITCH_FLAG, b""), (wire.FD_FLAG | 1 << 34, b""), (wire.FD_FLAG, bytes(65))]
+    for can_id, data in ((1, bytes(9)), (-1, b""), (2**64, b""), ("1", b""), (1, "x"), *fd):
         with pytest.raises((ValueError, TypeError, OverflowError, struct.error)):
             send((), can_id, data, True)  # type: ignore[arg-type]
 
@@ -218,8 +247,8 @@ def test_what_is_no_frame_is_not_sent(send: wire.Send) -> None:
 def test_wrong_arguments_raise_and_do_not_crash() -> None:
     receive = WAYS["c"]
     with ends() as some:
-        good = (some.epoll, some.sources, 0, some.frames, 1, 0, some.counts, Frame)
-        for place, wrong in enumerate((object(), [], "0", (), None, 1.5, b"", int)):
+        good = (some.epoll, some.sources, 0, some.frames, 1, 0, some.counts, Frame, wire.CLASSIC)
+        for place, wrong in enumerate((object(), [], "0", (), None, 1.5, b"", int, "x")):
             arguments = list(good)
             arguments[place] = wrong
             with pytest.raises((TypeError, ValueError, BufferError)):
@@ -230,3 +259,4 @@ def test_wrong_arguments_raise_and_do_not_crash() -> None:
 
 def test_packets_have_the_kernels_layout() -> None:
     assert struct.calcsize(wire.PACKET.format) == wire.PACKET.size == 16
+    assert struct.calcsize(wire.FD_PACKET.format) == wire.FD_PACKET.size == 72

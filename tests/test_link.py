@@ -204,6 +204,8 @@ def test_a_channel_that_cannot_be_joined_is_the_machines_fault(home: Path) -> No
         (Interface(True, True, "can"), True, "is of kind can, and a virtual run touches nothing but vcan", 2),
         (Interface(True, True, "vxcan"), True, "is of kind vxcan", 2),
         (Interface(True, True, ""), True, "is of kind unknown", 2),
+        (Interface(True, True, "vcan", 16), True, "carries no CAN FD .* link set can9 mtu 72 up$", 3),
+        (Interface(True, True, "can", 16), False, "carries no CAN FD .* dbitrate 4000000 fd on$", 3),
     ],
 )
 def test_an_unusable_interface_is_refused_with_the_cure(
@@ -211,7 +213,7 @@ def test_an_unusable_interface_is_refused_with_the_cure(
 ) -> None:
     monkeypatch.setattr(interfaces, "query", lambda name: found)
     with pytest.raises(LinkError, match=text) as caught:
-        open_link("socketcan:can9", virtual=virtual)
+        open_link("socketcan:can9", virtual=virtual, fd=wire.Fd(frozenset(), False))
     assert caught.value.exit_code == exit_code
     assert "\n" not in str(caught.value)
 

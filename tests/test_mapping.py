@@ -58,11 +58,11 @@ class Placed(NamedTuple):
         )
 
 
-def place(rng: random.Random, name: str, free: set[int], kind: str) -> Placed | None:
+def place(rng: random.Random, name: str, free: set[int], kind: str, size: int) -> Placed | None:
     """A signal in bits that are free, counted from the first of byte 0 in the order that it has itself."""
     floating, big = rng.random() < 0.3, rng.random() < 0.5
     length = rng.choice((32, 64)) if floating else rng.choice((*range(1, 33), 8, 16, 32, 64))
-    at = rng.randrange(0, 65 - length) if length < 64 else 0
+    at = rng.randrange(0, 8 * size + 1 - length)
     at = at // 8 * 8 if rng.random() < 0.5 else at
     bits = {b // 8 * 8 + (7 - b % 8 if big else b % 8) for b in range(at, at + length)}
     if not bits <= free:
@@ -75,10 +75,10 @@ def place(rng: random.Random, name: str, free: set[int], kind: str) -> Placed | 
     )
 
 
-def layout(rng: random.Random) -> tuple[list[Placed], bool]:
+def layout(rng: random.Random, size: int) -> tuple[list[Placed], bool]:
     """One message with position and pressures, or as many of them as find a place; multiplexed or not."""
     multiplexed = rng.random() < 0.4
-    whole = set(range(64))
+    whole = set(range(8 * size))
     placed = []
     if multiplexed:
         selector = Placed("Mux", 0, 8, False, False, False, "1", "0", "M ")
@@ -87,17 +87,17 @@ def layout(rng: random.Random) -> tuple[list[Placed], bool]:
     for i, name in enumerate(("Pos", "P1", "P2")):
         free = set(whole) if multiplexed else whole
         for _ in range(30):
-            found = place(rng, name, free, f"m{i} " if multiplexed else "")
+            found = place(rng, name, free, f"m{i} " if multiplexed else "", size)
             if found is not None:
                 placed.append(found)
                 break
     return placed, multiplexed
 
 
-def dbc_of(placed: list[Placed], extended: bool) -> str:
+def dbc_of(placed: list[Placed], extended: bool, size: int) -> str:
     number = 0x18FF1234 | CAN_EFF_FLAG if extended else 0x123
     here = {p.name for p in placed}
-    text = f"BO_ {number} X: 8 A\n" + "".join(p.line() for p in placed)
+    text = f"BO_ {number} X: {size} A\n" + "".join(p.line() for p in placed)
     rest = [name for name in ("Pos", "P1", "P2") if name not in here]
     if rest:
         text += "BO_ 300 REST: 6 A\n" + "".join(
@@ -113,17 +113,19 @@ KEYS = {"Pos": "position_m", "P1": "p1_pa", "P2": "p2_pa"}
 
 
 @settings(max_examples=120, deadline=None)
-@given(seed=st.integers(0, 2**32), data=st.binary(min_size=8, max_size=8))
+@given(seed=st.integers(0, 2**32), data=st.binary(min_size=64, max_size=64))
 def test_any_layout_equals_cantools(seed: int, data: bytes) -> None:
     rng = random.Random(seed)
-    placed, multiplexed = layout(rng)
-    extended = rng.random() < 0.5
-    text, here = dbc_of(placed, extended), {p.name for p in placed}
+    size = rng.choice((8, 8, 12, 24, 48, 64))  # more than 8 bytes are of CAN FD
+    placed, multiplexed = layout(rng, size)
+    extended, data = rng.random() < 0.5, data[:size]
+    text, here = dbc_of(placed, extended, size), {p.name for p in placed}
     signals = {
         key: {"signal": f"{'X' if name in here else 'REST'}.{name}", "unit": "m" if name == "Pos" else "Pa"}
         for name, key in KEYS.items()
     }
-    codecs = codecs_from(bus_of(signals), Path("x.dbc"), (HEAD + OUT + text).encode(), GAS)
+    bus = bus_of(signals, fd=size > 8)
+    codecs = codecs_from(bus, Path("x.dbc"), (HEAD + OUT + text).encode(), GAS)
     database: Any = cantools.database.load_string(HEAD + OUT + text)
     message = database.get_message_by_name("X")
     for answer in codecs.answers:
@@ -443,7 +445,7 @@ WRONG: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
         PLAIN.replace("PB: 2 A", "PB: 12 A"),
         ROLES,
         {},
-        "is 12 bytes long; classic CAN carries at most 8",
+        "is 12 bytes long; classic CAN carries at most 8, CAN FD 64: see bus.fd",
     ),
     "a factor and no dimension": (
         PLAIN.replace("16@1+ (1,0)", "16@1+ (2,0)"),

@@ -190,10 +190,10 @@ def ticks_hold_all_frames(path: Path, codecs: Any) -> str:
     times = Times(what.start_ns, what.start_ns - 10**9, 1e6, remarks)
     ticks = Ticks(traffic.read(path), codecs, what, times, remarks)
     heard = list(ticks)
-    frames = [f for h in heard for f in (h.sync, *h.before, *h.after, *((h.command,) if h.command else ()))]
+    frames = [f for h in heard for f in (h.sync, *h.before, *h.after, h.command) if f is not None]
     after = remarks.count("frames after the last command, which belong to no tick")
     assert len(frames) + after + ticks.elsewhere == sum(1 for _ in traffic.read(path))
-    begun = [h.sync.stamp_ns for h in heard]
+    begun = [h.sync.stamp_ns for h in heard if h.sync is not None]
     assert begun == sorted(begun)
     assert all(0 <= f.stamp_ns < 1 << 62 for f in frames)
     return "ticks"

@@ -149,7 +149,7 @@ def mangled_log(tmp_path_factory: pytest.TempPathFactory) -> Any:
 def test_health_counts_as_the_inbox_does(mangled_log: Any, size: int) -> None:
     path, counts = mangled_log
     loaded = load("virtual.toml")
-    health = Health(loaded.codecs, loaded.config.bus.sync, 1_000_000)
+    health = Health(loaded.codecs, bool(loaded.config.bus.sync), 1_000_000)
     for block in blocks(read_log(path), size):
         health.add(block)
     found = [sum(getattr(s, name) for s in health.sources) for name in ("lost", "corrupt", "frozen", "late")]

@@ -12,6 +12,7 @@ from pneud.signals import ValveState
 
 ALL = Devices(
     sync=True,
+    follows=False,
     encoder=Teller(("E",), (), ()),
     pressure=Teller(("P",), (), ()),
     valve=Teller(("V",), (), ()),
@@ -70,9 +71,10 @@ def test_who_tells_everything_leaves_nothing() -> None:
         ),
         (
             {"states": frozenset(), "applied": False},
-            {F.VALVE_TIMED_OUT: True, F.VALVE_FAULT: True, F.VALVE_REBOOTED: True, F.VALVE_ACTIVE: True,
+            {F.VALVE_TIMED_OUT: True, F.VALVE_FAULT: True, F.VALVE_REBOOTED: True, F.VALVE_ACTIVE: False,
              F.VALVE_DISAGREES: True},
         ),
+        ({"follows": True}, {F.OTHER_CONTROLLER: False}),
     ],
 )  # fmt: skip
 def test_each_lack_costs_its_faults(lacks: dict[str, Any], faults: dict[F, bool]) -> None:

@@ -45,6 +45,7 @@ FROM_WITHIN = {
     "homing_failed": "takes an operator who homes: the tests of the axis have one",
     "unproven": "takes a bus on which air can be: a test of commissioning has it",
     "skew": "takes two axes that carry one load: their tests have them",
+    "sync_lost": "takes another daemon, whose SYNC ends: a test has two on one bus",
     "led_beyond": "takes an axis that follows another: their tests have them",
     "program": "takes a program that does not fit the axis: the tests of programs have it",
     "program_late": "takes a program that waits for what does not come: the tests of programs have it",

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import can
@@ -429,9 +430,24 @@ def test_filters_numbers_as_names_and_own_messages() -> None:
         assert two.recv(0) is None
 
 
-def test_frames_of_can_fd_are_refused() -> None:
-    with bus() as one, pytest.raises(can.CanOperationError, match="classic"):
-        one.send(can.Message(is_fd=True, data=bytes(12)))
+def test_frames_of_can_fd_pass_as_they_are() -> None:
+    sent = [
+        can.Message(arbitration_id=n, is_fd=True, bitrate_switch=n % 2 == 1, data=bytes(range(n)))
+        for n in (0, 5, 8, 12, 64)
+    ]
+    with bus() as one, bus() as two, closing(Party("x")) as classic:
+        for message in sent:
+            one.send(message)
+        got = [two.recv(1) for _ in sent]
+        assert all(
+            m is not None and a.equals(m, timestamp_delta=None, check_channel=False, check_direction=False)
+            for a, m in zip(sent, got, strict=True)
+        )
+        frames: list[Frame] = []
+        classic.drain(0, frames)
+        assert not frames
+        with pytest.raises(can.CanOperationError, match="no frame of CAN FD has so many bytes"):
+            one.send(can.Message(is_fd=True, data=bytes(11), check=False, dlc=11))
 
 
 def test_a_bad_channel_is_an_initialization_error() -> None:

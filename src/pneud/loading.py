@@ -198,7 +198,8 @@ def devices_of(config: Config, codecs: Codecs) -> Devices:
         states = frozenset(state.values.values())
     encoder, pressure, valve = (_teller(codecs, keys) for keys in SOURCES.values())
     return Devices(
-        sync=bus.sync,
+        sync=bool(bus.sync),
+        follows=bus.follows,
         encoder=encoder,
         pressure=pressure,
         valve=valve,

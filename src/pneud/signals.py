@@ -51,6 +51,7 @@ class Host(IntFlag):
     RECEIVE_OVERFLOW = 8192
     CONSOLE_LOST = 16384
     UNPROVEN = 32768
+    SYNC_LOST = 65536
 
 
 class EncoderStatus(IntFlag):

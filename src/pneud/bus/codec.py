@@ -5,7 +5,7 @@ Values are in SI units, whatever units the database uses.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from math import ceil, floor, isfinite
@@ -16,7 +16,7 @@ from pneud.bus import database
 from pneud.bus.database import MessageSpec, Signal
 from pneud.bus.dbc_layout import Guard, SignalField, bit_range, compile_functions
 from pneud.bus.protection import RULES, checksum
-from pneud.bus.wire import CAN_EFF_FLAG
+from pneud.bus.wire import CAN_EFF_FLAG, FD_LENGTHS, Fd
 from pneud.config.bus_tables import BusConfig, FrameConfig
 from pneud.config.mapping import MessageConfig
 from pneud.config.models import GasConfig
@@ -84,6 +84,7 @@ class Codec:
     zero and raises ValueError for what the signal cannot carry. `check` yields the counter of what is valid,
     and −1 of what is not. `counter_values` is how many values the counter has, 1 without one. The rest is
     for those who judge many frames at once: where counter and age lie, and how the frame is protected.
+    `data_bit_s` is the bit rate of the data where its frames are of CAN FD, and 0 where they are classic.
     """
 
     can_id: int
@@ -97,6 +98,7 @@ class Codec:
     counter_field: SignalField | None
     age_field: SignalField | None
     guard: Guard
+    data_bit_s: float = 0.0
 
 
 class Answer(NamedTuple):
@@ -133,6 +135,7 @@ class Codecs:
     command_max_v: float
     older_s: float  # an age of this or more means "older than can be told"; infinite without an age
     row: Row | None = None
+    fd: Fd | None = None  # what is sent as frames of CAN FD; None on a bus without
 
     def telling(self, *keys: str) -> tuple[Answer, ...]:
         """The answers that tell any of these values."""
@@ -156,6 +159,12 @@ class Codecs:
             IndexError: it sends none.
         """
         return self.telling("applied_v", "state")[0].codec
+
+
+def fd_of(axes: Iterable[Codecs]) -> Fd | None:
+    """What the axes on one bus have sent as frames of CAN FD; None on a bus without."""
+    found = [codecs.fd for codecs in axes if codecs.fd is not None]
+    return Fd(frozenset().union(*(fd.ids for fd in found)), found[0].switches) if found else None
 
 
 def load_codecs(
@@ -193,7 +202,7 @@ def codecs_from(
         from pneud.bus import mapping  # noqa: PLC0415 - for axes with a mapping alone
 
         return mapping.mapped(bus, path, messages, gas)
-    loader = Loader(path, messages)
+    loader = Loader(path, messages, bus)
     codecs = {role: loader.codec(role, getattr(bus.frames, role)) for role in ROLES}
     fields = loader.fields
     return assembled(
@@ -205,6 +214,7 @@ def codecs_from(
         ),
         fields["valve_command"]["voltage_v"],
         fields["encoder"].get("age_s"),
+        bus=bus,
     )
 
 
@@ -215,8 +225,12 @@ def assembled(
     voltage: SignalField,
     age: SignalField | None,
     row: Row | None = None,
+    *,
+    bus: BusConfig,
 ) -> Codecs:
     """Codecs, with what the command's voltage and the position's age can say."""
+    codecs = (sync, valve_command, *(answer.codec for answer in answers))
+    ids = frozenset(codec.can_id for codec in codecs if codec.data_bit_s)
     low, high = sorted((voltage.si(voltage.low), voltage.si(voltage.high)))
     return Codecs(
         sync,
@@ -227,6 +241,7 @@ def assembled(
         command_max_v=high,
         older_s=float("inf") if age is None else age.si(bit_range(age.length, age.signed)[1]),
         row=row,
+        fd=Fd(ids, bus.data_bitrate_bit_s is not None) if bus.fd else None,
     )
 
 
@@ -248,9 +263,10 @@ def can_id_of(message: MessageSpec) -> int:
 class Loader:
     """Takes messages from one database, each for one role only."""
 
-    def __init__(self, path: Path, messages: list[MessageSpec]) -> None:
+    def __init__(self, path: Path, messages: list[MessageSpec], bus: BusConfig) -> None:
         self.path = path
         self.messages = messages
+        self._bus = bus
         self.fields: dict[str, dict[str, SignalField]] = {}
         self._taken: dict[int, str] = {}
 
@@ -295,7 +311,36 @@ class Loader:
             counter_field=counter,
             age_field=fields.get("age_s"),
             guard=guard,
+            data_bit_s=self._data_bit_s(message),
         )
+
+    def _data_bit_s(self, message: MessageSpec) -> float:
+        """The bit rate of the data where a message's frames are of CAN FD; 0 where they are classic.
+
+        Raises:
+            DatabaseError: they cannot be frames of this bus.
+        """
+        name, length = message.name, message.length
+        if not self._bus.fd:
+            if length > 8:
+                raise self._error(
+                    name,
+                    None,
+                    f"is {length} bytes long; classic CAN carries at most 8, CAN FD 64: see bus.fd",
+                )
+            if message.fd:
+                raise self._error(name, None, "is a message of CAN FD; give bus.fd = true, or mend the DBC")
+            return 0.0
+        if length not in FD_LENGTHS:
+            lengths = ", ".join(str(n) for n in FD_LENGTHS if n > 8)
+            raise self._error(
+                name,
+                None,
+                f"is {length} bytes long; frames of CAN FD have up to 8, or {lengths}; mend the DBC",
+            )
+        if length <= 8 and not message.fd:
+            return 0.0
+        return self._bus.data_bitrate_bit_s or self._bus.bitrate_bit_s
 
     def _message(self, role: str, frame: FrameConfig) -> MessageSpec:
         name = frame.message
@@ -310,8 +355,7 @@ class Loader:
         message = named[0]
         if message.extended:
             raise self._error(name, None, "has a 29-bit identifier; only 11-bit ones are used")
-        if message.length > 8:
-            raise self._error(name, None, f"is {message.length} bytes long; classic CAN carries at most 8")
+        self._data_bit_s(message)
         if message.length == 0 and (role != "sync" or frame.counter is not None):
             raise self._error(name, None, "has no bytes; give the message its length")
         if message.multiplexed:
@@ -406,6 +450,7 @@ class Loader:
             return Guard(counter_values=last + 1, judged="length" if last == all_set else "call")
         crc = self._plain(message, frame.crc, rule.bits, f"the checksum of {name}")
         nibble = frame.data_id_nibble and self._plain(message, frame.data_id_nibble, 4, "data_id_nibble")
+        inline = name == "pneud" and message.length <= 8  # of more it would be no expression to read
         trailing = crc.start == 8 * message.length - (1 if crc.big_endian else 8)
         return Guard(
             crc,
@@ -413,7 +458,7 @@ class Loader:
             last + 1,
             nibble or None,
             frame.data_ids[0] >> 8 if nibble else 0,
-            "inline" if name == "pneud" and trailing and last == all_set else "call",
+            "inline" if inline and trailing and last == all_set else "call",
         )
 
     def _plain(self, message: MessageSpec, name: str, bits: int, what: str) -> SignalField:

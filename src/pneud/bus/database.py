@@ -50,6 +50,7 @@ class MessageSpec(NamedTuple):
     extended: bool
     multiplexed: bool
     signals: tuple[Signal, ...]
+    fd: bool = False  # its frames are of CAN FD
 
 
 def messages(dbc: bytes, *, keep: bool = False) -> list[MessageSpec]:
@@ -108,6 +109,7 @@ def _parsed(dbc: bytes) -> list[MessageSpec]:
                 )
                 for s in m.signals
             ),
+            m.is_fd,
         )
         for m in database.messages
     ]
@@ -134,6 +136,6 @@ def _key(dbc: bytes) -> str:
 
 def _unpacked(packed: bytes) -> list[MessageSpec]:
     return [
-        MessageSpec._make((*fields, tuple(Signal._make((*s, tuple(by))) for *s, by in signals)))
-        for *fields, signals in json.loads(packed)
+        MessageSpec._make((*fields, tuple(Signal._make((*s, tuple(by))) for *s, by in signals), fd))
+        for *fields, signals, fd in json.loads(packed)
     ]

@@ -92,7 +92,7 @@ def compile_functions(
 
     Args:
         can_id: identifier; pneud's checksum covers it.
-        length: bytes in the frame, 0 … 8.
+        length: bytes in the frame, 0 … 64.
         fields: in the order of the values; None where there is no such signal: encoding ignores the value.
         defaults: what decoding yields where there is no such signal, and encoding takes where no value is
             given; None for a value that has to be there.

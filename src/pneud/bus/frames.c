@@ -8,13 +8,16 @@
 #include <sys/socket.h>
 #include <time.h>
 
+#define FD_FLAG (1ULL << 32) /* beside an identifier: a frame of CAN FD */
+#define SWITCH_FLAG (1ULL << 33) /* which switches its bit rate */
+enum { SWITCHED = 0x01, FLEXIBLE = 0x04 }; /* flags in the packet of such a frame */
 enum { EVENTS = 16, TIMESTAMP = 35, OVERFLOW = 40, ORDERED = -1, UNORDERED = -2 };
 enum { DROPPED, MALFORMED };  /* places in the counts */
 
 /* A packet's frame at the end of the list: 1, 0 where the other end has closed, -1 for an exception. */
 static int take(int fd, long long offset_ns, PyObject *into, PyTypeObject *class, long long *counts,
-                long long *stamp_ns) {
-  char packet[sizeof(struct can_frame) + 1];  /* one more, so that a longer packet shows */
+                long long *stamp_ns, long long marks) {
+  char packet[sizeof(struct canfd_frame) + 1] __attribute__((aligned(8))); /* one more: a longer packet shows */
   char control[CMSG_SPACE(sizeof(struct timespec)) + CMSG_SPACE(sizeof(unsigned))]
       __attribute__((aligned(8)));
   struct iovec vector = {packet, sizeof packet};
@@ -25,8 +28,10 @@ static int take(int fd, long long offset_ns, PyObject *into, PyTypeObject *class
     return 1;  /* a reset comes ahead of what the other end had sent before it died */
   if (count < 0) return PyErr_SetFromErrno(PyExc_OSError), -1;
   if (count == 0) return 0;
-  const struct can_frame *frame = (const struct can_frame *)packet;
-  if (count != sizeof *frame || frame->can_dlc > 8) {
+  /* both kinds begin alike: identifier, length, three bytes, data */
+  const struct canfd_frame *frame = (const struct canfd_frame *)packet;
+  int flexible = marks >= 0 && count == sizeof *frame;
+  if (!(flexible || count == sizeof(struct can_frame)) || frame->len > (flexible ? CANFD_MAX_DLEN : CAN_MAX_DLEN)) {
     counts[MALFORMED]++;
     return 1;
   }
@@ -44,26 +49,29 @@ static int take(int fd, long long offset_ns, PyObject *into, PyTypeObject *class
     }
   }
   *stamp_ns = stamp;
+  unsigned long long marked = frame->can_id;
+  if (flexible && marks) marked |= marks | (frame->flags & SWITCHED ? SWITCH_FLAG : 0);
   PyObject *made = class->tp_alloc(class, 3);
   if (!made) return -1;
 #if PY_VERSION_HEX >= 0x030E0000
   ((PyTupleObject *)made)->ob_hash = -1;
 #endif
   PyTuple_SET_ITEM(made, 0, PyLong_FromLongLong(stamp));
-  PyTuple_SET_ITEM(made, 1, PyLong_FromUnsignedLong(frame->can_id));
-  PyTuple_SET_ITEM(made, 2, PyBytes_FromStringAndSize((const char *)frame->data, frame->can_dlc));
+  PyTuple_SET_ITEM(made, 1, PyLong_FromUnsignedLongLong(marked));
+  PyTuple_SET_ITEM(made, 2, PyBytes_FromStringAndSize((const char *)frame->data, frame->len));
   int failed = PyErr_Occurred() || PyList_Append(into, made);
   Py_DECREF(made);
   return failed ? -1 : 1;
 }
 
-/* receive(epoll, sources, offset_ns, into, most, wait_ns, counts, class) */
+/* receive(epoll, sources, offset_ns, into, most, wait_ns, counts, class, fd) */
 static PyObject *receive(PyObject *self, PyObject *const *args, Py_ssize_t n) {
-  if (n != 8 || !PyDict_Check(args[1]) || !PyList_Check(args[3]) || !PyType_Check(args[7])
+  if (n != 9 || !PyDict_Check(args[1]) || !PyList_Check(args[3]) || !PyType_Check(args[7])
       || !PyType_IsSubtype((PyTypeObject *)args[7], &PyTuple_Type))
     return PyErr_SetString(PyExc_TypeError, "receive: other arguments than expected"), NULL;
   PyObject *sources = args[1], *into = args[3];
   long long offset_ns = PyLong_AsLongLong(args[2]), wait_ns = PyLong_AsLongLong(args[5]);
+  long long marks = PyLong_AsLongLong(args[8]);
   Py_ssize_t most = PyLong_AsSsize_t(args[4]);
   if (PyErr_Occurred()) return NULL;
   int epoll = PyObject_AsFileDescriptor(args[0]);
@@ -94,7 +102,8 @@ static PyObject *receive(PyObject *self, PyObject *const *args, Py_ssize_t n) {
       PyObject *key = PyLong_FromLong(fd);
       int known = key ? PyDict_Contains(sources, key) : -1;
       Py_XDECREF(key);
-      int taken = known > 0 ? take(fd, offset_ns, into, (PyTypeObject *)args[7], counts.buf, &stamp_ns) : 0;
+      int taken = known > 0 ? take(fd, offset_ns, into, (PyTypeObject *)args[7], counts.buf, &stamp_ns, marks)
+                            : 0;
       if (known < 0 || taken < 0) failed = 1, more = 0;
       else if (taken == 0) found = fd, more = 0;
       else if (stamp_ns < last_ns) found = UNORDERED;
@@ -109,11 +118,21 @@ static PyObject *receive(PyObject *self, PyObject *const *args, Py_ssize_t n) {
 static PyObject *send_(PyObject *self, PyObject *const *args, Py_ssize_t n) {
   if (n != 4 || !PyTuple_Check(args[0]) || !PyBytes_Check(args[2]))
     return PyErr_SetString(PyExc_TypeError, "send: other arguments than expected"), NULL;
-  struct can_frame frame = {.can_id = (canid_t)PyLong_AsUnsignedLong(args[1])};
+  unsigned long long marked = PyLong_AsUnsignedLongLong(args[1]);
   if (PyErr_Occurred()) return NULL;
   Py_ssize_t length = PyBytes_GET_SIZE(args[2]);
-  if (length > CAN_MAX_DLEN) return PyErr_SetString(PyExc_ValueError, "send: more than 8 bytes"), NULL;
-  frame.can_dlc = (unsigned char)length;
+  /* a classic one begins alike */
+  struct canfd_frame frame = {.can_id = (canid_t)marked, .len = (unsigned char)length};
+  size_t size = sizeof(struct can_frame);
+  if (marked >= FD_FLAG) {
+    int step = length <= 8 ? 1 : length <= 24 ? 4 : length <= 32 ? 8 : 16;
+    if (length > CANFD_MAX_DLEN || length % step || !(marked & FD_FLAG) || marked >= SWITCH_FLAG << 1)
+      return PyErr_SetString(PyExc_ValueError, "send: no frame of CAN FD has so many bytes, or such flags"), NULL;
+    frame.flags = FLEXIBLE | (marked & SWITCH_FLAG ? SWITCHED : 0);
+    size = sizeof frame;
+  } else if (length > CAN_MAX_DLEN) {
+    return PyErr_SetString(PyExc_ValueError, "send: more than 8 bytes"), NULL;
+  }
   memcpy(frame.data, PyBytes_AS_STRING(args[2]), length);
   long lost = 0;
   for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(args[0]); i++) {
@@ -123,7 +142,7 @@ static PyObject *send_(PyObject *self, PyObject *const *args, Py_ssize_t n) {
       PyErr_Clear();
       continue;
     }
-    if (send(fd, &frame, sizeof frame, MSG_DONTWAIT | MSG_NOSIGNAL) >= 0) continue;
+    if (send(fd, &frame, size, MSG_DONTWAIT | MSG_NOSIGNAL) >= 0) continue;
     if (args[3] == Py_True) return PyErr_SetFromErrno(PyExc_OSError);
     lost += errno == EAGAIN || errno == EWOULDBLOCK;
   }

@@ -178,12 +178,16 @@ class Inbox:
         self._encoder = self._sources[0]
         self._whole = sum(o.bit for o in self._sources)
         self._origins = {o.codec.can_id: o for o in self._sources}
-        own = (codecs.sync, codecs.valve_command) if bus.sync else (codecs.valve_command,)
+        own = (codecs.sync, codecs.valve_command) if bus.sync is True else (codecs.valve_command,)
         self._own = frozenset(codec.can_id for codec in own)
         self._older_s = codecs.older_s
-        self.sync = bus.sync  # whether frames answer SYNC
+        self.sync = bool(bus.sync)  # whether frames answer SYNC
+        self.makes_sync = bus.sync is True
+        self._heard_id = (
+            codecs.sync.can_id if bus.follows else -1
+        )  # of SYNC, where another controller sends it
         self._sync_wire_ns, self._command_wire_ns, self._encoder_wire_ns = (
-            wire_time_ns(codec.length, bus.bitrate_bit_s, codec.can_id)
+            wire_time_ns(codec.length, bus.bitrate_bit_s, codec.can_id, codec.data_bit_s)
             for codec in (codecs.sync, codecs.valve_command, codecs.encoder)
         )
         # what was sampled before this is late; between ticks everything is
@@ -237,7 +241,7 @@ class Inbox:
             begun_ns = self.commanded_ns - t_ns
             self._sync_delay_ns = begun_ns if begun_ns >= 0 else max(0, begun_ns + self._command_wire_ns)
             clash = 0
-            self._syncs += 1
+            self._syncs += self.makes_sync
             forget = self._syncs % _FORGET_TICKS == 0
             for origin in self._sources:
                 if origin.doubted and (origin.surplus <= 0 or origin.surplus > _SURPLUS):
@@ -361,7 +365,8 @@ class Inbox:
         """When the newest position was sampled, after this tick's SYNC; nothing more answers that SYNC."""
         if self.sync:
             self._not_before_ns = NEVER_NS
-            return self._sync_delay_ns + self._sync_wire_ns
+            # another's is heard when it has come, and nothing can be ahead of it
+            return self._sync_delay_ns + self._sync_wire_ns if self.makes_sync else 0
         sample_ns = self._encoder.sample_ns
         return 0 if sample_ns == -NEVER_NS else sample_ns - self._encoder_wire_ns - self._t_ns
 
@@ -409,6 +414,8 @@ class Inbox:
         self._rx += 1
         if can_id in self._own:
             self._foreign += 1
+        elif can_id == self._heard_id:
+            self._syncs += 1
         elif can_id in _EMCY_IDS and len(data) >= 2:
             self._emcy[can_id - _EMCY_BASE] = int.from_bytes(data[:2], "little")
             self._find_emergencies()

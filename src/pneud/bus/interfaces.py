@@ -6,11 +6,12 @@ import errno
 import os
 import socket
 import struct
+import sys
 from collections.abc import Iterator
 from typing import NamedTuple
 
 _RTM_NEWLINK, _RTM_GETLINK, _NLM_F_REQUEST, _NLMSG_ERROR = 16, 18, 1, 2
-_IFLA_IFNAME, _IFLA_LINKINFO, _IFLA_INFO_KIND = 3, 18, 1
+_IFLA_IFNAME, _IFLA_MTU, _IFLA_LINKINFO, _IFLA_INFO_KIND = 3, 4, 18, 1
 _ARPHRD_CAN, _IFF_UP = 280, 1
 _HEADER = struct.Struct("=IHHII")  # nlmsghdr
 _LINK = struct.Struct("=BxHiII")  # ifinfomsg
@@ -23,6 +24,7 @@ class Interface(NamedTuple):
     is_can: bool
     up: bool
     kind: str
+    mtu: int = 16  # bytes of the longest frame as the kernel lays it out: 72 with CAN FD
 
 
 def query(name: str) -> Interface | None:
@@ -49,9 +51,12 @@ def query(name: str) -> Interface | None:
     if kind != _RTM_NEWLINK:
         raise OSError(errno.EPROTO, "an unexpected answer from rtnetlink")
     _, hardware, _, flags, _ = _LINK.unpack_from(answer, _HEADER.size)
-    info = dict(_attributes(answer[_HEADER.size + _LINK.size :])).get(_IFLA_LINKINFO, b"")
+    told = dict(_attributes(answer[_HEADER.size + _LINK.size :]))
+    info = told.get(_IFLA_LINKINFO, b"")
+    mtu = int.from_bytes(told.get(_IFLA_MTU, b""), sys.byteorder)
     name_of_kind = dict(_attributes(info)).get(_IFLA_INFO_KIND, b"")
-    return Interface(hardware == _ARPHRD_CAN, bool(flags & _IFF_UP), name_of_kind.rstrip(b"\0").decode())
+    is_can, kind_of = hardware == _ARPHRD_CAN, name_of_kind.rstrip(b"\0").decode()
+    return Interface(is_can, bool(flags & _IFF_UP), kind_of, mtu)
 
 
 def _attributes(data: bytes) -> Iterator[tuple[int, bytes]]:

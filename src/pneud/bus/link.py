@@ -11,7 +11,7 @@ import os
 import secrets
 import select
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Protocol
 
 from pneud.bus import interfaces, wire
@@ -57,7 +57,7 @@ class Link:
         down: the interface was down or gone when last used, and no frame has been sent since.
     """
 
-    def __init__(self, name: str, carrier: Carrier, note: str = "") -> None:
+    def __init__(self, name: str, carrier: Carrier, note: str = "", fd: wire.Fd | None = None) -> None:
         self.name = name
         self.note = note
         self.realtime_offset_ns = wire.realtime_offset_ns()
@@ -67,7 +67,7 @@ class Link:
         self._carrier = carrier
         self._descriptors = [carrier.fileno()]
         self._drain = carrier.drain
-        self._transmit = carrier.send
+        self._transmit = carrier.send if fd is None else _marking(carrier.send, fd)
         self._socketcan = carrier if isinstance(carrier, SocketCan) else None
 
     def __enter__(self) -> Link:
@@ -165,8 +165,23 @@ class Link:
         self._carrier.close()
 
 
+def _marking(send: Callable[[int, bytes], None], fd: wire.Fd) -> Callable[[int, bytes], None]:
+    """What sends frames of CAN FD where the identifier or the length asks for one."""
+    ids, flags = fd.ids, wire.FD_FLAG | (wire.SWITCH_FLAG if fd.switches else 0)
+
+    def transmit(can_id: int, data: bytes) -> None:
+        send(can_id | flags if can_id in ids or len(data) > 8 else can_id, data)
+
+    return transmit
+
+
 def open_link(
-    channel: str, *, virtual: bool = False, listens: bool = False, by: wire.Carriage = wire.CARRIAGE
+    channel: str,
+    *,
+    virtual: bool = False,
+    listens: bool = False,
+    by: wire.Carriage = wire.CARRIAGE,
+    fd: wire.Fd | None = None,
 ) -> Link:
     """Open a bus.
 
@@ -175,18 +190,20 @@ def open_link(
         virtual: refuse what might lead to real devices.
         listens: it will send nothing.
         by: how frames are taken and given.
+        fd: what is sent as frames of CAN FD; without, there are none on it.
 
     Raises:
         LinkError: with `exit_code` 3 where the machine lacks something, 2 for a channel that may not be used.
     """
     if channel == "auto":
-        return _open_auto(by)
+        return _open_auto(by, fd)
     kind, _, name = channel.partition(":")
+    marks = wire.CLASSIC if fd is None else 0
     try:
         if kind == "socketcan" and name:
-            return Link(channel, SocketCan(name, virtual=virtual, by=by))
+            return Link(channel, SocketCan(name, virtual=virtual, by=by, fd=marks), fd=fd)
         if kind == "unixcan" and name:
-            return Link(channel, Party(name, answers=not listens, by=by))
+            return Link(channel, Party(name, answers=not listens, by=by, fd=marks), fd=fd)
     except NotVirtualError as e:
         raise LinkError(str(e), USAGE) from None
     except (SocketCanError, UnixCanError) as e:
@@ -224,12 +241,12 @@ def refuse_if_driven(
                 )
 
 
-def _open_auto(by: wire.Carriage) -> Link:
+def _open_auto(by: wire.Carriage, fd: wire.Fd | None) -> Link:
     reason = _why_not(_AUTO_INTERFACE)
     if not reason:
         try:
-            link = Link(f"socketcan:{_AUTO_INTERFACE}", SocketCan(_AUTO_INTERFACE, virtual=True, by=by))
-        except SocketCanError as e:
+            link = open_link(f"socketcan:{_AUTO_INTERFACE}", virtual=True, by=by, fd=fd)
+        except LinkError as e:
             reason = str(e).partition(": ")[2].partition(";")[0]
         else:
             if not (link.wait(_IDLE_S) and link.drain([])):
@@ -238,7 +255,7 @@ def _open_auto(by: wire.Carriage) -> Link:
             link.close()
             reason = f"{_AUTO_INTERFACE} carries traffic"
     channels()  # which removes what dead ones have left
-    link = open_link(f"unixcan:auto-{os.getpid()}-{secrets.token_hex(2)}", by=by)
+    link = open_link(f"unixcan:auto-{os.getpid()}-{secrets.token_hex(2)}", by=by, fd=fd)
     link.note = f"bus {link.name} ({reason})"
     return link
 

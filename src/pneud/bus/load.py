@@ -6,7 +6,15 @@ import math
 from typing import NamedTuple
 
 from pneud.bus.codec import Codec, Codecs
-from pneud.bus.wire import CAN_EFF_FLAG, EXTENDED_BITS
+from pneud.bus.wire import (
+    CAN_EFF_FLAG,
+    EXTENDED_BITS,
+    FD_CODE_BITS,
+    FD_EXTENDED_BITS,
+    FD_HEAD_BITS,
+    FD_TAIL_BITS,
+    fd_check_bits,
+)
 from pneud.config.conversions import COMPUTING_S
 from pneud.config.models import Config
 
@@ -22,8 +30,21 @@ class Load(NamedTuple):
     tick_s: float  # to the last bit of the command
 
 
-def longest_s(data_bytes: int, bitrate_bit_s: float, can_id: int = 0) -> float:
-    """How long a frame is on the wire at worst: a stuffed bit after every four but the first [s]."""
+def longest_s(data_bytes: int, bitrate_bit_s: float, can_id: int = 0, data_bit_s: float = 0.0) -> float:
+    """How long a frame is on the wire at worst: a stuffed bit after every four but the first [s].
+
+    Args:
+        data_bytes: of the frame.
+        bitrate_bit_s: of the bus.
+        can_id: identifier, with its flag where it has 29 bits.
+        data_bit_s: of the data of a frame of CAN FD; 0 for a classic one.
+    """
+    if data_bit_s and bitrate_bit_s < math.inf:
+        head = FD_HEAD_BITS + (FD_EXTENDED_BITS if can_id & CAN_EFF_FLAG else 0)
+        body = FD_CODE_BITS + 8 * data_bytes
+        slow = head + (head - 1) // 4
+        fast = body + (head + body - 1) // 4 - (head - 1) // 4 + fd_check_bits(data_bytes)
+        return (slow + FD_TAIL_BITS) / bitrate_bit_s + fast / data_bit_s
     stuffed = CONTROL_BITS + 8 * data_bytes + (EXTENDED_BITS if can_id & CAN_EFF_FLAG else 0)
     return (stuffed + (stuffed - 1) // 4 + FIXED_BITS) / bitrate_bit_s
 
@@ -38,7 +59,7 @@ def load_of(config: Config, *axes: Codecs) -> Load:
     rate = config.bus.bitrate_bit_s
 
     def taken_s(codec: Codec) -> float:
-        return longest_s(codec.length, rate, codec.can_id)
+        return longest_s(codec.length, rate, codec.can_id, codec.data_bit_s)
 
     answers_s = taken_s(axes[0].sync) + NODE_S if config.bus.sync else 0.0
     for codecs in axes:

@@ -119,7 +119,9 @@ class MappedInbox(Inbox):
                 row[_P1] = row[_P2] + row[_DIFFERENCE]
             else:
                 row[_P2] = row[_P1] - row[_DIFFERENCE]
-        if tells[_SECOND] is not None and not abs(row[_POSITION] - row[_SECOND]) <= self._apart_m:
+        encoders = self._needed[0]  # readings of two SYNCs say nothing of each other
+        apart_m = abs(row[_POSITION] - row[_SECOND]) if came & encoders == encoders else 0.0
+        if tells[_SECOND] is not None and not apart_m <= self._apart_m:
             row[_STATUS] = int(row[_STATUS]) | _ERROR
         echo_v, enabled = self.echo
         if tells[_APPLIED] is None:

@@ -7,6 +7,7 @@ messages can fill one row. A message with a multiplexer is as many messages as i
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import NamedTuple
@@ -76,8 +77,7 @@ class _Mapper(Loader):
         signals: SignalsConfig,
         gas: GasConfig | None,
     ) -> None:
-        super().__init__(path, messages)
-        self._bus = bus
+        super().__init__(path, messages, bus)
         self._signals = signals
         self._gas = gas
         self._jobs: dict[tuple[str, str], str] = {}  # (message, signal) → what it is for
@@ -105,7 +105,8 @@ class _Mapper(Loader):
         self._check_age(places)
         row = Row(self._row(), kind_of)
         return assembled(
-            sync.codec, command.codec, tuple(answers), fields["voltage_v"], fields.get("age_s"), row
+            *(sync.codec, command.codec, tuple(answers), fields["voltage_v"], fields.get("age_s"), row),
+            bus=self._bus,
         )
 
     def _places(self) -> dict[str, list[_Place]]:
@@ -130,12 +131,7 @@ class _Mapper(Loader):
         if len(named) > 1:
             which = " and ".join(f"0x{message.can_id:03X}" for message in named)
             raise self._error(name, None, f"is there {len(named)} times, as {which}; give each its own name")
-        if named[0].length > 8:
-            raise self._error(
-                name,
-                None,
-                f"is {named[0].length} bytes long; classic CAN carries at most 8, and no CAN FD is spoken",
-            )
+        self._data_bit_s(named[0])
         return named[0]
 
     def _signal(self, message: MessageSpec, name: str) -> Signal:
@@ -307,7 +303,8 @@ class _Mapper(Loader):
         guard = self._guard(f"bus.messages.{message.name}", message, given, counter)
         if counter is not None:
             counter = counter._replace(high=min(counter.high, guard.counter_values - 1))
-        return self._made(can_id_of(message), message.length, fields, defaults, fixed, counter, guard)
+        made = self._made(can_id_of(message), message.length, fields, defaults, fixed, counter, guard)
+        return replace(made, data_bit_s=self._data_bit_s(message))
 
     def _made(
         self,

@@ -14,7 +14,7 @@ _EMCY, _HEARTBEAT = 0x080, 0x700
 _SERVICES = {_EMCY: "EMCY", _HEARTBEAT: "heartbeat", 0x580: "the SDO answer", 0x600: "the SDO request"}
 _ONE = (  # of which there is one for all
     *("loop.rate_hz", "loop.set_deadline", "loop.spin_us"),
-    *("bus.channel", "bus.sync", "bus.bitrate_bit_s", "realtime"),
+    *("bus.channel", "bus.sync", "bus.bitrate_bit_s", "bus.fd", "bus.data_bitrate_bit_s", "realtime"),
 )
 
 

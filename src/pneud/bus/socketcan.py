@@ -14,7 +14,8 @@ from pneud.signals import Frame
 _SEND_BUFFER_BYTES = 4096  # some ten frames: a stale command is worth less than none
 _RECEIVE_BUFFER_BYTES = 1024 * 1024
 _SO_RCVBUFFORCE = 33
-_CAN_RAW_ERR_FILTER = 2
+_CAN_RAW_ERR_FILTER, _CAN_RAW_FD_FRAMES = 2, 5
+_FD_MTU = wire.FD_PACKET.size
 _ALL_ERRORS = struct.pack("=I", 0x1FFFFFFF)
 _EVERYTHING = struct.pack("=II", 0, 0)
 _MOST_AT_ONCE = 4096  # a flood must not hold a caller for ever
@@ -31,14 +32,28 @@ class NotVirtualError(SocketCanError):
 class SocketCan:
     """A bus of the kernel."""
 
-    def __init__(self, interface: str, *, virtual: bool = False, by: wire.Carriage = wire.CARRIAGE) -> None:
+    def __init__(
+        self,
+        interface: str,
+        *,
+        virtual: bool = False,
+        by: wire.Carriage = wire.CARRIAGE,
+        fd: int = wire.CLASSIC,
+    ) -> None:
         """Open `interface`.
+
+        Args:
+            interface: its name.
+            virtual: refuse what might lead to real devices.
+            by: how frames are taken and given.
+            fd: what to mark the identifiers of frames of CAN FD with; without, there are none.
 
         Raises:
             NotVirtualError: not of kind vcan, though `virtual`.
-            SocketCanError: no SocketCAN, no such interface, not up, no permission.
+            SocketCanError: no SocketCAN, no such interface, not up, no permission, no CAN FD though wanted.
         """
         self._receive, self._send = by
+        self._fd = fd
         self._counts = wire.counts()
         self._name, self._virtual = interface, virtual
         self._check(interface, virtual)
@@ -74,7 +89,8 @@ class SocketCan:
         """
         before = len(into)
         self._receive(
-            self._epoll, self._sources, offset_ns, into, _MOST_AT_ONCE, wait_ns, self._counts, Frame
+            *(self._epoll, self._sources, offset_ns, into, _MOST_AT_ONCE),
+            *(wait_ns, self._counts, Frame, self._fd),
         )
         return len(into) - before
 
@@ -125,10 +141,20 @@ class SocketCan:
             )
         if not found.up:
             raise SocketCanError(_reason(name, OSError(errno.ENETDOWN, ""), found.kind))
+        if self._fd >= 0 and found.mtu < _FD_MTU:
+            cure = (
+                "mtu 72 up" if found.kind == "vcan" else "up type can bitrate 1000000 dbitrate 4000000 fd on"
+            )
+            raise SocketCanError(
+                f"socketcan:{name}: carries no CAN FD (bus.fd); sudo ip link set {name} down;"
+                f" sudo ip link set {name} {cure}"
+            )
 
     def _configure(self, name: str) -> None:
         sock = self._socket
         sock.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ALL_ERRORS)
+        if self._fd >= 0:
+            sock.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_FD_FRAMES, 1)
         wire.stamp_arrivals(sock)
         wire.count_overflows(sock)
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)

@@ -2,9 +2,10 @@
 
 Each party listens on a SOCK_SEQPACKET socket of its own in the channel's private folder. Who joins hands
 every party that is there already one end of a socket pair; frames travel over these pairs as `struct
-can_frame`. A pair holds as many frames as its send buffer takes (about 10,000 with 4 MiB, 278 with the
-kernel's default `net.core.wmem_max` of 208 KiB, which bounds what a user without privileges gets); what a
-party that does not read loses beyond that is counted and hinders nobody.
+can_frame`, or as `struct canfd_frame` those of CAN FD, which whoever does not want them passes over. A pair
+holds as many frames as its send buffer takes (about 10,000 with 4 MiB, 278 with the kernel's default
+`net.core.wmem_max` of 208 KiB, which bounds what a user without privileges gets); what a party that does not
+read loses beyond that is counted and hinders nobody.
 
 Order: a party that only listens must see a frame before the answers to it. So arrivals are read until
 nothing is left and then sorted by the kernel's stamps, and a frame goes to those who only listen before it
@@ -57,6 +58,7 @@ class Party:
         answers: bool = False,
         hear_self: bool = False,
         by: wire.Carriage = wire.CARRIAGE,
+        fd: int = wire.CLASSIC,
     ) -> None:
         """Join `channel`.
 
@@ -66,6 +68,7 @@ class Party:
                 is found out when it first sends.
             hear_self: receive the own frames too.
             by: how frames are taken and given.
+            fd: what to mark the identifiers of frames of CAN FD with; without, these are passed over.
 
         Raises:
             UnixCanError: a bad name, or a folder or socket that cannot be made.
@@ -80,6 +83,7 @@ class Party:
         self._deaf: socket.socket | None = None  # the end on which the own frames come back
         self._changing = threading.Lock()
         self._receive, self._send = by
+        self._fd = fd
         self._counts = wire.counts()
         self._owner = os.getpid()
         self._manner = _ANSWERS if answers else _LISTENS
@@ -128,7 +132,8 @@ class Party:
         while True:
             try:
                 found = self._receive(
-                    self._epoll, self._talkers, offset_ns, into, _MOST_AT_ONCE, wait_ns, self._counts, Frame
+                    *(self._epoll, self._talkers, offset_ns, into, _MOST_AT_ONCE),
+                    *(wait_ns, self._counts, Frame, self._fd),
                 )
             except OSError:  # of one of them; who it was shows when each is looked at
                 for descriptor in list(self._talkers):
@@ -152,7 +157,7 @@ class Party:
             return
         before = len(into)
         try:
-            alive = wire.take(sock, offset_ns, into, self._counts)
+            alive = wire.take(sock, offset_ns, into, self._counts, fd=self._fd)
         except OSError:
             alive = False
         if len(into) > before and descriptor not in self._talkers:

@@ -23,7 +23,7 @@ _EXTENDED_MASK = 0x1FFFFFFF
 
 
 class UnixCanBus(can.BusABC):
-    """A party on a unixcan channel; classic frames only, no bit rate."""
+    """A party on a unixcan channel, with frames of CAN FD; no bit rate."""
 
     def __init__(
         self,
@@ -45,7 +45,7 @@ class UnixCanBus(can.BusABC):
             can.CanInitializationError: the channel cannot be joined.
         """
         try:
-            self._party = Party(str(channel), hear_self=receive_own_messages)
+            self._party = Party(str(channel), hear_self=receive_own_messages, fd=wire.FD_FLAG)
         except UnixCanError as e:
             raise can.CanInitializationError(str(e)) from None
         self.channel_info = f"unixcan channel {channel}"
@@ -83,12 +83,13 @@ class UnixCanBus(can.BusABC):
         """Hand a message to every party at once; one that has no room for it loses it, and that is counted.
 
         Raises:
-            can.CanOperationError: not a classic frame.
+            can.CanOperationError: no frame has so many bytes.
         """
-        if msg.is_fd:
-            raise can.CanOperationError("unixcan carries classic CAN frames only")
         self._party.admit()  # who only sends never drains, and yet others want to join
-        self._party.send(_identifier(msg), bytes(msg.data).ljust(msg.dlc, b"\0"))
+        try:
+            self._party.send(_identifier(msg), bytes(msg.data).ljust(msg.dlc, b"\0"))
+        except ValueError as e:
+            raise can.CanOperationError(f"unixcan: {e}") from None
 
     def shutdown(self) -> None:
         """Leave the channel."""
@@ -110,6 +111,8 @@ def _identifier(msg: can.Message) -> int:
         flags |= wire.CAN_RTR_FLAG
     if msg.is_error_frame:
         flags |= wire.CAN_ERR_FLAG
+    if msg.is_fd:
+        flags |= wire.FD_FLAG | (wire.SWITCH_FLAG if msg.bitrate_switch else 0)
     return int(msg.arbitration_id) | flags
 
 
@@ -125,4 +128,6 @@ def _message(frame: Frame) -> can.Message:
         is_error_frame=error,
         dlc=len(frame.data),
         data=None if remote else frame.data,
+        is_fd=bool(frame.can_id & wire.FD_FLAG),
+        bitrate_switch=bool(frame.can_id & wire.SWITCH_FLAG),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -47,8 +47,10 @@ class BusConfig(Section):
 
     channel: str = "auto"  # `auto`, `socketcan:IF` or `unixcan:NAME`
     dbc: str = "pneud.dbc"  # beside this file, or one of pneud's; of nodes it is made
-    sync: bool = True  # the sensors answer SYNC; else they run free
+    sync: bool | Literal["follow"] = True  # sensors answer SYNC, "follow": another's; else they run free
     bitrate_bit_s: MaybeInfinite = 1.0e6  # `inf` where frames go over no wire
+    fd: bool = False  # the bus carries CAN FD; messages may then have up to 64 bytes
+    data_bitrate_bit_s: MaybeInfinite | None = None  # of their data; none: the same
     sensor_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0  # without a valid frame
     valve_timeout_ms: Timeout = 50.0  # likewise
     deadline_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0  # without a complete set in time
@@ -79,8 +81,17 @@ class BusConfig(Section):
 
     @model_validator(mode="after")
     def _nodes_answer_sync(self) -> BusConfig:
-        if self.nodes and not self.sync:
-            raise ValueError("nodes are configured to answer SYNC; sync has to be true")
+        if self.nodes and self.sync is not True:
+            raise ValueError("nodes are configured to answer SYNC, on a bus without it; sync has to be true")
+        return self
+
+    @model_validator(mode="after")
+    def _data_of_fd(self) -> BusConfig:
+        rate = self.data_bitrate_bit_s
+        if rate is not None and not self.fd:
+            raise ValueError("data_bitrate_bit_s is of CAN FD; give fd = true, or leave it out")
+        if rate is not None and rate < self.bitrate_bit_s:
+            raise ValueError(f"data_bitrate_bit_s = {rate:g}: data are never slower than the rest of a frame")
         return self
 
     @model_validator(mode="after")
@@ -95,6 +106,11 @@ class BusConfig(Section):
         if self.signals is None and self.messages:
             raise ValueError("messages goes with signals; with frames, these keys stand in each frame")
         return self
+
+    @property
+    def follows(self) -> bool:
+        """Whether another controller sends SYNC."""
+        return self.sync == "follow"
 
     @property
     def devices(self) -> tuple[MessageConfig, ...]:

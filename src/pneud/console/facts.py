@@ -41,7 +41,7 @@ class RunFacts(NamedTuple):
             "cures": list(FAULT_CURES),
             "blocks_arm": BLOCKS_ARM,
             "log": self.log_path,
-            "sync": c.bus.sync,
+            "sync": bool(c.bus.sync),
             "limits": {
                 "speed_m_s": limits.speed_m_s,
                 "supply_min_pa": limits.supply_min_pa,

@@ -95,7 +95,7 @@ def serve(post: Post, daemon: int, keeper: int, place: int) -> None:
         print(f"pneud: {error}", file=sys.stderr, flush=True)
 
     seats, ring = post.seats, post.ring
-    watches = [StatusWatch(seat.ring, seat.run.config.bus.sync) for seat in seats]
+    watches = [StatusWatch(seat.ring, bool(seat.run.config.bus.sync)) for seat in seats]
     processes = Processes(daemon, lambda: [seat.ring.status().pid for seat in seats])
     desks = [
         AxisDesk(seat.run, seat.ring, watch, seat.memory, processes if seat is seats[0] else None)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from pneud.axis.cycle import Axis
+from pneud.bus.codec import fd_of
 from pneud.bus.link import Link, LinkError, open_link, refuse_if_driven
 from pneud.compiled.backend import Backend, backend
 from pneud.config import conversions
@@ -199,10 +200,10 @@ def _named(o: RunOptions) -> tuple[Scenario | None, Together, str]:
 
 
 def _join(channel: str, axes: Sequence[Loaded], how: Backend, virtual: bool) -> Link:
-    link = open_link(channel, virtual=virtual, by=how.carriage)
+    link = open_link(channel, virtual=virtual, by=how.carriage, fd=fd_of(axis.codecs for axis in axes))
     if channel != "auto":
         first = axes[0]
-        sync = [first.codecs.sync.can_id] if first.config.bus.sync else []  # without, it is anybody's
+        sync = [first.codecs.sync.can_id] if first.config.bus.sync is True else []  # else it is anybody's
         own = [*sync, *(axis.codecs.valve_command.can_id for axis in axes)]
         refuse_if_driven(link, own, listening_s(first.config))
     return link

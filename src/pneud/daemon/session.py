@@ -166,6 +166,7 @@ class Session:
             # somebody who looks on wants to see it, and has keys to go on or to end it
             end_on_fault=o.virtual and not (self._is_shown and os.isatty(0)),
             no_realtime=config.realtime.required and not fifo.ok,
+            follow_s=1e-3 * config.bus.sensor_timeout_ms if config.bus.follows else None,
         )
         end = handoff.SharedEnd(taking)
         ends.callback(end.close)  # by which the console sees at once that the run is over
@@ -175,7 +176,7 @@ class Session:
             codecs = axis.ready.loaded.codecs
             turn = Turn(axis.ready.axis, inbox_of(codecs, axis.config.bus), codecs)
             watch = RecorderWatch(axis.ring, axis.recorder)
-            known = truth if turn.inbox.sync else None  # which it is at SYNC
+            known = truth if turn.inbox.makes_sync else None  # which it is at SYNC, as that was sent
             operator = end if asking is None else asking.ends[number]
             own = options._replace(unproven=axis.ready.unproven)
             known_ids = identifiers(axis.config, codecs)

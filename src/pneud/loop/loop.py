@@ -16,6 +16,7 @@ from pneud.loading import SYNC_COUNTERS
 from pneud.log.format.header import SNAPSHOT_S
 from pneud.loop.answers import Answers
 from pneud.loop.company import Company
+from pneud.loop.following import Following
 from pneud.loop.lane import Lane
 from pneud.loop.options import Options
 from pneud.loop.pacer import Pacer
@@ -28,6 +29,7 @@ from pneud.signals import Frame, Host, State
 
 CHECKS_S = 0.5  # how often the recorder is looked at
 CLOCK_STEP = int(Host.CLOCK_STEP)  # a plain number costs a tenth of a flag
+SYNC_LOST = int(Host.SYNC_LOST)
 UNREADY = int(Host.HEARTBEAT_LOST)  # nodes that have yet to be configured are not operational
 
 
@@ -42,6 +44,7 @@ class Loop:
     """The loop of one axis or more on one bus; `run` returns when it was told to stop and they are centred.
 
     In every tick: wake, drain what is left, SYNC, wait for all answers, decide and send, record, account.
+    Where another controller sends SYNC, that is what wakes it.
     """
 
     def __init__(
@@ -77,6 +80,11 @@ class Loop:
         self._arrived_ns = 0  # when this tick's set came, after SYNC; 0 for none
         self._in_vain = False
         self._answered = all(turn.inbox.sync for turn in self._turns)  # else frames come by themselves
+        self._following: Following | None = None
+        if options.follow_s is not None:
+            patience_ns = round(options.follow_s * 1e9)
+            self._following = Following(link, codecs.sync, self._period_ns, patience_ns)
+        self._makes_sync = self._answered and self._following is None
         self._sync_id = codecs.sync.can_id
         self._syncs = [codecs.sync.encode(counter=n) for n in range(1, SYNC_COUNTERS + 1)]
         self._check_ticks = options.ticks(CHECKS_S)
@@ -109,26 +117,35 @@ class Loop:
     def _tick(self) -> bool:
         """One tick; whether it was the last one."""
         link, lanes, turns = self._link, self.lanes, self._turns
-        count, clock = self._count, time.monotonic_ns
+        count, clock, following = self._count, time.monotonic_ns, self._following
+        index = count % SYNC_COUNTERS
         # wake
-        _, late_ns, skipped = self._pacer.next()
+        if following is None:
+            _, late_ns, skipped = self._pacer.next()
         host = self._host if link.watch_clock() == 0 else self._host | CLOCK_STEP
         if self._nodes is not None:
             host |= self._lacks(self._nodes)
         # drain
-        link.drain(self._came)
+        if following is None:
+            link.drain(self._came)
+            t_ns = 0
+        else:
+            t_ns, late_ns, skipped, sequence, lost = following.next(self._came)
+            host = host | SYNC_LOST if lost else host
+            index = sequence - 1 if 0 < sequence <= SYNC_COUNTERS else index
         self._routes.open(self._came)
         # SYNC, and wait
-        index = count % SYNC_COUNTERS
+        t_ns = t_ns or clock()
         sync_data = self._syncs[index]
-        t_ns = clock()
         for turn in turns:
             turn.begin(t_ns)
         sync_ns = t_ns
         if self._hushed:
             sync_ns = -1
-        elif self._answered:
+        elif self._makes_sync:
             sync_ns = link.send(self._sync_id, sync_data)
+        elif following is not None:
+            self._routes.feed(following.rest)
         sync = Frame(sync_ns, self._sync_id, sync_data)
         set_ns = self._wait(t_ns, sync.stamp_ns)
         # decide and send
@@ -183,7 +200,9 @@ class Loop:
                 break
             looks = now_ns < look_until_ns
             if link.drain(came, 0 if looks else limit_ns - now_ns):
-                newest_ns = came[-1].stamp_ns
+                if self._following is not None and self._following.keep(came):
+                    limit_ns = now_ns  # the next SYNC is there: nothing more answers this one
+                newest_ns = came[-1].stamp_ns if came else newest_ns
                 self._routes.feed(came)
                 complete = self._complete()
             elif link.down and not looks:

@@ -16,6 +16,7 @@ class Options(NamedTuple):
     end_on_fault: bool
     no_realtime: bool  # real-time scheduling is required and was refused
     unproven: bool = False  # the movement test has not been passed
+    follow_s: float | None = None  # ticks begin with another controller's SYNC, which is lost after so long
 
     def ticks(self, seconds: float, least: int = 1) -> int:
         """So much time, in ticks."""

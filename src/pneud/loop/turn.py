@@ -107,9 +107,9 @@ class Turn:
             self.inbox.echo = (self.tick.command.voltage_v, self.tick.command.enable)
 
     def record(self, timing: Timing, sync: Frame, truth_m: float) -> Record:
-        """The tick as it is recorded, with its SYNC if there is one."""
+        """The tick as it is recorded, with its SYNC if it was sent; another's is among the frames."""
         command = Frame(self.sent_ns, self.command_id, self.data)
-        sent = (sync, command) if self.inbox.sync else (command,)
+        sent = (sync, command) if self.inbox.makes_sync else (command,)
         return Record(self.tick, timing, tuple(self.frames), self.before, sent, truth_m)
 
     def freeze(self) -> dict[str, Any]:

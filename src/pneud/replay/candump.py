@@ -18,20 +18,23 @@ _LINE = re.compile(
     _BEGINNING + r"(?:(R)[0-8]?|((?:[0-9A-F]{2}){0,8}))(?:_[9A-F])?(?:\s+([RT]))?", re.ASCII | re.IGNORECASE
 )
 _FD = re.compile(_BEGINNING + r"#", re.ASCII | re.IGNORECASE)
+_FD_LINE = re.compile(
+    _BEGINNING + r"#[0-9A-F]()((?:[0-9A-F]{2}){0,64})(?:\s+([RT]))?", re.ASCII | re.IGNORECASE
+)
 _XL = re.compile(_BEGINNING + r"[0-9A-F]{2}:", re.ASCII | re.IGNORECASE)
 _COMMENT = "a comment"
 _FOREIGN = "not a line of a candump log (candump -l, candump -L), passed over"
 
 
-def read(path: Path, remarks: Remarks) -> Iterator[Passing]:
-    """The classic frames of a log in their order.
+def read(path: Path, remarks: Remarks, *, fd: bool = False) -> Iterator[Passing]:
+    """The frames of a log in their order; those of CAN FD only where they are wanted.
 
     Raises:
         OSError: the file cannot be read.
         LogError: it is UTF-16.
     """
     for line in lines(path, remarks):
-        found = _LINE.fullmatch(line.text)
+        found = _LINE.fullmatch(line.text) or (fd and _FD_LINE.fullmatch(line.text)) or None
         if found is None:
             if _FD.match(line.text):
                 remarks.add(FD, line.place)

@@ -32,15 +32,21 @@ class Exported(NamedTuple):
 
     rows: int  # frames or ticks
     files: tuple[Path, ...]
-    unsent_ticks: int  # ticks whose SYNC could not be sent, and which no recording can therefore show
+    unsent_ticks: int  # whose SYNC, or command without, could not be sent: no recording can show them
 
 
-def frames(log: LogReader, codecs: Codecs, path: Path) -> Exported:
+def frames(log: LogReader, codecs: Codecs, path: Path, *, sync: bool | str = True) -> Exported:
     """Write the frames, and beside them what no bus carries: both, or neither.
 
     Frames stand in the order in which the axis took them, a SYNC at the instant at which its tick began, so
     that `pneud import` finds the same ticks. Where a frame came in while a command was on its way out, its
     stamp lies a little before that of the line above it.
+
+    Args:
+        log: the log.
+        codecs: of its axis.
+        path: of the recording.
+        sync: `bus.sync`: ticks begin with a SYNC, perhaps another controller's; else they end with a command.
 
     Raises:
         OSError: a file cannot be written.
@@ -48,6 +54,7 @@ def frames(log: LogReader, codecs: Codecs, path: Path) -> Exported:
     collector = sidecar.Collector(log)
     offset_ns = int(log.metadata["realtime_offset_ns"])
     sync_id = codecs.sync.can_id
+    beat_id = sync_id if sync else codecs.valve_command.can_id
     unsent = 0
 
     def passing() -> Iterator[tuple[Frame, bool]]:
@@ -57,10 +64,13 @@ def frames(log: LogReader, codecs: Codecs, path: Path) -> Exported:
             sent = [f for f in logged.sent if f.stamp_ns >= 0]
             for frame in logged.frames[: logged.before]:
                 yield _unix(frame, offset_ns), False
-            if not any(f.can_id == sync_id for f in sent):
+            came = logged.frames[: logged.before] if sync == "follow" else ()
+            beat = next((f for f in (*sent, *came) if f.can_id == beat_id), None)
+            if beat is None:
                 unsent += 1
             else:
-                collector.add(tick, logged.request, logged.skipped, logged.host)
+                lasted_ns = None if sync else beat.stamp_ns - logged.t_ns
+                collector.add(tick, logged.request, logged.skipped, logged.host, lasted_ns)
                 tick += 1
             for frame in sent:
                 if frame.can_id == sync_id:
@@ -73,7 +83,7 @@ def frames(log: LogReader, codecs: Codecs, path: Path) -> Exported:
 
     files = path, sidecar.beside(path)
     with replacing_all(*files) as (recording, known):
-        count = traffic.write(recording, passing())
+        count = traffic.write(recording, passing(), codecs.fd)
         sidecar.write(known, collector.sidecar())
     return Exported(count, files, unsent)
 

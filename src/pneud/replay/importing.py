@@ -1,5 +1,8 @@
 """A recording of a bus as a log: every SYNC begins a tick, and the axis is computed along.
 
+Where there is no SYNC, as sensors run free, every valid command ends a tick. An exported log tells when each
+of these began; of another recording it is taken that the command was computed at once.
+
 What leaves for the valve is what the recording has. Estimates, states and faults are the axis's own, from
 the frames, the configuration, and what was asked of it. An exported log has that beside it; of another
 recording it is inferred from `Enable`: a rise arms and tracks the configured reference, a fall disarms, a
@@ -31,14 +34,15 @@ from pneud.replay.traffic import Passing
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Command, Frame, Record, Request, RequestKind, State, Timing
 
+COMPUTED_NS = 100_000  # from the beginning of a tick without SYNC to its command, as far as nobody knows
 UNTIMED = Timing(-1, -1, -1, -1, -1, -1)
 _NAN = float("nan")
 
 
 class Heard(NamedTuple):
-    """One tick of a recording."""
+    """One tick of a recording; without SYNC, it has a command."""
 
-    sync: Frame
+    sync: Frame | None
     before: tuple[Frame, ...]
     after: tuple[Frame, ...]
     command: Frame | None
@@ -53,7 +57,7 @@ class Rebuilt(NamedTuple):
 
 
 class Ticks:
-    """The ticks of a recording, on the channel on which the first SYNC is."""
+    """The ticks of a recording, on the channel on which the first SYNC is, or command where there is none."""
 
     def __init__(
         self, frames: Iterable[Passing], codecs: Codecs, survey: Survey, times: Times, remarks: Remarks
@@ -75,12 +79,10 @@ class Ticks:
 
     def __iter__(self) -> Iterator[Heard]:
         """One after another; what comes before the first SYNC belongs to its tick."""
-        sync, command = self._codecs.sync, self._codecs.valve_command
-        before: list[Frame] = []
-        after: list[Frame] = []
-        pending: list[Frame] = []  # came after the command
-        begun: Frame | None = None
-        sent: Frame | None = None
+        return self._by_sync() if self._survey.by_sync else self._by_command()
+
+    def _here(self, beat: Codec) -> Iterator[tuple[Frame, bool, bool]]:
+        """The frames of the channel, whether each is the axis's own, and whether it is its beat."""
         for recorded, channel, was_sent in self._frames:
             if channel != self._survey.channel:
                 self.elsewhere += 1
@@ -88,9 +90,29 @@ class Ticks:
             stamp_ns, can_id, data = recorded
             # what another controller sends is heard, not sent, where the recording tells them apart
             own = not self._survey.directed or was_sent is not False
-            is_sync = own and can_id == sync.can_id and sync.valid(data)
-            frame = Frame(self._times.at(stamp_ns, is_sync=is_sync), can_id, data)
+            beats = own and can_id == beat.can_id and beat.valid(data)
+            frame = Frame(self._times.at(stamp_ns, is_sync=beats), can_id, data)
             self._check_kind(frame)
+            yield frame, own, beats
+
+    def _by_command(self) -> Iterator[Heard]:
+        before: list[Frame] = []
+        for frame, _, is_command in self._here(self._codecs.valve_command):
+            if is_command:
+                yield Heard(None, tuple(before), (), frame)
+                before = []
+            else:
+                before.append(frame)
+        self._left(before)
+
+    def _by_sync(self) -> Iterator[Heard]:
+        command = self._codecs.valve_command
+        before: list[Frame] = []
+        after: list[Frame] = []
+        pending: list[Frame] = []  # came after the command
+        begun: Frame | None = None
+        sent: Frame | None = None
+        for frame, own, is_sync in self._here(self._codecs.sync):
             if is_sync:
                 if begun is not None:
                     yield Heard(begun, tuple(before), tuple(after), sent)
@@ -99,7 +121,7 @@ class Ticks:
                 begun, sent, pending = frame, None, []
             elif begun is None:
                 before.append(frame)
-            elif sent is None and own and can_id == command.can_id and command.valid(data):
+            elif sent is None and own and frame.can_id == command.can_id and command.valid(frame.data):
                 sent = frame
             elif sent is None:
                 after.append(frame)
@@ -107,12 +129,15 @@ class Ticks:
                 pending.append(frame)
         if begun is not None:
             yield Heard(begun, tuple(before), tuple(after), sent)
-        if pending:
+        self._left(pending)
+
+    def _left(self, frames: list[Frame]) -> None:
+        if frames:
             self._remarks.add(
                 "frames after the last command, which belong to no tick",
                 self._times.place,
                 partial=False,
-                count=len(pending),
+                count=len(frames),
             )
 
     def _check_kind(self, frame: Frame) -> None:
@@ -138,24 +163,27 @@ def rebuild(
     axis = backend(config.loop.compiled, p).axis(p)
     turn = Turn(axis, inbox_of(codecs, config.bus), codecs)
     command = codecs.valve_command
+    tells = command.encode(0.0, 0, 1, counter=0) != command.encode(0.0, 1, 1, counter=0)
     period_ns = 1e9 / config.loop.rate_hz
     count = silent = differing = host = 0
     last_ns = None
     for heard, following in pairwise(chain(ticks, (None,))):
         assert heard is not None  # only the last one is
-        t_ns = heard.sync.stamp_ns
-        turn.open(heard.before)
+        t_ns = _began_ns(heard, known, count)
+        another = heard.sync if heard.sync is not None and not turn.inbox.makes_sync else None
+        turn.open(heard.before if another is None else (*heard.before, another))
         turn.begin(t_ns)
         turn.feed(heard.after)
         if known is None:
             passed = 1 if last_ns is None else round((t_ns - last_ns) / period_ns)
             skipped = max(0, passed - 1)
-            request = _inferred(axis, _enabled(command, heard), _enabled(command, following))
+            enabled, following_enabled = (_enabled(command, one, tells=tells) for one in (heard, following))
+            request = _inferred(axis, enabled, following_enabled, tells=tells)
         else:
             skipped, host = known.skipped.get(count, 0), known.host.get(count, host)
             request = known.requests.get(count)
         tick = turn.decide(skipped, host, request)
-        sent: tuple[Frame, ...] = (heard.sync,)
+        sent: tuple[Frame, ...] = (heard.sync,) if heard.sync is not None and turn.inbox.makes_sync else ()
         # where the recording stamps the ends of frames, a SYNC close behind a command is taken to be heard
         # later, by less than it takes itself; a replay of the new log does the same
         turn.sent(-1 if heard.command is None else heard.command.stamp_ns)
@@ -164,6 +192,7 @@ def rebuild(
         else:
             sent += (heard.command,)
             voltage_v, enable, _ = command.decode(heard.command.data)
+            enable = enable if tells else tick.command.enable
             turn.inbox.echo = (voltage_v, enable)
             if not _same(tick.command, voltage_v, enable, codecs.command_lsb_v):
                 differing += 1
@@ -174,19 +203,35 @@ def rebuild(
     return Rebuilt(count, silent, differing)
 
 
+def _began_ns(heard: Heard, known: Sidecar | None, number: int) -> int:
+    """When a tick began, by the log's own time."""
+    if heard.sync is not None:
+        return heard.sync.stamp_ns
+    assert heard.command is not None
+    lasted_ns = COMPUTED_NS if known is None else known.lasted_ns.get(number, COMPUTED_NS)
+    return heard.command.stamp_ns - lasted_ns
+
+
 def _same(c: Command, voltage_v: float, enable: int, lsb_v: float) -> bool:
     return c.enable == enable and abs(c.voltage_v - voltage_v) < 0.5 * lsb_v
 
 
-def _enabled(command: Codec, heard: Heard | None) -> bool:
+def _enabled(command: Codec, heard: Heard | None, *, tells: bool) -> bool:
+    """Whether a tick's command enables the valve; one that cannot say so does by a voltage."""
     if heard is None or heard.command is None:
         return False
-    return bool(command.decode(heard.command.data)[1])
+    voltage_v, enable, _ = command.decode(heard.command.data)
+    return bool(enable) if tells else voltage_v != 0.0
 
 
-def _inferred(axis: Axis, enabled: bool, next_enabled: bool) -> Request | None:
-    """What must have been asked for, for the valve to be enabled as it was."""
+def _inferred(axis: Axis, enabled: bool, next_enabled: bool, *, tells: bool) -> Request | None:
+    """What must have been asked for, for the valve to be enabled as it was.
+
+    Where commands do not tell (`tells`), that it was disarmed cannot be known: the law may ask for 0 V.
+    """
     state = axis.state.supervisor.state
+    if not tells and is_engaged(state):
+        return None
     if enabled and not is_engaged(state):
         return Request(RequestKind.ARM, (1.0,))
     if not enabled and is_engaged(state):

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from pneud.bus.mapped_inbox import inbox_of
+from pneud.bus.wire import wire_time_ns
 from pneud.compiled.backend import INTERPRETED, Backend, backend
 from pneud.config import conversions
 from pneud.loading import SYNC_COUNTERS, Loaded, load, plans_of_plant
@@ -86,6 +87,9 @@ class Simulation:
         self._period_ns = round(1e9 / loaded.config.loop.rate_hz)
         self._wait_ns = round(self._period_ns * loaded.config.loop.set_deadline)
         self._total = max(1, round(duration_s * loaded.config.loop.rate_hz))
+        bus, codec = loaded.config.bus, loaded.codecs.sync
+        told = (codec.length, bus.bitrate_bit_s, codec.can_id, codec.data_bit_s)
+        self._heard_ns = wire_time_ns(*told) if bus.follows else 0
 
     def records(self) -> Iterator[Record]:
         """The ticks, as the loop hands them to the recorder."""
@@ -106,6 +110,11 @@ class Simulation:
                 self.node.look(t_ns)
             elif link == HEALTHY:
                 node.on_frame(sync)
+            if self._heard_ns:  # another controller's, which is heard when it has come
+                t_ns += self._heard_ns
+                self.node.look(t_ns)
+                turn.feed((sync._replace(stamp_ns=t_ns),))
+                turn.before += 1
             turn.begin(t_ns)
             answers = node.poll(t_ns + self._wait_ns)
             if link == DOWN or machine.plant_stands(t_ns):  # it may have come to a stand since SYNC
@@ -121,7 +130,7 @@ class Simulation:
             turn.sent(sent_ns if link == HEALTHY else -1)
             if link == HEALTHY:
                 node.on_frame(Frame(sent_ns, turn.command_id, data))
-                self.tx += 1 + self.inbox.sync
+                self.tx += 1 + self.inbox.makes_sync
             yield turn.record(
                 Timing(0, done_ns - t_ns, 0, COMPUTING_NS, COMPUTING_NS, -1),
                 sync if link == HEALTHY else sync._replace(stamp_ns=-1),

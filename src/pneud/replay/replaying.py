@@ -141,7 +141,7 @@ def replay(
         sent = {f.can_id: f.data for f in logged.sent}
         sync, data = sent.get(codecs.sync.can_id), sent.get(command.can_id, b"")
         whole = len(logged.sent) == 1 + (sync is not None) and command.valid(data)
-        whole = whole and (not chosen.bus.sync if sync is None else codecs.sync.valid(sync))
+        whole = whole and (chosen.bus.sync is not True if sync is None else codecs.sync.valid(sync))
         if whole:
             commands += 1
             counted = sync if codecs.sync.counter_values > 1 else None

@@ -47,7 +47,7 @@ def run_together(
     """
     rate_hz, hows = axes[0].config.loop.rate_hz, [backend_of(axis) for axis in axes]
     run = Together(axes, duration_s, seed, hows, ask=ask)
-    tallies = [Tally(truth=True, timed=False, sync=axis.config.bus.sync) for axis in axes]
+    tallies = [Tally(truth=True, timed=False, sync=bool(axis.config.bus.sync)) for axis in axes]
     snapshot_ticks = max(1, round(SNAPSHOT_S * rate_hz))
     paths: list[Path | None] = [None] * len(axes)
     writers: list[LogWriter] = []

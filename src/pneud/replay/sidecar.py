@@ -1,7 +1,8 @@
 """What a log says and no bus carries, in a file beside the exported frames.
 
 Frames tell when each tick began and what it sent and heard. The rest goes here: the configuration and DBC,
-what was asked of the axis, which ticks were skipped, and what the machine had to say.
+what was asked of the axis, which ticks were skipped, what the machine had to say, and, where no SYNC tells
+it, how long before its command each tick began.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ def beside(path: Path) -> Path:
 
 
 class Sidecar(NamedTuple):
-    """What belongs to exported frames; ticks are counted from 0 by their SYNC."""
+    """What belongs to exported frames; ticks are counted from 0 by their SYNC, or command without."""
 
     metadata: dict[str, str]
     config_text: str
@@ -35,6 +36,7 @@ class Sidecar(NamedTuple):
     requests: dict[int, Request]
     skipped: dict[int, int]  # ticks skipped just before one, where there were any
     host: dict[int, int]  # bits of `Host`, where they change
+    lasted_ns: dict[int, int]  # from the beginning of each tick to its command, where there is no SYNC
 
     @property
     def offset_ns(self) -> int:
@@ -50,22 +52,28 @@ class Collector:
         self._requests: dict[int, Request] = {}
         self._skipped: dict[int, int] = {}
         self._host: dict[int, int] = {}
+        self._lasted_ns: dict[int, int] = {}
         self._last_host = 0
 
-    def add(self, tick: int, request: Request | None, skipped: int, host: int) -> None:
-        """Take the tick of a SYNC."""
+    def add(
+        self, tick: int, request: Request | None, skipped: int, host: int, lasted_ns: int | None = None
+    ) -> None:
+        """Take the tick of a SYNC, or the one of a command, which came `lasted_ns` after its beginning."""
         if request is not None:
             self._requests[tick] = request
         if skipped:
             self._skipped[tick] = skipped
         if host != self._last_host:
             self._host[tick] = self._last_host = host
+        if lasted_ns is not None:
+            self._lasted_ns[tick] = lasted_ns
 
     def sidecar(self) -> Sidecar:
         """Everything noted."""
         log = self.log
         kept = {key: log.metadata[key] for key in _KEPT if key in log.metadata}
-        return Sidecar(kept, log.config_text, log.dbc, self._requests, self._skipped, self._host)
+        told = self._requests, self._skipped, self._host, self._lasted_ns
+        return Sidecar(kept, log.config_text, log.dbc, *told)
 
 
 def write(path: Path, s: Sidecar) -> None:
@@ -82,6 +90,7 @@ def write(path: Path, s: Sidecar) -> None:
         "requests": [[tick, kind, *values] for tick, (kind, values) in s.requests.items()],
         "skipped": list(s.skipped.items()),
         "host": list(s.host.items()),
+        "lasted_ns": list(s.lasted_ns.items()),
     }
     path.write_text(json.dumps(content, indent=1, ensure_ascii=False), encoding="utf-8")
 
@@ -114,6 +123,7 @@ def read(path: Path) -> Sidecar | None:
             },
             {int(tick): int(count) for tick, count in content["skipped"]},
             {int(tick): int(bits) for tick, bits in content["host"]},
+            {int(tick): int(lasted_ns) for tick, lasted_ns in content.get("lasted_ns", ())},
         )
         _ = found.offset_ns, float(metadata["rate_hz"]), metadata["config"], metadata["dbc"], metadata["bus"]
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError, binascii.Error):

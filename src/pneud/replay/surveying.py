@@ -1,5 +1,7 @@
 """What a recording is, found out before any of it becomes a log: where its SYNCs are, what its times mean.
 
+Where sensors run free there is no SYNC, and commands are what is looked for in its place.
+
 Direction says who recorded, not who sent: a recorder that listens marks every frame as received. Only where
 SYNCs are marked as sent was it the controller itself; then direction tells its frames from those of another.
 """
@@ -29,10 +31,18 @@ class Survey(NamedTuple):
     start_ns: int  # of its first frame
     channel: str  # of the first SYNC
     directed: bool  # direction tells the controller's own frames from those of another
+    by_sync: bool = True  # its ticks begin with a SYNC; else they end with a command
+
+
+class _Beat(NamedTuple):
+    """What ticks are counted by."""
+
+    name: str
+    codec: Codec
 
 
 class _Heard:
-    """The SYNCs of one kind: sent, or any."""
+    """The SYNCs, or commands, of one kind: sent, or any."""
 
     def __init__(self) -> None:
         self.channel = ""
@@ -48,23 +58,30 @@ class _Heard:
             self._last_ns = stamp_ns
 
 
-def survey(path: Path, codecs: Codecs, rate_hz: float) -> Survey:
+def survey(path: Path, codecs: Codecs, rate_hz: float, *, sync: bool = True) -> Survey:
     """Look through a recording.
+
+    Args:
+        path: of it.
+        codecs: of the axis.
+        rate_hz: of its ticks.
+        sync: they begin with a SYNC; else they end with a command.
 
     Raises:
         LogError: it cannot be read, there is no SYNC in it, or its times cannot be those of this axis.
     """
+    beat = _Beat("SYNC", codecs.sync) if sync else _Beat("command", codecs.valve_command)
     remarks = Remarks()
     start_ns: int | None = None
     sent, all_ = _Heard(), _Heard()
     odd: dict[str, int] = {}  # frames with the number of SYNC that are none, by what they are
-    for passing in traffic.read(path, remarks):
+    for passing in traffic.read(path, remarks, fd=codecs.fd is not None):
         frame = passing.frame
         if start_ns is None:
             start_ns = frame.stamp_ns
-        if frame.can_id & (EXTENDED | CAN_ERR_FLAG) != codecs.sync.can_id:
+        if frame.can_id & (EXTENDED | CAN_ERR_FLAG) != beat.codec.can_id & (EXTENDED | CAN_ERR_FLAG):
             continue
-        if why := _unlike(codecs.sync, frame):
+        if why := _unlike(beat.codec, frame):
             odd[why] = odd.get(why, 0) + 1
             continue
         all_.take(passing)
@@ -73,34 +90,34 @@ def survey(path: Path, codecs: Codecs, rate_hz: float) -> Survey:
     if start_ns is None:
         raise LogError(f"{path}: there is no frame in it{_because(remarks)}")
     if not all_.channel:
-        raise LogError(f"{path}: {_no_sync(codecs.sync, odd)}{_because(remarks)}")
+        raise LogError(f"{path}: {_no_beat(beat, odd)}{_because(remarks)}")
     own = sent if sent.channel else all_
-    _check_times(path, own.intervals_ns, 1e9 / rate_hz)
-    return Survey(start_ns, own.channel, bool(sent.channel))
+    _check_times(path, beat.name, own.intervals_ns, 1e9 / rate_hz)
+    return Survey(start_ns, own.channel, bool(sent.channel), sync)
 
 
 def _because(remarks: Remarks) -> str:
     return "".join(f"; {line}" for line in remarks.lines()[:1])
 
 
-def _unlike(sync: Codec, frame: Frame) -> str:
-    """Why a frame with the number of SYNC is none; empty where it is one."""
-    if why := other_kind(frame.can_id):
-        return why
-    if len(frame.data) != sync.length:
-        return f"with {len(frame.data)} bytes where the database has {sync.length}"
-    return "" if sync.valid(frame.data) else "always with a wrong checksum"
+def _unlike(codec: Codec, frame: Frame) -> str:
+    """Why a frame with the number of what is looked for is none; empty where it is one."""
+    if frame.can_id != codec.can_id:
+        return other_kind(frame.can_id) or "with an 11-bit identifier"
+    if len(frame.data) != codec.length:
+        return f"with {len(frame.data)} bytes where the database has {codec.length}"
+    return "" if codec.valid(frame.data) else "always with a wrong checksum"
 
 
-def _no_sync(sync: Codec, odd: dict[str, int]) -> str:
-    name = f"SYNC (0x{sync.can_id:03X})"
+def _no_beat(beat: _Beat, odd: dict[str, int]) -> str:
+    name = f"{beat.name} (0x{beat.codec.can_id & EXTENDED:03X})"
     if not odd:
         return f"there is no {name} in it, so it has no ticks"
     why, count = max(odd.items(), key=lambda item: item[1])
     return f"{name} is there {count} times, but {why}, so it has no ticks"
 
 
-def _check_times(path: Path, intervals_ns: list[int], period_ns: float) -> None:
+def _check_times(path: Path, name: str, intervals_ns: list[int], period_ns: float) -> None:
     if len(intervals_ns) < _FEWEST_INTERVALS:
         return
     interval_ns = median_low(intervals_ns)
@@ -108,12 +125,16 @@ def _check_times(path: Path, intervals_ns: list[int], period_ns: float) -> None:
     if 1 / _UNLIKE <= ratio <= _UNLIKE:
         return
     if interval_ns < 0:
-        raise LogError(f"{path}: its stamps go back from SYNC to SYNC; was it sorted the other way round?")
+        raise LogError(
+            f"{path}: its stamps go back from {name} to {name}; was it sorted the other way round?"
+        )
     if interval_ns == 0:
-        raise LogError(f"{path}: its stamps do not go on from SYNC to SYNC; without times it has no ticks")
+        raise LogError(
+            f"{path}: its stamps do not go on from {name} to {name}; without times it has no ticks"
+        )
     unit = next((unit for factor, unit in _UNITS if factor / 2 <= ratio <= factor * 2), None)
     raise LogError(
-        f"{path}: its SYNCs are {interval_ns * 1e-9:g} s apart, where {1e9 / period_ns:g} Hz make"
+        f"{path}: its {name}s are {interval_ns * 1e-9:g} s apart, where {1e9 / period_ns:g} Hz make"
         f" {period_ns * 1e-9:g} s; "
         + (f"are its stamps {unit}?" if unit else "is loop.rate_hz that of the recording?")
     )

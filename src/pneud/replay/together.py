@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from pneud.bus.mapped_inbox import inbox_of
 from pneud.bus.shared import identifiers
+from pneud.bus.wire import wire_time_ns
 from pneud.compiled.backend import INTERPRETED, Backend
 from pneud.config import conversions
 from pneud.loading import SYNC_COUNTERS, Loaded, plans_of_plant
@@ -124,6 +125,9 @@ class Together:
         self._routes, self._ask, self._armed = Routes(self.lanes), ask, False
         self._company = Company(self.lanes, [axis.config for axis in axes], None)
         self._sync = axes[0].codecs.sync
+        bus, codec = axes[0].config.bus, self._sync
+        told = (codec.length, bus.bitrate_bit_s, codec.can_id, codec.data_bit_s)
+        self._heard_ns = wire_time_ns(*told) if bus.follows else 0
         self._period_ns = round(1e9 / c.loop.rate_hz)
         self._wait_ns = round(self._period_ns * c.loop.set_deadline)
         self._total = max(1, round(duration_s * c.loop.rate_hz))
@@ -140,6 +144,12 @@ class Together:
             sequence = count % SYNC_COUNTERS + 1
             sync = Frame(t_ns, self._sync.can_id, self._sync.encode(counter=sequence))
             rigs.on_frame(sync)
+            if self._heard_ns:  # another controller's, which is heard when it has come
+                t_ns += self._heard_ns
+                for lane in lanes:
+                    lane.node.look(t_ns)
+                    lane.turn.feed((sync._replace(stamp_ns=t_ns),))
+                    lane.turn.before += 1
             for turn in turns:
                 turn.begin(t_ns)
             left = self._hear(rigs.poll(t_ns + self._wait_ns))

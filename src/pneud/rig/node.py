@@ -97,6 +97,8 @@ class PlantNode:
         self._delay_ns = round(p.node_delay_s * 1e9)
         self._age_s = min(p.node_delay_s, codecs.older_s)
         self._sync_id, self._command_id = codecs.sync.can_id, codecs.valve_command.can_id
+        told = (codecs.sync, codecs.valve_command, *(answer.codec for answer in codecs.answers))
+        self._data_bit_s = {codec.can_id: codec.data_bit_s for codec in told}
         self._durations = tuple(self._duration_ns(a.codec.length, a.codec.can_id) for a in codecs.answers)
         self._ids = ids_of_nodes(codecs)
         self._answer_ids = frozenset(answer.codec.can_id for answer in codecs.answers)
@@ -257,7 +259,7 @@ class PlantNode:
                 self.next_ns = t_ns
 
     def _duration_ns(self, data_bytes: int, can_id: int) -> int:
-        return wire_time_ns(data_bytes, self.p.bitrate_bit_s, can_id)
+        return wire_time_ns(data_bytes, self.p.bitrate_bit_s, can_id, self._data_bit_s.get(can_id, 0.0))
 
     def _run(self, t_ns: int) -> None:
         self._segment.run(t_ns)

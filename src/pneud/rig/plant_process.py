@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from pneud import crew
-from pneud.bus.codec import Codecs
+from pneud.bus.codec import Codecs, fd_of
 from pneud.bus.link import Link, LinkError, open_link
 from pneud.bus.wire import Carriage
 from pneud.physics.plant import BeamParameters, PlantParameters
@@ -82,7 +82,8 @@ def fork_plant(
 
     def main() -> None:
         stop = crew.asked_to_leave(signal.SIGTERM)
-        with open_link(channel, virtual=True, by=rigs[0].carriage) as link:
+        fd = fd_of(rig.codecs for rig in rigs)
+        with open_link(channel, virtual=True, by=rigs[0].carriage, fd=fd) as link:
             answer(link, rigs, play, stop, truths=[TruthWriter(truth) for truth in truths], to=to)
         if play is not None:
             play.over()

@@ -47,6 +47,7 @@ class _Story(NamedTuple):
 _STORIES = (
     _Story(("link_down",), (*_BUS, "bus_off", "bus_passive")),
     _Story(("bus_off",), (*_BUS, "bus_passive")),
+    _Story(("sync_lost",), (*_ALL, *(f"{source}_late" for source in _SENSES))),
     _Story(
         ("send_blocked", *_MISSING),
         (*_BUS, "bus_passive"),

@@ -38,6 +38,7 @@ _HOST = (
     (int(Host.RECEIVE_OVERFLOW), 1 << F.RECEIVE_OVERFLOW),
     (int(Host.CONSOLE_LOST), 1 << F.CONSOLE_LOST),
     (int(Host.UNPROVEN), 1 << F.UNPROVEN),
+    (int(Host.SYNC_LOST), 1 << F.SYNC_LOST),
 )
 
 

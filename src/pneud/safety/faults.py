@@ -94,6 +94,7 @@ class F(IntEnum):
     FORCE_SPEED = 68
     FORCE_TIMEOUT = 69
     FORCE_DIRECTION = 70
+    SYNC_LOST = 71
 
 
 class Fault(NamedTuple):
@@ -584,6 +585,12 @@ TABLE: tuple[Fault, ...] = (
         Reaction.STOP,
         "force or load have gone the other way than was asked for, for 50 ms",
         "check the sign of the force that was asked for, the hoses, and what else pushes the load (weight)",
+    ),
+    Fault(
+        F.SYNC_LOST,
+        Reaction.CENTRE,
+        'no SYNC has come for bus.sensor_timeout_ms from the controller that bus.sync = "follow" waits for',
+        "start the daemon that makes SYNC on this bus, and see why it has ended",
     ),
 )
 

@@ -24,6 +24,7 @@ class Devices(NamedTuple):
     """What the devices of a rig tell."""
 
     sync: bool  # they answer SYNC
+    follows: bool  # another controller sends it
     encoder: Teller
     pressure: Teller
     valve: Teller
@@ -81,6 +82,9 @@ def _of_frames(d: Devices) -> Iterator[Unnoticed]:
             yield Unnoticed(F(first + 2), why, wholly=teller.uncounted == teller.messages)
             why += ": what comes a whole tick late looks like an answer in time"
             yield Unnoticed(F(first + 3), why, wholly=False)
+        if name == "encoder" and not d.age:
+            why = "the encoder tells no age: what was sampled long before it was sent looks like an answer"
+            yield Unnoticed(F(first + 3), why, wholly=False)
         if not d.sync:
             told = name == "encoder" and d.age
             why = "bus.sync = false: nobody knows what a frame answers"
@@ -106,7 +110,10 @@ def _of_valve(d: Devices) -> Iterator[Unnoticed]:
     """What the valve would tell."""
     if not d.applied:
         yield Unnoticed(F.VALVE_DISAGREES, "the valve does not tell what it puts out")
-        yield Unnoticed(F.VALVE_ACTIVE, "the valve does not tell what it puts out", wholly=not d.states)
+        why = "the valve does not tell what it puts out"
+        if not d.states:  # the last command that left stands for it
+            why += ": only commands that cannot be sent show"
+        yield Unnoticed(F.VALVE_ACTIVE, why, wholly=False)
     for fault, states, what in (
         (F.VALVE_TIMED_OUT, (ValveState.TIMED_OUT,), "that it has timed out"),
         (F.VALVE_FAULT, (ValveState.FAULT,), "that it has a fault"),
@@ -117,11 +124,14 @@ def _of_valve(d: Devices) -> Iterator[Unnoticed]:
             wholly = fault != F.VALVE_FAULT or not d.states
             yield Unnoticed(fault, f"the valve does not tell {what}", wholly)
     if ValveState.ENABLED not in d.states:
-        yield Unnoticed(F.VALVE_ACTIVE, "the valve does not tell that it is enabled", wholly=not d.applied)
+        yield Unnoticed(F.VALVE_ACTIVE, "the valve does not tell that it is enabled", wholly=False)
 
 
 def _of_bus(d: Devices) -> Iterator[Unnoticed]:
     """What else would be heard."""
+    if d.follows:
+        why = "bus.sync = follow: SYNC is another controller's, only valve commands tell"
+        yield Unnoticed(F.OTHER_CONTROLLER, why, wholly=False)
     if not d.sync:
         why = "bus.sync = false: whose SYNC it is tells nothing, only valve commands do"
         yield Unnoticed(F.OTHER_CONTROLLER, why, wholly=False)

@@ -56,10 +56,10 @@ def export(
         else:
             config = parse(reader.config_text, f"{reader.path}:{reader.config_name}")
             codecs = codecs_of(config.bus, reader.dbc_name, reader.dbc, config.gas)
-            done, what = to.frames(reader, codecs, output), "frames"
+            done, what = to.frames(reader, codecs, output, sync=config.bus.sync), "frames"
     print(f"{', '.join(map(str, done.files))}: {done.rows} {what}")
     if done.unsent_ticks:
-        print(f"left out: {done.unsent_ticks} ticks whose SYNC could not be sent")
+        print(f"left out: {done.unsent_ticks} ticks whose SYNC, or command without one, could not be sent")
     if reader.missing:
         print(f"the log lacks {reader.missing} ticks")
     return 0 if whole(reader) and done.rows else 1

@@ -80,7 +80,7 @@ def import_(
     config = at_rate(parse(source.config_text, source.config_name), source.rate_hz)
     codecs = codecs_of(config.bus, source.dbc_name, source.dbc, config.gas)
     path = log_path(str(output), config.name)
-    surveyed = survey(recording, codecs, source.rate_hz)
+    surveyed = survey(recording, codecs, source.rate_hz, sync=bool(config.bus.sync))
     remarks = Remarks()
     placed = _placed(surveyed.start_ns, source.known, remarks)
     header = LogHeader(
@@ -98,7 +98,7 @@ def import_(
     )
     times = Times(surveyed.start_ns, placed.offset_ns, 1e9 / source.rate_hz, remarks)
     with new_log(path) as descriptor, progress(how) as report:
-        frames = each(traffic.read(recording, remarks), report, recording.name, 0, "frames")
+        frames = each(traffic.read(recording, remarks, fd=config.bus.fd), report, recording.name, 0, "frames")
         ticks = Ticks(frames, codecs, surveyed, times, remarks)
         writer = LogWriter(descriptor, header)
         found = rebuild(ticks, writer, config, codecs, source.known)

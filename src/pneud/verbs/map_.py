@@ -13,6 +13,7 @@ import typer
 
 from pneud import resources
 from pneud.bus.link import open_link
+from pneud.bus.wire import Fd
 from pneud.config.reading import load_with_text
 from pneud.config.sections import ConfigError, check_channel
 from pneud.config.toml import TomlError, tables_of
@@ -168,7 +169,9 @@ def _listen(
             "--bus auto would find another bus than the one meant; name one, such as socketcan:can0"
         )
     stop = asked_to_leave(signal.SIGINT, signal.SIGTERM)
-    with open_link(bus, listens=True) as link:
+    known = () if decoder is None else decoder.messages.values()
+    fd = Fd(frozenset(), False) if any(m.fd or m.length > 8 for m in known) else None
+    with open_link(bus, listens=True, fd=fd) as link:
         print(
             f"listening on {bus} for {seconds:g} s; push the rod; Ctrl-C ends it", file=sys.stderr, flush=True
         )

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from pneud.bus.codec import fd_of
 from pneud.bus.link import open_link, refuse_if_driven
 from pneud.compiled.backend import Backend, backend
 from pneud.config import conversions
@@ -48,7 +49,8 @@ def plant(
     rigs = [_rig(axis, seed + n, how) for n, axis in enumerate(axes)]
     answers = [answer.codec.can_id for axis in axes for answer in axis.codecs.answers]
     stage = Stage(scenario, config.loop.rate_hz) if scenario is not None else None
-    with open_link(channel, virtual=True, by=how.carriage) as link:
+    fd = fd_of(axis.codecs for axis in axes)
+    with open_link(channel, virtual=True, by=how.carriage, fd=fd) as link:
         refuse_if_driven(link, answers, listening_s(config), "other nodes answer there")
         stop = asked_to_leave(signal.SIGINT, signal.SIGTERM)
         print(f"plant {axes.name} on {link.name}; Ctrl-C stops", file=sys.stderr, flush=True)

@@ -15,9 +15,10 @@ import typer
 from pneud.bus.link import open_link, refuse_if_driven
 from pneud.config.models import Config
 from pneud.config.reading import load_with_text as load_text
-from pneud.config.reading import with_settings
+from pneud.config.reading import parse, with_settings
 from pneud.config.sections import ConfigError, check_channel
 from pneud.console.tuning import settings_of
+from pneud.loading import codecs_of
 from pneud.log.files.reader import LogReader, read_log
 from pneud.loop.summary import finite
 from pneud.replay import courses
@@ -265,8 +266,10 @@ def _play(log: LogReader, channel: str, speed: float, begin_s: float, json: bool
         nonlocal stopped
         stopped = True
 
+    logged = parse(log.config_text, log.config_name)
+    fd = codecs_of(logged.bus, log.dbc_name, log.dbc, logged.gas).fd if logged.bus.fd else None
     ids = {frame.can_id for tick in _first(log) for frame in tick}
-    with open_link(channel, virtual=True) as link:
+    with open_link(channel, virtual=True, fd=fd) as link:
         refuse_if_driven(link, ids, what="another node answers there")
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, stop)

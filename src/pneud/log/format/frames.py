@@ -14,6 +14,7 @@ from typing import NamedTuple
 from pneud.log.format.schema import message_class
 from pneud.signals import Frame, Record
 
+MOST_BYTES = 64  # of a frame of CAN FD
 _Frames = message_class("pneud.Frames")
 
 
@@ -63,7 +64,7 @@ class FramesPacker:
         self._sent.append(len(record.sent))
 
     def _new_column(self, can_id: int, length: int) -> int:
-        if can_id >> 32 or length > 8:
+        if can_id >> 32 or length > MOST_BYTES:
             raise ValueError(f"a frame {can_id:#x} of {length} bytes")
         self._stamps.append(array("q"))
         self._data.append([])
@@ -168,8 +169,8 @@ class FrameBlock:
             Column(c.can_id, c.length, c.stamp_after_t_ns, c.data, self.order.count(index))
             for index, c in enumerate(message.columns)
         ]
-        if any(column.length > 8 for column in self.columns):
-            raise ValueError("a frame of more than 8 bytes")
+        if any(column.length > MOST_BYTES for column in self.columns):
+            raise ValueError(f"a frame of more than {MOST_BYTES} bytes")
 
     def ticks(self, t_ns: Iterable[int]) -> Iterator[tuple[tuple[Frame, ...], int, tuple[Frame, ...]]]:
         """For each tick: frames received, how many of them were drained before SYNC left, frames sent.

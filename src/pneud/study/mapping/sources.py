@@ -32,7 +32,7 @@ def recorded(path: Path, remarks: Remarks) -> Iterator[Frame]:
         known = ", ".join((*traffic.FORMATS, LOG))
         raise ConfigError(f"{path}: no such format; its name must end in one of {known}")
     channel = None
-    for passing in traffic.read(path, remarks):
+    for passing in traffic.read(path, remarks, fd=True):
         channel = passing.channel if channel is None else channel
         if passing.channel == channel:
             yield passing.frame
