@@ -1,4 +1,4 @@
-"""Other people's devices over real SocketCAN: 29-bit identifiers, and no SYNC."""
+"""Other people's devices over real SocketCAN: 29-bit identifiers, no SYNC, CAN FD."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ def pneud(*args: object) -> subprocess.CompletedProcess[str]:
     [
         ("extended", {"18000080", "01A00000", "01A10000", "01A20000", "02A00000"}),
         ("bare", {"000002AA", "18FF1001", "18FF1002", "18FF1003"}),
+        ("flexible", {"080", "1A0", "2A0"}),
     ],
 )
 def test_a_device_set_tracks_over_vcan0(name: str, ids: set[str], tmp_path: Path) -> None:
@@ -33,7 +34,7 @@ def test_a_device_set_tracks_over_vcan0(name: str, ids: set[str], tmp_path: Path
     seen = tmp_path / "candump.log"
     with dumped(seen):
         done = pneud(
-            "--virtual", "--config", file, "--bus", "socketcan:vcan0", "--duration", 8, "--headless",
+            "--virtual", "--config", file, "--bus", "socketcan:vcan0", "--duration", 12, "--headless",
             "--json", "--log", log,
         )  # fmt: skip
     print(done.stdout, done.stderr)

@@ -141,9 +141,9 @@ def test_frames_that_found_the_queue_full_are_counted(pair: tuple[Link, Link]) -
 
 
 def test_kinds_are_told_apart() -> None:
-    assert interfaces.query("vcan0") == interfaces.Interface(is_can=True, up=True, kind="vcan")
+    assert interfaces.query("vcan0") == interfaces.Interface(is_can=True, up=True, kind="vcan", mtu=72)
     ip("link", "set", "vcan1", "down")
-    assert interfaces.query("vcan1") == interfaces.Interface(is_can=True, up=False, kind="vcan")
+    assert interfaces.query("vcan1") == interfaces.Interface(is_can=True, up=False, kind="vcan", mtu=72)
     ip("link", "set", "vcan1", "up")
 
 
