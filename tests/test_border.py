@@ -438,16 +438,8 @@ WORKING += ["recover LOG -o OUT.mcap", "report LOG -o OUT.html", "install-servic
 WORKING += [f"learnt {GOLDEN}", f"learnt {GOLDEN} --json", NEW, f"{NEW} --json"]
 WORKING += ["design virtual.toml --bandwidth 50 --error-mm 1", "bench --pairs 1 --disturb --json"]
 TELLING = ["status --json", "arm", "disarm", "stop", "clear", "home", "hold", "goto 1", "jog 1 --for 0.01"]
-TELLING += [
-    "mark x",
-    "teach x -o OUT.toml",
-    "track sine",
-    "track steps 2 3",
-    "tune get",
-    "tune set k1=1",
-    "tune diff",
-    "tune save",
-]
+TELLING += ["mark x", "force 100", "teach x -o OUT.toml", "track sine", "track steps 2 3"]
+TELLING += ["tune get", "tune set k1=1", "tune diff", "tune save"]
 TELLING += ["tune reload", *(f"{words} --json" for words in ("arm", "tune get", "jog 1 --for 0.01"))]
 FULL = "standard output: No space left on device"
 MUTE = {

@@ -309,7 +309,7 @@ def test_dev_full_from_the_first_byte_is_survived() -> None:
     assert (writer.written, writer.unwritten, writer.error) == (0, 199, errno.ENOSPC)
 
 
-@pytest.mark.parametrize("frame", [Frame(5, 1 << 32, b""), Frame(5, 1, bytes(9)), Frame(1 << 70, 1, b"")])
+@pytest.mark.parametrize("frame", [Frame(5, 1 << 32, b""), Frame(5, 1, bytes(65)), Frame(1 << 70, 1, b"")])
 def test_an_unfit_record_is_told_and_harms_no_other(tmp_path: Path, frame: Frame) -> None:
     ring = Ring.create(slots=64)
     child = start_recorder(ring, create_log(tmp_path / "x.mcap"), header())

@@ -132,7 +132,7 @@ def test_columns_lie_as_the_schema_says() -> None:
         {"sent": []},
         {"order": [3]},
         {"columns": [{"can_id": 1, "length": 1, "stamp_after_t_ns": bytes(8), "data": b"too long"}]},
-        {"columns": [{"can_id": 1, "length": 9, "stamp_after_t_ns": bytes(8), "data": bytes(9)}]},
+        {"columns": [{"can_id": 1, "length": 65, "stamp_after_t_ns": bytes(8), "data": bytes(65)}]},
         {"columns": [{"can_id": 1, "length": 1, "stamp_after_t_ns": b"", "data": b"x"}]},
     ],
 )

@@ -27,6 +27,7 @@ COMMANDS = [
     *(RequestKind.ARM, RequestKind.HOLD, RequestKind.GOTO),
     *(RequestKind.JOG, RequestKind.TRACK, RequestKind.HOME, RequestKind.PROBE),
     RequestKind.RUN,
+    RequestKind.FORCE,
 ]
 
 

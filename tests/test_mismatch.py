@@ -187,7 +187,13 @@ def test_a_key_of_a_detail_changes_that_and_nothing_else(of: str) -> None:
 
 
 def test_every_detail_has_a_key() -> None:
-    assert {*DETAILS, "on", "regulator_kg_s_pa"} == set(Detail._fields)
+    contact = {
+        "contact_m",
+        "contact_n_m",
+        "contact_n_s_m",
+        "contact_side",
+    }  # as the tests of pressing have it
+    assert {*DETAILS, *contact, "on", "regulator_kg_s_pa"} == set(Detail._fields)
     c = with_plant({"supply": {"receiver_m3": 1e-3, "regulator_l_min_bar": 600.0}})
     assert plant_of(c).detail.regulator_kg_s_pa * 1e5 == pytest.approx(0.01 * 1.185)  # 10 l/s ANR
 

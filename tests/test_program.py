@@ -120,8 +120,9 @@ def test_a_record_waits_for_what_it_says() -> None:
     assert [looked(given_, inputs=bits).stage for bits in (3, 4)] == [UNDER_WAY, DUE]
     assert looked(given_._replace(on=0), inputs=4).stage == UNDER_WAY
     pressed = Run(UNDER_WAY, what=program.PRESSED)
-    assert looked(pressed, state=program.PRESSING).stage == UNDER_WAY
-    assert looked(pressed, state=program.PRESSING, there=1).stage == DUE
+    assert looked(pressed, 1, state=program.PRESSING).stage == UNDER_WAY
+    assert looked(pressed, 1, state=program.PRESSING, there=1).stage == DUE
+    assert looked(pressed, 0, state=program.PRESSING, there=1).stage == UNDER_WAY  # of the record before
 
 
 def test_what_is_shared_waits_for_the_others() -> None:

@@ -47,6 +47,10 @@ FROM_WITHIN = {
     "skew": "takes two axes that carry one load: their tests have them",
     "sync_lost": "takes another daemon, whose SYNC ends: a test has two on one bus",
     "led_beyond": "takes an axis that follows another: their tests have them",
+    **dict.fromkeys(
+        ("force_window", "force_speed", "force_timeout", "force_direction"),
+        "takes a load that is to press: the tests of pressing have them",
+    ),
     "program": "takes a program that does not fit the axis: the tests of programs have it",
     "program_late": "takes a program that waits for what does not come: the tests of programs have it",
     "disk_full": "takes a file system of its own: the campaign has a case for it",

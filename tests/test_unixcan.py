@@ -640,7 +640,7 @@ def test_a_peer_whose_socket_fails_is_forgotten_and_nobody_waits_for_it(
     drained(one)
     two.send(*FRAME)
 
-    def broken(*_: object) -> bool:
+    def broken(*_: object, **__: object) -> bool:
         raise OSError(12, "no memory")
 
     monkeypatch.setattr(wire, "take", broken)
