@@ -48,8 +48,8 @@ def test_the_fault_centres_at_once_and_holds_until_it_is_cleared(case: Case) -> 
 
 
 def test_every_row_that_centres_has_a_case() -> None:
-    # a homing that fails has its case among the tests of homing
-    provoked = {case.fault for case in CENTRING} | {F.HOMING_FAILED}
+    # these have their cases among the tests of homing, and of ticks by another daemon's SYNC
+    provoked = {case.fault for case in CENTRING} | {F.HOMING_FAILED, F.SYNC_LOST}
     assert provoked == {f.bit for f in TABLE if f.reaction == Reaction.CENTRE}
 
 
