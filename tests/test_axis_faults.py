@@ -10,7 +10,8 @@ import pytest
 
 from axis_rig import ARM, CLEAR, ENCODER, PERIOD_NS, PRESSURE, VALVE, Rig, ready, tracking
 from commands import pneud_here
-from pneud.safety.faults import TABLE, F, Reaction, names
+from pneud.safety.fault_row import Reaction
+from pneud.safety.faults import TABLE, F, names
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import (
     Answer,

@@ -244,3 +244,15 @@ def test_contracts_forbid_what_the_house_forbids(tmp_path: Path) -> None:
     assert result.returncode == 1
     assert f"0 kept, {len(CONTRACTS)} broken" in result.stdout, result.stdout
     assert set(FORBIDDEN) <= called_forbidden(result), set(FORBIDDEN) - called_forbidden(result)
+
+
+def test_no_module_and_no_function_is_too_long_to_read_at_once() -> None:
+    longest = {"cycle": 80, "run": 80}  # of an axis, and of the loop
+    for path in sorted(ROOT.joinpath("src").rglob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        assert text.count("\n") <= 600, path
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                assert node.end_lineno is not None
+                lines = node.end_lineno - node.lineno + 1
+                assert lines <= longest.get(node.name, 100), (path, node.name, lines)

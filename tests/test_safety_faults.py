@@ -12,6 +12,7 @@ from pydantic import BaseModel
 from generators.safety import text
 from pneud.config.models import Config
 from pneud.safety.checks import Limits
+from pneud.safety.fault_row import Reaction
 from pneud.safety.faults import (
     BLOCKS_ARM,
     CENTRES,
@@ -20,7 +21,6 @@ from pneud.safety.faults import (
     STOPS,
     TABLE,
     F,
-    Reaction,
     mask,
     names,
 )

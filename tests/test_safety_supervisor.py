@@ -7,7 +7,8 @@ from itertools import combinations
 
 import pytest
 
-from pneud.safety.faults import BLOCKS_ARM, CENTRES, NO_SENSORS, STOPS, TABLE, F, Reaction, mask
+from pneud.safety.fault_row import Reaction
+from pneud.safety.faults import BLOCKS_ARM, CENTRES, NO_SENSORS, STOPS, TABLE, F, mask
 from pneud.safety.supervisor import INITIAL, START_TICKS, Supervisor, advance, is_engaged, trip
 from pneud.signals import ENGAGED, RequestKind, State
 

@@ -10,7 +10,8 @@ import pytest
 
 from pneud.safety import watch as watch_module
 from pneud.safety.checks import Limits
-from pneud.safety.faults import TABLE, F, Fault, names
+from pneud.safety.fault_row import Fault
+from pneud.safety.faults import TABLE, F, names
 from pneud.safety.watch import (
     CHAMBER_PA,
     HORIZON_S,

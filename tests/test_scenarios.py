@@ -23,7 +23,8 @@ from pneud.loading import load
 from pneud.replay.lockstep import Simulation, backend_of
 from pneud.rig.damage import UNDAMAGED, advance_damaged
 from pneud.rig.dynamics import PlantState, advance, initial_state
-from pneud.safety.faults import FAULT_NAMES, TABLE, Reaction
+from pneud.safety.fault_row import Reaction
+from pneud.safety.faults import FAULT_NAMES, TABLE
 from pneud.scenario import verdict
 from pneud.scenario.engine import Engine
 from pneud.scenario.files import load_scenario

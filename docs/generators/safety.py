@@ -12,7 +12,8 @@ from pneud.safety.checks import (
     SETTLING_TICKS,
     Limits,
 )
-from pneud.safety.faults import TABLE, Fault, Reaction
+from pneud.safety.fault_row import Fault, Reaction
+from pneud.safety.faults import TABLE
 from pneud.safety.output import CEILING_V
 from pneud.safety.supervisor import START_TICKS
 from pneud.safety.watch import CHAMBER_PA

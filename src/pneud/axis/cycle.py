@@ -53,18 +53,11 @@ __all__ = ["FOLLOWING", "Axis", "AxisParameters", "AxisState"]
 NO_INPUTS = 0  # no frame tells of any
 SATURATED, NOT_FINITE = 1 << F.SATURATED, 1 << F.NOT_FINITE
 CENTRED_COMMAND = Command(voltage_v=0.0, enable=0, saturated=0, law_v=NAN, s=NAN, ustar=NAN)
-
-
 REACHED = AT_WORK._replace(in_position=1)  # the force that is asked for
 
 
 def cycle(
-    state: AxisState,
-    m: Measurement,
-    request: Request | None,
-    t_ns: int,
-    p: AxisParameters,
-    told: Told | None,
+    state: AxisState, m: Measurement, request: Request | None, t_ns: int, p: AxisParameters, told: Told | None
 ) -> tuple[AxisState, Tick]:
     """One tick: the state after it, and what it came to.
 
@@ -92,74 +85,26 @@ def cycle(
     course = guide(state, belief, m, present, p, told)
     if course.found:
         watch = forget_position(watch)
-    asked, run = NOTHING, state.run
-    if request is not None:
-        if request.kind >= FIRST_KIND:
-            asked = asked_of(request, state, course.present, p)
-        else:
-            asked = ask(
-                request,
-                before,
-                course.present,
-                course.plan,
-                state.profile,
-                course.reference,
-                belief.estimate,
-                belief.sampled_ns,
-                state.law,
-                configured(state, p),
-                state.probe,
-                state.press,
-                p,
-            )
-            if run.stage >= UNDER_WAY and request.kind in ENDS and asked.answer == TAKEN:
-                run = stopped(run)
-    elif run.stage >= DUE:
-        asked = proceed(state, course, belief.estimate, belief.sampled_ns, t_ns, p)
-    if asked.run is not None:
-        run = asked.run
+    asked, run = heed(state, request, course, belief, t_ns, p)
     law = state.law
     if asked.law is not None:
         law = asked.law
     after = advance(before, course.present | asked.faults, asked.kind, course.at_rest)
-    driven = Driven(course.controller, CENTRED_COMMAND, 0)
-    if is_engaged(after.state):
-        course = redirect(course, asked, after.state, state, belief, p)
-        bounded = p if outside_m == INSIDE else gentle(p)
-        driven = actuate(course, after.state, m, belief, state.last_v, law, bounded)
-        if state.pressed and driven.controller is not None and course.controller is not None:
-            # what a load is pressed against is neither friction nor load
-            driven = driven._replace(controller=unlearnt(driven.controller, course.controller.learnt))
-        if driven.faults:
-            after = trip(after, driven.faults)
-    elif asked.law is not None and course.controller is not None:
-        driven = driven._replace(controller=forget(course.controller, state.law, law))
+    course, driven = lead(course, asked, after.state, state, belief, m, law, outside_m, p)
+    if driven.faults:
+        after = trip(after, driven.faults)
     present = course.present | asked.faults | driven.faults
     if driven.command.saturated:
         present |= SATURATED
     if present & NOT_FINITE:
         driven = driven._replace(controller=None)  # it would remember
     if run.stage >= UNDER_WAY:
-        run = look(
-            run,
-            t_ns,
-            after.state,
-            course.plan.phase,
-            state.standing.in_position,
-            belief.estimate,
-            course.reference,
-            NO_INPUTS,
-            law.cylinder.rod_force_n,
-        )
+        run = observed(run, t_ns, after.state, course, belief.estimate, state.standing.in_position, law)
     reference = aim(course.reference, course.led, p.leading)
-    standing = stand(state, after.state, belief.estimate, reference, course.press, driven.command, t_ns, p)
-    odometer = state.odometer
-    if t_ns - odometer.looked_ns >= LOOK_NS:
-        known = belief.controller is not None and not course.found
-        settled = belief.sampled_ns - belief.started_ns > SETTLED_NS
-        odometer = count(
-            odometer, t_ns, belief.estimate, m, known, settled, is_engaged(after.state), state.law
-        )
+    stood = stand(state, after.state, belief.estimate, reference, course.press, driven.command, t_ns, p)
+    done = state.odometer
+    if t_ns - done.looked_ns >= LOOK_NS:
+        done = counted(state, belief, m, course.found, is_engaged(after.state), t_ns)
     tick = Tick(
         t_ns=t_ns,
         measurement=m,
@@ -171,29 +116,130 @@ def cycle(
         present=present,
         latched=after.latched,
         answer=asked.answer,
-        in_position=standing.in_position,
-        hunting=standing.hunting,
+        in_position=stood.in_position,
+        hunting=stood.hunting,
         told=told,
         program=progress(run),
     )
     state = put_away(
-        state,
-        t_ns,
-        belief,
-        watch,
-        course,
-        asked,
-        law,
-        after,
-        driven,
-        doubt,
-        outside_m,
-        standing,
-        odometer,
-        run,
-        p,
+        state, t_ns, belief, watch, course, asked, law, after, driven, doubt, outside_m, stood, done, run, p
     )
     return state, tick
+
+
+def heed(
+    state: AxisState, request: Request | None, course: Course, belief: Belief, t_ns: int, p: AxisParameters
+) -> tuple[Asked, Run]:
+    """What becomes of a request, or of what the program asks where there is none; and the program with that.
+
+    Args:
+        state: after the last tick.
+        request: of the operator.
+        course: where the axis is led.
+        belief: what is known of the load.
+        t_ns: instant of this tick's SYNC.
+        p: parameters.
+    """
+    asked, run, e = NOTHING, state.run, belief.estimate
+    if request is not None:
+        if request.kind >= FIRST_KIND:
+            asked = asked_of(request, state, course.present, p)
+        else:
+            asked = ask(
+                request,
+                state.supervisor,
+                course.present,
+                course.plan,
+                state.profile,
+                course.reference,
+                e,
+                belief.sampled_ns,
+                state.law,
+                configured(state, p),
+                state.probe,
+                state.press,
+                p,
+            )
+            if run.stage >= UNDER_WAY and request.kind in ENDS and asked.answer == TAKEN:
+                run = stopped(run)
+    elif run.stage >= DUE:
+        asked = proceed(state, course, e, belief.sampled_ns, t_ns, p)
+    if asked.run is not None:
+        run = asked.run
+    return asked, run
+
+
+def lead(
+    course: Course,
+    asked: Asked,
+    now: int,
+    state: AxisState,
+    belief: Belief,
+    m: Measurement,
+    law: Controller,
+    outside_m: float,
+    p: AxisParameters,
+) -> tuple[Course, Driven]:
+    """Where the axis is led from now on, and what leaves for its valve.
+
+    Args:
+        course: where it has been led.
+        asked: what becomes of a request.
+        now: state of this tick.
+        state: after the last tick.
+        belief: what is known of the load.
+        m: the measurement.
+        law: with its gains from now on.
+        outside_m: where it lies outside, from `stops.outside`.
+        p: parameters.
+    """
+    driven = Driven(course.controller, CENTRED_COMMAND, 0)
+    if is_engaged(now):
+        course = redirect(course, asked, now, state, belief, p)
+        bounded = p if outside_m == INSIDE else gentle(p)
+        driven = actuate(course, now, m, belief, state.last_v, law, bounded)
+        if state.pressed and driven.controller is not None and course.controller is not None:
+            # what a load is pressed against is neither friction nor load
+            driven = driven._replace(controller=unlearnt(driven.controller, course.controller.learnt))
+    elif asked.law is not None and course.controller is not None:
+        driven = driven._replace(controller=forget(course.controller, state.law, law))
+    return course, driven
+
+
+def counted(
+    state: AxisState, belief: Belief, m: Measurement, found: bool, engaged: bool, t_ns: int
+) -> Odometer:
+    """What the axis has done, with what it does now.
+
+    Args:
+        state: after the last tick.
+        belief: what is known of the load.
+        m: the measurement.
+        found: positions count from elsewhere since this tick.
+        engaged: the axis is.
+        t_ns: instant of this tick's SYNC.
+    """
+    known = belief.controller is not None and not found
+    settled = belief.sampled_ns - belief.started_ns > SETTLED_NS
+    return count(state.odometer, t_ns, belief.estimate, m, known, settled, engaged, state.law)
+
+
+def observed(
+    run: Run, t_ns: int, now: int, course: Course, e: Estimate, in_position: int, law: Controller
+) -> Run:
+    """How far the program is, by what is seen in this tick.
+
+    Args:
+        run: how far it was.
+        t_ns: instant of this tick's SYNC.
+        now: state of this tick.
+        course: where the axis is led.
+        e: the estimate.
+        in_position: as of the last tick.
+        law: with its cylinder.
+    """
+    rod_force_n = law.cylinder.rod_force_n
+    return look(run, t_ns, now, course.plan.phase, in_position, e, course.reference, NO_INPUTS, rod_force_n)
 
 
 def stand(

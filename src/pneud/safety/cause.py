@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import NamedTuple
 
-from pneud.safety.faults import TABLE, Fault, Reaction
+from pneud.safety.fault_row import Fault, Reaction
+from pneud.safety.faults import TABLE
 
 _SENSES = ("encoder", "pressure", "valve")
 _OF_ENCODER = (

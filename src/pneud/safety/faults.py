@@ -6,18 +6,9 @@ its names.
 
 from __future__ import annotations
 
-from enum import Enum, IntEnum
-from typing import NamedTuple
+from enum import IntEnum
 
-
-class Reaction(Enum):
-    """What a fault does; each stronger one includes the weaker."""
-
-    WARN = "shown and logged"
-    LIMIT = "limit active"
-    NO_ARM = "cannot arm"
-    STOP = "controlled stop"
-    CENTRE = "centre at once"
+from pneud.safety.fault_row import Fault, Reaction
 
 
 class F(IntEnum):
@@ -95,32 +86,6 @@ class F(IntEnum):
     FORCE_TIMEOUT = 69
     FORCE_DIRECTION = 70
     SYNC_LOST = 71
-
-
-class Fault(NamedTuple):
-    """One row of the table.
-
-    `debounce` names the field of `checks.Limits` for how long it has to last before it counts; without, the
-    first tick counts. `clears` says when it is no longer present, where that is not simply when what is
-    named in `when` is over.
-    """
-
-    bit: F
-    reaction: Reaction
-    when: str
-    cure: str
-    debounce: str = ""
-    clears: str = ""
-
-    @property
-    def name(self) -> str:
-        """The name in logs, JSON and on the screen."""
-        return self.bit.name.lower()
-
-    @property
-    def latches(self) -> bool:
-        """Whether it holds the axis in FAULT until it is cleared."""
-        return self.reaction in (Reaction.STOP, Reaction.CENTRE)
 
 
 _WIRING = "check the node's power, its wiring and the bus termination"
