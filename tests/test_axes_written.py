@@ -99,3 +99,14 @@ def test_the_file_of_one_axis_is_written_whole(tmp_path: Path) -> None:
     path = tmp_path / "virtual.toml"
     (part,) = axes_of(path)
     assert with_axis(part.text, path, part, "# another\n") == "# another\n"
+
+
+@pytest.mark.parametrize("name", ["virtual.toml", "axes/two-axes.toml"])
+def test_what_comes_with_pneud_stays_as_it_is(name: str) -> None:
+    file = resources.configs() / name
+    before = file.read_bytes()
+    with pytest.raises(ConfigError, match="comes with pneud and stays as it is; copy it"):
+        rewrite(
+            file, lambda document: put(document, ("control", "k1"), 9.0e4), "y" if "axes" in name else None
+        )
+    assert file.read_bytes() == before

@@ -29,7 +29,7 @@ from pneud.console.tuning import values_of
 from pneud.log.files.naming import LogError
 from pneud.service import machine
 from pneud.study import paper
-from pneud.verbs import bench, jog, status, track, tune
+from pneud.verbs import bench, jog, status, teach, track, tune
 
 LIMIT_S = 20.0  # of a command, most of which take milliseconds
 DIGITS = "9" * 5000
@@ -461,7 +461,7 @@ class Console(Daemon):
         config = resources.configs() / "virtual.toml"
         gains = values_of(load_config(config))
         return {**super().ask("status"), "axis": "x", "state": "holding", "changed": "", "gains": gains,
-                "config": str(config)}  # fmt: skip
+                "faults": [], "position_mm": 1.0, "config": str(config)}  # fmt: skip
 
 
 def test_all_that_print_are_tried() -> None:
@@ -473,7 +473,7 @@ def test_all_that_print_are_tried() -> None:
 def test_a_full_device_as_standard_output(
     words: str, good: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (results, status, jog, track, tune):
+    for module in (results, status, jog, teach, track, tune):
         monkeypatch.setattr(module, "Client", Console)
     for name in ("_track", "_disturb"):
         monkeypatch.setattr(bench, name, lambda *_: {})

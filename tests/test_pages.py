@@ -17,9 +17,10 @@ from pneud.config.reading import AXIS, parse
 # Commands that are not run here, and why. Each line has to fit a command of a document.
 NOT_HERE = {
     r"make (test|pages)\b.*": "steps of .ci/run; the pages are compared in tests/test_site.py",
-    r"make (vm|systemd|campaign-vm)\b.*|hil/vm/run .*": "need a virtual machine; steps of .ci/run",
+    r"make (vm|systemd|campaign-vm|devices-vm)\b.*|hil/vm/run .*": "need a virtual machine; steps of .ci/run",
     r"python -m hil\.force .*": "minutes; tests/test_hil_commands.py runs a part",
     r"make campaign\b.*": "minutes; a step of .ci/run",
+    r"make (devices|device-faults|canopen-starts)\b.*": "minutes; their own tests run a part of each",
     r"make (information|strange)\b.*": "minutes; tests/test_hil_commands.py runs a part of each",
     r"python -m hil\.web\b.*": "minutes, and nothing beside it; tests/test_web_page.py has the crowd",
     r"python -m hil\.second_rig .*": "the rig of another program; tests/test_second_rig.py runs it",
@@ -53,6 +54,7 @@ ELSEWHERE = {
 }
 # What a page takes for granted, made beforehand
 GIVEN = {
+    "axes.md": [f"cp {ROOT}/configs/axes/two-axes.toml {ROOT}/configs/axes/axes.dbc ."],
     "laws.md": ["pneud --virtual"],
     "force.md": [f"cp {ROOT}/configs/virtual.toml press.toml", f"cp {ROOT}/configs/pneud.dbc ."],
     "identification.md": [
@@ -195,7 +197,8 @@ def sections_exist(text: str) -> None:
 
     base = (resources.configs() / "virtual.toml").read_text(encoding="utf-8")
     tables = tables_of(text)
-    for own in tables.pop(AXIS, [{}]):
+    axes = tables.pop(AXIS, [{}])
+    for own in axes if isinstance(axes, list) else [axes]:  # or a part of one axis's
         parse(changed_text(changed_text(base, tables), own), "the page")
 
 

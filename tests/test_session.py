@@ -61,7 +61,11 @@ def daemon(axis: Path, log: Path) -> Iterator[tuple[subprocess.Popen[str], str]]
         Path(path + ".lock").unlink(missing_ok=True)
 
 
-NOT_ASKED = {RequestKind.HOME, RequestKind.RESTART, RequestKind.CENTRE}  # here; the last one by nobody
+NOT_ASKED = {  # here; programs and pressing have sessions of their own, and nobody asks for the last one
+    *(RequestKind.HOME, RequestKind.RESTART, RequestKind.FORCE),
+    *(RequestKind.RECORD, RequestKind.RUN, RequestKind.GO_ON),
+    RequestKind.CENTRE,
+}
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:

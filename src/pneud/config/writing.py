@@ -13,6 +13,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import InlineTable, Item, Table
 
+from pneud import resources
 from pneud.config.axes import Part, one_of, parts_of
 from pneud.config.reading import AXIS, parse
 from pneud.config.sections import ConfigError
@@ -57,9 +58,13 @@ def rewrite(path: Path, change: Callable[[Any], None], axis: str | None = None) 
         axis: whose, where there are several.
 
     Raises:
-        ConfigError: the file, or what would become of it, cannot be used.
+        ConfigError: the file, or what would become of it, cannot be used, or it comes with pneud.
         OSError: it cannot be read or written.
     """
+    if path.resolve().is_relative_to(resources.configs().resolve()):
+        raise ConfigError(
+            f"{path}: comes with pneud and stays as it is; copy it, and name the copy with --config"
+        )
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as e:

@@ -24,7 +24,8 @@ def track(
     name: Annotated[
         str,
         typer.Argument(
-            metavar="NAME", help="sine (the configured one), chirp, steps, profile, FILE.csv or FILE.json."
+            metavar="NAME",
+            help="reference (the configured one, as is sine), chirp, steps, profile, FILE.csv or FILE.json.",
         ),
     ],
     positions: Annotated[list[float] | None, typer.Argument(metavar="[MM]...", help="Of steps.")] = None,
@@ -47,8 +48,8 @@ def track(
     """
     if positions and name != "steps":
         raise ConfigError(f"track {name}: takes no positions")
-    if name in ("sine", "profile"):
-        return ask(socket, json, "track", axis=axis, what="reference" if name == "sine" else "profile")
+    if name in ("reference", "sine", "profile"):
+        return ask(socket, json, "track", axis=axis, what="profile" if name == "profile" else "reference")
 
     def made(bounds: Bounds, position_mm: float | None) -> list[Septic]:
         if name == "steps":
