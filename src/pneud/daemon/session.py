@@ -123,6 +123,7 @@ class Session:
         words = [crew.pair() for _ in self.axes]
         asking, taking = crew.pair()
         self.reports = [setup.leave_to_the_loop(cpu, wanted.other_cpus)]
+        setup.hurry(wanted.priority)
         for axis, (_, heard) in zip(self.axes, words, strict=True):
             self._start_recorder(ends, axis, heard)
         console = self._start_console(ends, asking, [said for said, _ in words])

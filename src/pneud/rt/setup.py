@@ -59,6 +59,13 @@ def apply(priority: int, cpu: int | None, lock_memory: bool) -> list[Report]:
     ]
 
 
+def hurry(priority: int) -> None:
+    """Have the priority before `apply`: what this process forks does not get it, and goes beside it."""
+    if priority > 0:
+        with contextlib.suppress(OSError):  # which `apply` will say
+            _fifo(priority)
+
+
 def leave(cpus: set[int]) -> None:
     """Give back what another program in this process would have of it: scheduling, the CPU, the timer slack.
 
