@@ -316,4 +316,4 @@ def test_the_attempt_leaves_this_process_as_it_is() -> None:
         print(machine.attempt(1, min(os.sched_getaffinity(0)), True)[0].name, look() == before)
     """
     done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
-    assert done.stdout == "fifo True\n"
+    assert done.stdout == "gc True\n"

@@ -432,8 +432,17 @@ def test_the_wrong_password_is_told_and_the_right_one_lets_in(
     subprocess.run([tool, "-b", str(words), "press", "right"], check=True, capture_output=True)
     found = Mosquitto(tmp_path, "allow_anonymous false", f"password_file {words}")
 
+    right, wrong = (found.broker._replace(user="press", password=word) for word in ("right", "wrong"))
+    tried_twice(found, status, wrong, right)
+    (line,) = capfd.readouterr().err.splitlines()
+    assert "uthori" in line
+    assert "wrong" not in line
+
+
+def tried_twice(found: Mosquitto, status: dict[str, Any], wrong: Broker, right: Broker) -> None:
+    """Not let in, then let in; the broker ends."""
+
     async def main() -> None:
-        right, wrong = (found.broker._replace(user="press", password=word) for word in ("right", "wrong"))
         async with bridging(Told(status), wrong):
             await asyncio.sleep(0.3)
         async with bridging(Told(status), right), listening(right) as ear:
@@ -443,9 +452,6 @@ def test_the_wrong_password_is_told_and_the_right_one_lets_in(
         asyncio.run(main())
     finally:
         found.end()
-    (line,) = capfd.readouterr().err.splitlines()
-    assert "uthori" in line
-    assert "wrong" not in line
 
 
 def certificates(folder: Path) -> tuple[Path, Path, Path]:
@@ -473,17 +479,7 @@ def test_tls_asks_who_vouches_for_the_broker(
     found = Mosquitto(tmp_path, "allow_anonymous true", f"certfile {chain}", f"keyfile {key}")
     url = f"mqtts://127.0.0.1:{found.port}"
 
-    async def main() -> None:
-        async with bridging(Told(status), broker_of(url, ca=other)):
-            await asyncio.sleep(0.3)
-        right = broker_of(url, ca=chain)
-        async with bridging(Told(status), right), listening(right) as ear:
-            await ear.until(lambda last: last.get(ONLINE) == "true")
-
-    try:
-        asyncio.run(main())
-    finally:
-        found.end()
+    tried_twice(found, status, broker_of(url, ca=other), broker_of(url, ca=chain))
     (line,) = capfd.readouterr().err.splitlines()
     assert "certificate" in line
 

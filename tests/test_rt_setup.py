@@ -15,7 +15,7 @@ import pytest
 from pneud.rt import setup
 from pneud.rt.setup import Report
 
-NAMES = ["fifo", "gc", "affinity", "memory", "cpu_latency", "timer_slack"]
+NAMES = ["gc", "affinity", "memory", "cpu_latency", "timer_slack", "fifo"]
 
 
 def in_child(action: Callable[[], object]) -> str:

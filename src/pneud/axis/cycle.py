@@ -9,11 +9,11 @@ from __future__ import annotations
 from pneud.axis.doubt import listen
 from pneud.axis.guidance import NO_REFERENCE, Course, guide, redirect
 from pneud.axis.mileage import LOOK_NS, SETTLED_NS, Odometer, count
-from pneud.axis.programs import ENDS, FIRST_KIND, asked_of, proceed
-from pneud.axis.requests import ARM, BLOCKED, HOME, NOTHING, PROBE, TAKEN, Asked, ask
+from pneud.axis.programs import ENDS, FIRST_KIND, asked_of, proceed, put
+from pneud.axis.requests import ARM, BLOCKED, HOME, NOTHING, PROBE, TAKEN, Asked
 from pneud.axis.sensing import NAN, NO_ESTIMATE, Belief, Driven, drive, sense
 from pneud.axis.standing import AT_WORK, Standing, judge
-from pneud.axis.state import INSIDE, AxisParameters, AxisState, Doubt, configured, learnt_so_far, switched_on
+from pneud.axis.state import INSIDE, AxisParameters, AxisState, Doubt, learnt_so_far, switched_on
 from pneud.axis.stops import UNHELD, excused, gentle, outside
 from pneud.control import force, homing, probe
 from pneud.control.force import Press
@@ -145,21 +145,7 @@ def heed(
         if request.kind >= FIRST_KIND:
             asked = asked_of(request, state, course.present, p)
         else:
-            asked = ask(
-                request,
-                state.supervisor,
-                course.present,
-                course.plan,
-                state.profile,
-                course.reference,
-                e,
-                belief.sampled_ns,
-                state.law,
-                configured(state, p),
-                state.probe,
-                state.press,
-                p,
-            )
+            asked = put(request, state, course, e, belief.sampled_ns, p)
             if run.stage >= UNDER_WAY and request.kind in ENDS and asked.answer == TAKEN:
                 run = stopped(run)
     elif run.stage >= DUE:

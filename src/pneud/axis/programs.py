@@ -180,7 +180,23 @@ def _asked(
         request = Request(FORCE, aim)
     else:
         return NOTHING, run
-    asked = ask(
+    return put(request, state, course, e, now_ns, p), run
+
+
+def put(
+    request: Request, state: AxisState, course: Course, e: Estimate, now_ns: int, p: AxisParameters
+) -> Asked:
+    """What becomes of a request about motion, whoever asks: an operator, or a step.
+
+    Args:
+        request: none about a program.
+        state: after the last tick.
+        course: where the axis is led.
+        e: the estimate.
+        now_ns: instant that it is of.
+        p: parameters.
+    """
+    return ask(
         request,
         state.supervisor,
         course.present,
@@ -195,7 +211,6 @@ def _asked(
         state.press,
         p,
     )
-    return asked, run
 
 
 def carrying(law: Controller, mass_kg: float, p: AxisParameters) -> Controller:

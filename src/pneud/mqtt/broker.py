@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import ssl
-import stat
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import urlsplit
 
 from pneud.rt.addresses import in_url, is_loopback
+from pneud.rt.passwords import first_line
 
 _PORTS = {"mqtt": 1883, "mqtts": 8883}
 
@@ -116,10 +116,7 @@ def password_of(path: Path) -> str:
         BrokerError: others may read it, or it is empty.
         OSError: it cannot be read.
     """
-    with path.open(encoding="utf-8") as file:
-        if stat.S_IMODE(path.stat().st_mode) & (stat.S_IRWXO | stat.S_IWGRP):
-            raise BrokerError(f"{path}: anybody may read the password: chmod 600 {path}")
-        found = file.readline().rstrip("\r\n")
+    found = first_line(path, BrokerError)
     if not found:
         raise BrokerError(f"{path}: its first line is empty")
     return found

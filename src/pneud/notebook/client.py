@@ -15,12 +15,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
+from pneud.console.attached import attached
 from pneud.console.client import Client as Connection
 from pneud.console.client import RefusedError
 from pneud.console.endpoint import PlaceError
 from pneud.log.format.events import EventSource
 from pneud.log.format.records import LoggedEvent
-from pneud.log.live.ring import Ring, RingReader
+from pneud.log.live.ring import RingReader
 from pneud.notebook import html, steps
 from pneud.notebook.steps import Ask, Dialogue, Pause, Samples
 
@@ -43,10 +44,7 @@ class _Events:
     """What happens, in words, from the records that the loop leaves in memory."""
 
     def __init__(self, connection: Connection) -> None:
-        fields, descriptor = connection.attach()
-        if fields["layout"] != Ring.layout():
-            raise PlaceError("the daemon runs another version of pneud; restart it")
-        ring = Ring.attach(descriptor, fields["slots"], fields["slot_bytes"])
+        fields, ring = attached(connection)
         self._reader: RingReader = ring.reader()
         self._source = EventSource(tuple(fields["faults"]), time.time_ns() - time.monotonic_ns())
 

@@ -46,21 +46,23 @@ def apply(priority: int, cpu: int | None, lock_memory: bool) -> list[Report]:
         lock_memory: keep all pages in memory.
 
     Returns:
-        A report each of fifo, gc, affinity, memory, cpu_latency and timer_slack.
+        A report each of gc, fifo, affinity, memory, cpu_latency and timer_slack.
     """
     return [
-        # first: to lock the memory takes long, beside all that has been forked
-        _attempt("fifo", lambda: _fifo(priority)) if priority > 0 else _unasked("fifo", "priority"),
         freeze_gc(),
         _attempt("affinity", lambda: _affinity(cpu)) if cpu is not None else _unasked("affinity", "cpu"),
         _attempt("memory", _lock_memory) if lock_memory else _unasked("memory", "lock_memory"),
         _attempt("cpu_latency", _forbid_deep_sleep),
         _attempt("timer_slack", _timer_slack),
+        _attempt("fifo", lambda: _fifo(priority)) if priority > 0 else _unasked("fifo", "priority"),
     ]
 
 
 def hurry(priority: int) -> None:
-    """Have the priority before `apply`: what this process forks does not get it, and goes beside it."""
+    """Have the priority before `apply`: what this process forks does not get it, and goes beside it.
+
+    To lock the memory takes long, and would wait for all that.
+    """
     if priority > 0:
         with contextlib.suppress(OSError):  # which `apply` will say
             _fifo(priority)

@@ -17,10 +17,9 @@ from typing import Annotated
 
 import typer
 
+from pneud.console.attached import attached
 from pneud.console.client import Client, RefusedError
-from pneud.console.endpoint import PlaceError
 from pneud.console.operator import Operator
-from pneud.log.live.ring import Ring
 from pneud.safety.cause import first_cause
 from pneud.verbs import AxisOption, SocketOption
 from pneud.view.hands import Leaving
@@ -86,9 +85,5 @@ def _seen(client: Client, connect: Callable[[], Client], read_only: bool) -> See
     """
     if read_only:
         client.ask("observe")
-    fields, descriptor = client.attach()
-    if fields["layout"] != Ring.layout():
-        os.close(descriptor)
-        raise PlaceError("the daemon runs another version of pneud; restart it", 1)
-    ring = Ring.attach(descriptor, fields["slots"], fields["slot_bytes"])
+    fields, ring = attached(client)
     return Seen(ring, info_of(fields, first_cause), Operator(connect, client, read_only))

@@ -9,11 +9,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import os
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from pneud.console.attached import attached
 from pneud.console.client import Client, RefusedError
 from pneud.console.endpoint import PlaceError
 from pneud.log.live.ring import Ring, RingReader
@@ -78,11 +78,7 @@ class Axis:
         client = self._connect()
         try:
             client.ask("observe")
-            fields, descriptor = client.attach()
-            if fields["layout"] != Ring.layout():
-                os.close(descriptor)
-                raise PlaceError("the daemon runs another version of pneud; restart it", 1)
-            ring = Ring.attach(descriptor, fields["slots"], fields["slot_bytes"])
+            fields, ring = attached(client)
             self.status = client.ask("status")
         except BaseException:
             client.close()

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import socket
-import stat
 from pathlib import Path
 from typing import NamedTuple
 
 from pneud.rt.addresses import AddressError, listening, parsed
+from pneud.rt.passwords import first_line
 from pneud.web.admission import Place
 
 SHORTEST = 12  # letters of a password
@@ -59,10 +59,7 @@ def password_of(path: Path) -> str:
         ListenError: others may read it, or it is too short.
         OSError: it cannot be read.
     """
-    with path.open(encoding="utf-8") as file:
-        if stat.S_IMODE(path.stat().st_mode) & (stat.S_IRWXO | stat.S_IWGRP):
-            raise ListenError(f"{path}: anybody may read the password: chmod 600 {path}")
-        found = file.readline().strip()
+    found = first_line(path, ListenError).strip()
     if len(found) < SHORTEST:
         raise ListenError(f"{path}: a password has {SHORTEST} letters at least")
     return found
