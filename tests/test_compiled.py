@@ -327,7 +327,7 @@ def test_a_law_that_computes_something_else_is_not_used(monkeypatch: pytest.Monk
         e = tick.estimate
         return state, tick._replace(estimate=e._replace(x3_n=math.nextafter(e.x3_n, math.inf)))
 
-    built = Built((off_by_one_bit, dynamics.advance), tuple, b"another")
+    built = Built((off_by_one_bit, dynamics.advance), tuple, b"another", (off_by_one_bit,))
     monkeypatch.setattr(backend_module, "compile_functions", lambda *_, **__: built)
     assert backend("auto", PARAMETERS).reason == "the compiled law does not compute what Python does"
 

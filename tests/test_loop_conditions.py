@@ -28,6 +28,11 @@ class Way:
     rx_dropped: int = 0
 
 
+def told(conditions: Conditions, t_ns: int, others: int = 0) -> int:
+    """What the host has to say in a tick that nothing answers."""
+    return conditions.host(conditions.early(t_ns, others))
+
+
 def parts() -> tuple[Conditions, Inbox, Way]:
     inbox, way = Inbox(loaded().codecs, loaded().config.bus), Way()
     return Conditions(inbox, way), inbox, way
@@ -40,14 +45,14 @@ def foreign(t_ns: int) -> Frame:
 
 def test_nothing_is_said_where_nothing_happens() -> None:
     conditions, _, _ = parts()
-    assert [conditions.host(t * MS, 0) for t in range(5)] == [0] * 5
+    assert [told(conditions, t * MS) for t in range(5)] == [0] * 5
 
 
 @given(st.integers(0, (1 << 15) - 1))
 def test_what_comes_from_elsewhere_is_handed_on(others: int) -> None:
     conditions, _, _ = parts()
-    assert conditions.host(MS, others) == others
-    assert conditions.host(2 * MS, 0) == 0
+    assert told(conditions, MS, others) == others
+    assert told(conditions, 2 * MS) == 0
 
 
 @pytest.mark.parametrize(
@@ -56,26 +61,26 @@ def test_what_comes_from_elsewhere_is_handed_on(others: int) -> None:
 def test_losses_count_in_the_tick_that_sees_them(name: str, bit: Host) -> None:
     conditions, _, way = parts()
     setattr(way, name, 3)
-    assert conditions.host(MS, 0) == bit
-    assert conditions.host(2 * MS, 0) == 0
+    assert told(conditions, MS) == bit
+    assert told(conditions, 2 * MS) == 0
     setattr(way, name, 4)
-    assert conditions.host(3 * MS, 0) == bit
+    assert told(conditions, 3 * MS) == bit
 
 
 def test_losses_before_the_run_do_not_count() -> None:
     conditions = Conditions(parts()[1], Way(tx_failed=5, rx_dropped=7))
-    assert conditions.host(MS, 0) == 0
+    assert told(conditions, MS) == 0
 
 
 def test_a_link_that_is_down_takes_back_what_its_controller_said() -> None:
     conditions, inbox, way = parts()
     inbox.feed(Frame(MS, CAN_ERR_FLAG | ERR_BUS_OFF, bytes(8)))
-    assert conditions.host(MS, 0) == Host.BUS_OFF
+    assert told(conditions, MS) == Host.BUS_OFF
     way.down = True
-    assert conditions.host(2 * MS, 0) == Host.BUS_OFF | Host.LINK_DOWN
-    assert conditions.host(3 * MS, 0) == Host.LINK_DOWN
+    assert told(conditions, 2 * MS) == Host.BUS_OFF | Host.LINK_DOWN
+    assert told(conditions, 3 * MS) == Host.LINK_DOWN
     way.down = False
-    assert conditions.host(4 * MS, 0) == 0
+    assert told(conditions, 4 * MS) == 0
 
 
 @given(st.lists(st.tuples(st.integers(1, FOREIGN_NS + MS), st.integers(0, 2)), min_size=1, max_size=40))
@@ -91,7 +96,7 @@ def test_another_controller_is_present_for_a_second_after_its_last_frame(
             inbox.feed(foreign(t_ns))
             last_ns = t_ns
         present = last_ns is not None and t_ns - last_ns < FOREIGN_NS
-        assert conditions.host(t_ns, 0) == (Host.OTHER_CONTROLLER if present else 0)
+        assert told(conditions, t_ns) == (Host.OTHER_CONTROLLER if present else 0)
 
 
 @pytest.mark.parametrize("rate_hz", [1000.0, 250.0])

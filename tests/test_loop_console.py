@@ -138,22 +138,24 @@ def test_a_lane_knows_an_operators_request_from_the_runs_own() -> None:
     def after(state: State, kind: RequestKind | None) -> int:
         one.turn.tick = tick(state, kind)
         one.over()
-        return one.host(time.monotonic_ns(), 0)
+        one.turn.t_ns = time.monotonic_ns()
+        one.prepare(0, ending=False)
+        return one.early
 
-    one.ask(ending=False)
+    one.prepare(0, ending=False)
     one.request = Request(RequestKind.ARM, (1.0,))
     assert after(State.TRACKING, RequestKind.ARM) == 0, "it has armed by itself"
     handoff.send(asking, 1, Request(RequestKind.GOTO, (0.5,)))
-    one.ask(ending=False)
+    one.prepare(0, ending=False)
     assert one.request is not None
     assert after(State.MOVING, RequestKind.GOTO) == Host.CONSOLE_LOST
-    one.ask(ending=False)
+    one.prepare(0, ending=False)
     assert after(State.STOPPING, None) == Host.CONSOLE_LOST
     assert after(State.FAULT, None) == 0
     handoff.send(asking, 2, Request(RequestKind.ARM))
-    one.ask(ending=False)
+    one.prepare(0, ending=False)
     assert after(State.HOLDING, RequestKind.ARM) == Host.CONSOLE_LOST
-    one.ask(ending=True)
+    one.prepare(0, ending=True)
     assert after(State.STOPPING, RequestKind.SHUTDOWN) == 0, "the run ends"
     asking.close()
 

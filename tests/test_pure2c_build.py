@@ -69,7 +69,7 @@ def test_there_are_two_entry_points() -> None:
 
 
 def test_what_the_c_cannot_do_the_original_does_and_it_is_counted(tmp_path: Path) -> None:
-    functions, left, _ = compile_functions((swapped, root), cache=tmp_path / "cache")
+    functions, left, *_ = compile_functions((swapped, root), cache=tmp_path / "cache")
     before = left()
     assert functions[0](Pair(1.0)) == Pair(2.0, 1.0)
     assert functions[1](4.0) == 2.0

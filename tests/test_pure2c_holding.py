@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from pure2c import BuildError, compile_functions
+from pure2c import BuildError, Built, compile_functions
 
 
 class Link(NamedTuple):
@@ -51,13 +51,15 @@ BEGIN = Memory(0.0, 0, True, Inner((), 0.0), None, "name of its own", (0.0, 0.0,
 
 
 @pytest.fixture(scope="module")
-def held(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> tuple[Callable[..., Any], Callable[[], tuple[int, ...]]]:
+def built(tmp_path_factory: pytest.TempPathFactory) -> Built:
     try:
-        built = compile_functions([step], cache=tmp_path_factory.mktemp("holding"), holding=True)
+        return compile_functions([step], cache=tmp_path_factory.mktemp("holding"), holding=True)
     except BuildError as e:
         pytest.skip(str(e))
+
+
+@pytest.fixture
+def held(built: Built) -> tuple[Callable[..., Any], Callable[[], tuple[int, ...]]]:
     return built.functions[0], built.left
 
 
@@ -96,6 +98,26 @@ def test_what_c_cannot_do_is_done_with_the_record(held: Any) -> None:
     with pytest.raises(TypeError):
         f()
     assert left()[0] == before + 4
+
+
+def test_a_rehearsal_leaves_nothing_behind_whatever_it_is_given(built: Built) -> None:
+    (f,), (rehearse,) = built.functions, built.rehearsals
+    links = (Link(1.0), Link(2.0))
+    kept, _ = f(BEGIN, 2.5, links)
+    state, left, count = kept.whole(), built.left(), sys.getrefcount(links)
+    for given in (
+        (kept, 1.0, links),
+        (BEGIN, 1.0, links),
+        (kept, -1.0, ()),
+        (kept, 4, ()),
+        (1.0, 1.0, ()),
+        (),
+    ):
+        assert rehearse(*given) is None
+    assert sys.getrefcount(links) == count
+    assert built.left() == left
+    assert kept.whole() is state
+    assert f(kept, 1.0, links)[1] == step(state, 1.0, links)[1]
 
 
 def test_it_keeps_what_it_holds_and_no_longer(held: Any) -> None:

@@ -45,6 +45,7 @@ class Built(NamedTuple):
     functions: tuple[Callable[..., Any], ...]  # in the order of the originals
     left: Callable[[], tuple[int, ...]]  # how often each has been left to its original
     identity: bytes  # of all that they depend on, and of the library itself
+    rehearsals: tuple[Callable[..., None], ...]  # as those do it that hold, and for nothing
 
 
 def compile_functions(
@@ -86,7 +87,12 @@ def compile_functions(
     plain = [getattr(module, f"f{i}") for i in range(len(functions))]
     made = [getattr(module, f"h{i}", f) for i, f in enumerate(plain)] if holding else plain
     identity = hashlib.sha256(b"".join(depends_on) + Path(module.__file__).read_bytes()).digest()
-    return Built(tuple(made), module.left, identity)
+    rehearsals = tuple(getattr(module, f"r{i}", _nothing) for i in range(len(functions)))
+    return Built(tuple(made), module.left, identity, rehearsals)
+
+
+def _nothing(*_: object) -> None:
+    """The rehearsal of a function that holds no record."""
 
 
 def load_source(source: Path, *, cache: Path) -> Any:

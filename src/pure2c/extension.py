@@ -135,10 +135,9 @@ static PyObject *hold_{c}({c} *x) {{
   return (PyObject *)o;
 }}
 
-static int reach_{c}(PyObject *o, {c} *x) {{
-  if (Py_TYPE(o) != &held_type_{c}) return {take}(o, x);
-  *x = ((held_{c} *)o)->value;
-  return 1;
+static const {c} *reach_{c}(PyObject *o, {c} *x) {{
+  if (Py_TYPE(o) == &held_type_{c}) return &((held_{c} *)o)->value;
+  return {take}(o, x) ? x : NULL;
 }}
 """
 
@@ -151,7 +150,8 @@ class Extension:
     Once loaded, `f0`, `f1` … are the functions in their order; `CLASSES` names the NamedTuples that they
     take and return ("module:name …"). First of all, `bind` has to be given the originals and these classes.
     `left` says how often each function has been left to its original. `h0`, `h1` … take their first argument
-    as they left it and leave it in C, where it is a record that the result begins with (`Held`).
+    as they left it and leave it in C, where it is a record that the result begins with (`Held`); `r0`, `r1` …
+    do as much and forget what comes of it.
     """
 
     def __init__(self, functions: Sequence[Callable[..., Any]], name: str) -> None:
@@ -179,7 +179,9 @@ class Extension:
             self._take(t)
         count = len(functions)
         table += "".join(
-            f'  {{"h{i}", (PyCFunction)hold_{i}, METH_FASTCALL, NULL}},\n' for i in self._holding
+            f'  {{"{short}{i}", (PyCFunction){name}_{i}, METH_FASTCALL, NULL}},\n'
+            for i in self._holding
+            for short, name in (("h", "hold"), ("r", "rehearse"))
         )
         tail = _TAIL.format(
             methods=table,
@@ -211,15 +213,19 @@ class Extension:
         first, parts = next(iter(hints.values()), None), get_args(result)
         if get_origin(result) is tuple and first == parts[0] and _is_remembered(first):
             c = self._holding[index] = self._held(first)
-            reached = f"n == {len(types)} && {taken.replace('take_', 'reach_', 1)}"
-            text += self._holding_wrapper(index, c, parts, declared, reached, called)
+            first_taken, _, others = taken.partition(" && ")
+            at = f"(at0 = {first_taken.replace('take_', 'reach_', 1)})"
+            reached = " && ".join(filter(None, (f"n == {len(types)}", at, others)))
+            declared += f"  const {c} *at0;\n"
+            text += self._holding_wrapper(index, c, parts, declared, reached, called.replace("&a0", "at0", 1))
         return text
 
     def _holding_wrapper(
         self, index: int, c: str, parts: Sequence[Any], declared: str, reached: str, called: str
     ) -> str:
-        """The function whose first argument and result's first part stay in C."""
-        rest = "".join(f", {self._give(part)}(r.f{i})" for i, part in enumerate(parts) if i)
+        """The function whose first argument and result's first part stay in C, and that which forgets it."""
+        given = [f"{self._give(part)}(r.f{i})" for i, part in enumerate(parts) if i]
+        rest = "".join(f", {one}" for one in given)
         return (
             f"static PyObject *hold_{index}(PyObject *self, PyObject *const *args, Py_ssize_t n) {{\n"
             f"{declared}  if ({reached}) {{\n"
@@ -228,6 +234,10 @@ class Extension:
             f"      return record(&PyTuple_Type, {len(parts)}, members);\n    }}\n"
             f"  }}\n  left_[{index}]++;\n"
             f"  return without_held(PyTuple_GET_ITEM(originals_, {index}), args, n);\n}}\n"
+            f"static PyObject *rehearse_{index}(PyObject *self, PyObject *const *args, Py_ssize_t n) {{\n"
+            f"{declared}  if ({reached}) {{\n    failed_ = 0;\n    {called}\n"
+            f"    if (!failed_) {{ {' '.join(f'Py_XDECREF({one});' for one in given)} }}\n"
+            "  }\n  PyErr_Clear();\n  Py_RETURN_NONE;\n}\n"
         )
 
     def _held(self, t: Any) -> str:

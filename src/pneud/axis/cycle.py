@@ -421,6 +421,14 @@ class Axis:
         """Go on from a frozen state."""
         self.state = state
 
+    def rehearse(self, m: Measurement, t_ns: int) -> None:
+        """Compute a tick that nothing comes of, where that takes less time than there is.
+
+        Args:
+            m: any measurement, such as the last one.
+            t_ns: instant of this tick's SYNC.
+        """
+
     def cycle(self, m: Measurement, request: Request | None, t_ns: int, told: Told | None = None) -> Tick:
         """One tick.
 

@@ -29,6 +29,7 @@ from pneud.config.bus_tables import BusConfig
 from pneud.signals import ALL_SOURCES, Defect, Frame, Host, Measurement, Source
 
 NEVER_NS = 1 << 62  # the age of a source that has not been heard of yet
+UNHEARD_NS = -NEVER_NS  # when it was sampled; also what is older than can be told
 
 CORRUPT, FROZEN, _LATE = int(Defect.CORRUPT), int(Defect.FROZEN), int(Defect.LATE)
 _EMCY_IDS = range(0x081, 0x100)
@@ -37,6 +38,7 @@ _HEARTBEATS = range(0x701, 0x780)
 _HEARTBEAT_BASE = 0x700
 _OPERATIONAL, _BOOT = 5, 0  # NMT states in a heartbeat
 _SURPLUS = 8  # frames of one source, more or fewer than SYNC asked for, that are put down to delay and loss
+_COUNTED = 16  # and how far they are counted
 _FORGET_TICKS = 16  # a surplus of one is forgotten in so many ticks, so that one that has ended does not stay
 _EMERGENCY, _HEARTBEAT_LOST = int(Host.EMERGENCY), int(Host.HEARTBEAT_LOST)
 _BUS_PASSIVE, _BUS_OFF = int(Host.BUS_PASSIVE), int(Host.BUS_OFF)
@@ -76,7 +78,7 @@ class InboxState(NamedTuple):
     encoder: OriginState
     pressure: OriginState
     valve: OriginState
-    commanded_ns: int = -NEVER_NS
+    commanded_ns: int = UNHEARD_NS
     syncs: int = 0
     t_ns: int = 0
     readings: tuple[Reading, Reading, Reading] = UNREAD
@@ -90,7 +92,8 @@ class Origin:
     """What is known of one source, or of a part of one."""
 
     __slots__ = (
-        *("bit", "codec", "corrupt", "counter", "counts", "defects", "doubted", "has_age", "lag", "lost"),
+        *("bit", "check", "codec", "corrupt", "counter", "counts", "decode", "defects", "doubted"),
+        *("has_age", "lag", "lost"),
         *("sample_ns", "surplus", "values"),
     )
 
@@ -106,6 +109,7 @@ class Origin:
     ) -> None:
         self.bit = bit
         self.codec = codec
+        self.check, self.decode = codec.check, codec.decode
         self.has_age = has_age
         # how many values its counter has, if it counts
         self.counts = codec.counter_values if counted and codec.counter_values > 1 else 0
@@ -117,7 +121,7 @@ class Origin:
         self.surplus = 0  # frames beyond those that SYNC asked for
         self.lost = 0
         self.doubted = 0  # lost ones, unless there turn out to be two counters
-        self.sample_ns = -NEVER_NS
+        self.sample_ns = UNHEARD_NS
         self.values: tuple[Any, ...] = unknown
 
     def settle(self) -> None:
@@ -160,7 +164,7 @@ class Origin:
         """How old the newest value is at a SYNC, by the bits of what is fresh there [ns]."""
         if fresh & self.bit:
             return 0
-        if self.sample_ns == -NEVER_NS:
+        if self.sample_ns == UNHEARD_NS:
             return NEVER_NS
         return max(0, t_ns - self.sample_ns)
 
@@ -191,10 +195,10 @@ class Inbox:
             for codec in (codecs.sync, codecs.valve_command, codecs.encoder)
         )
         # what was sampled before this is late; between ticks everything is
-        self._not_before_ns = NEVER_NS if bus.sync else -NEVER_NS
+        self._not_before_ns = NEVER_NS if bus.sync else UNHEARD_NS + 1
         self._t_ns = 0
         self._sync_delay_ns = 0  # for which the own last command kept the wire
-        self.commanded_ns = -NEVER_NS
+        self.commanded_ns = UNHEARD_NS
         """When the last command was sent, to be set after `measurement`; −1 where it could not be."""
         self.echo = (0.0, 0)
         """The last command that left: voltage [V], enable; to be set where no valve tells."""
@@ -202,7 +206,9 @@ class Inbox:
         self._before_ns = 0  # the last tick's SYNC
         self._readings = UNREAD  # the last three positions that were fresh
         self._fresh = 0
-        self._rx = self._crc = self._stale = self._late = self._foreign = self._errors = 0
+        self._rx = self._crc = self._stale = self._late = self._errors = 0
+        self.foreign = 0
+        """The controller's own frames that someone else has sent so far."""
         self._emcy: dict[int, int] = {}
         self._nodes = frozenset(d.node for d in bus.devices if d.node is not None)
         self._patience_ns = {
@@ -226,11 +232,6 @@ class Inbox:
     def complete(self) -> bool:
         """All that is awaited in this tick has come."""
         return self._fresh == self._whole
-
-    @property
-    def foreign(self) -> int:
-        """The controller's own frames that someone else has sent so far."""
-        return self._foreign
 
     def begin(self, t_ns: int) -> None:
         """This tick's SYNC left at `t_ns`."""
@@ -266,10 +267,9 @@ class Inbox:
             self._feed_other(stamp_ns, can_id, data)
             return
         self._rx += 1
-        if origin.surplus <= 2 * _SURPLUS:
+        if origin.surplus <= _COUNTED:
             origin.surplus += 1
-        codec = origin.codec
-        counter = codec.check(data)
+        counter = origin.check(data)
         if counter < 0:
             self._crc += 1
             origin.corrupt += 1
@@ -280,15 +280,12 @@ class Inbox:
             self._stale += 1
             origin.defects |= FROZEN
             return
-        values = codec.decode(data)
+        values = origin.decode(data)
         sample_ns = stamp_ns
         if origin.has_age:
             age_s = values[2]
-            if age_s >= self._older_s:
-                sample_ns = -NEVER_NS
-            else:
-                sample_ns -= round(age_s * 1e9)
-        late = sample_ns < self._not_before_ns or sample_ns == -NEVER_NS
+            sample_ns = UNHEARD_NS if age_s >= self._older_s else stamp_ns - round(age_s * 1e9)
+        late = sample_ns < self._not_before_ns
         if counts:
             lag, older = origin.lag, False
             if (
@@ -368,7 +365,7 @@ class Inbox:
             # another's is heard when it has come, and nothing can be ahead of it
             return self._sync_delay_ns + self._sync_wire_ns if self.makes_sync else 0
         sample_ns = self._encoder.sample_ns
-        return 0 if sample_ns == -NEVER_NS else sample_ns - self._encoder_wire_ns - self._t_ns
+        return 0 if sample_ns == UNHEARD_NS else sample_ns - self._encoder_wire_ns - self._t_ns
 
     def freeze(self) -> InboxState:
         """The state after `measurement`, to be logged."""
@@ -401,7 +398,7 @@ class Inbox:
             self._crc,
             self._stale,
             self._late,
-            self._foreign,
+            self.foreign,
             self._errors,
             tuple(sorted(self._emcy.items())),
         )
@@ -413,7 +410,7 @@ class Inbox:
             return
         self._rx += 1
         if can_id in self._own:
-            self._foreign += 1
+            self.foreign += 1
         elif can_id == self._heard_id:
             self._syncs += 1
         elif can_id in _EMCY_IDS and len(data) >= 2:
@@ -439,7 +436,7 @@ class Inbox:
             self._find_emergencies()
         if node in self._patience_ns:
             # one that is not operational is as good as none
-            self._due_ns[node] = stamp_ns + self._patience_ns[node] if state == _OPERATIONAL else -NEVER_NS
+            self._due_ns[node] = stamp_ns + self._patience_ns[node] if state == _OPERATIONAL else UNHEARD_NS
 
     def _await_heartbeats(self, t_ns: int) -> None:
         late = False

@@ -1,4 +1,7 @@
-"""What the host has to say in a tick, in a running loop and in simulated time."""
+"""What the host has to say in a tick, in a running loop and in simulated time.
+
+Most of it is known before the answers come, when there is time for it.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,7 @@ class BusWay(Protocol):
 
 
 class Conditions:
-    """The host of one axis; `host` once a tick, when the answers have come."""
+    """The host of one axis; in every tick `early` once SYNC has left, `host` when the answers have come."""
 
     __slots__ = ("_foreign", "_foreign_until_ns", "_inbox", "_rx_dropped", "_tx_failed", "_way")
 
@@ -43,13 +46,14 @@ class Conditions:
         self._foreign = inbox.foreign
         self._foreign_until_ns = 0
 
-    def host(self, t_ns: int, others: int) -> int:
-        """Bits of `signals.Host`, those from elsewhere among them: what machine, clock and recorder lack."""
-        inbox, way = self._inbox, self._way
-        host = others | inbox.conditions
-        if way.down:
-            host |= LINK_DOWN
-            inbox.bus_restarted()
+    def early(self, t_ns: int, others: int) -> int:
+        """Bits of `signals.Host` that do not depend on the answers.
+
+        Args:
+            t_ns: this tick's SYNC.
+            others: bits from elsewhere: what machine, clock and recorder lack.
+        """
+        inbox, way, host = self._inbox, self._way, others
         if way.tx_failed != self._tx_failed:
             self._tx_failed = way.tx_failed
             host |= SEND_FAILED
@@ -61,4 +65,12 @@ class Conditions:
             self._foreign_until_ns = t_ns + FOREIGN_NS
         if t_ns < self._foreign_until_ns:
             host |= OTHER_CONTROLLER
+        return host
+
+    def host(self, early: int) -> int:
+        """All bits of `signals.Host`, with those from `early`."""
+        host = early | self._inbox.conditions
+        if self._way.down:
+            host |= LINK_DOWN
+            self._inbox.bus_restarted()
         return host

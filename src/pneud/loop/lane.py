@@ -46,6 +46,7 @@ class Lane:
         recorder: takes the records.
         tally: of the run.
         request: of this tick.
+        early: bits of `signals.Host` of this tick that its answers have no part in.
         operated: an operator has asked something of the axis, or a fault of another has.
         again: an operator has asked the daemon to begin anew.
         identifiers: of frames that are this axis's alone; none where it shares the bus with no other.
@@ -74,6 +75,7 @@ class Lane:
         self.recorder = recorder
         self.tally = Tally(truth=truth is not None, timed=True, sync=turn.inbox.sync)
         self.request: Request | None = None
+        self.early = 0
         self.operated = self.again = False
         self.decided_ns = self.done_ns = 0
         self._truth = truth
@@ -95,13 +97,22 @@ class Lane:
         """Whether the run itself is still to arm the axis, and cannot yet."""
         return not self._armed and not self._can_arm()
 
-    def ask(self, ending: bool, may_arm: bool = True) -> None:
-        """Find what is asked of the axis in this tick, by the run itself or else by an operator.
+    def prepare(self, host: int, ending: bool, may_arm: bool = True) -> None:
+        """Find what there is to know before the answers come: what is asked of the axis, what its host lacks.
 
         Args:
+            host: bits of `signals.Host` from elsewhere.
             ending: the run is to end.
             may_arm: the run itself may arm the axis, as far as others are concerned.
         """
+        self._ask(ending, may_arm)
+        t_ns = self.turn.t_ns
+        lost = 0 if self._shut else self._watch.host(t_ns)
+        unproven = 0 if self._trusted else self._unproven
+        self.early = self.conditions.early(t_ns, host | lost | unproven | self.recorder.host)
+
+    def _ask(self, ending: bool, may_arm: bool) -> None:
+        """Find what is asked of the axis in this tick, by the run itself or else by an operator."""
         request, self._asked = self._own_request(ending, may_arm), False
         if request is None and self._console is not None:
             request = self._console.take()
@@ -126,12 +137,6 @@ class Lane:
             return False
         last = self.turn.tick
         return last.state == DISARMED and not last.present & BLOCKS_ARM and self.recorder.begun
-
-    def host(self, t_ns: int, others: int) -> int:
-        """Bits of `signals.Host`, those from elsewhere among them."""
-        lost = 0 if self._shut else self._watch.host(t_ns)
-        unproven = 0 if self._trusted else self._unproven
-        return self.conditions.host(t_ns, others | lost | unproven | self.recorder.host)
 
     def see_truth(self, sync_ns: int) -> None:
         """Look for the true position at this tick's SYNC."""

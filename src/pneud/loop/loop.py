@@ -147,13 +147,13 @@ class Loop:
         elif following is not None:
             self._routes.feed(following.rest)
         sync = Frame(sync_ns, self._sync_id, sync_data)
-        set_ns = self._wait(t_ns, sync.stamp_ns)
+        set_ns = self._wait(t_ns, sync.stamp_ns, host)
         # decide and send
         if link.down and count % self._check_ticks == 0:
             link.reopen()
         for lane in lanes:
             turn = lane.turn
-            turn.decide(skipped, lane.host(t_ns, host), lane.request, lane.told)
+            turn.decide(skipped, lane.conditions.host(lane.early), lane.request, lane.told)
             lane.decided_ns = clock()
             turn.sent(link.send(turn.command_id, turn.command(index + 1, count)))
             lane.done_ns = clock()
@@ -177,7 +177,7 @@ class Loop:
             nodes.quiet = self._hushed
         return 0 if ready else UNREADY
 
-    def _wait(self, t_ns: int, sync_ns: int) -> int:
+    def _wait(self, t_ns: int, sync_ns: int, host: int) -> int:
         """Wait until every axis has its set, or for as long as there is time.
 
         Returns:
@@ -185,10 +185,12 @@ class Loop:
         """
         link, came, clock, answers = self._link, self._came, time.monotonic_ns, self._answers
         limit_ns = t_ns + self._wait_ns
-        self._meanwhile()
+        self._meanwhile(host)
         doze_ns = answers.doze_ns(clock() - t_ns)
         if doze_ns > 0:
             time.sleep(doze_ns * 1e-9)
+            for turn in self._turns:
+                turn.rehearse()
         look_until_ns = clock() + answers.look_ns()
         for lane in self.lanes:
             lane.see_truth(sync_ns)
@@ -213,7 +215,7 @@ class Loop:
         self._in_vain = look_until_ns < newest_ns
         return set_ns
 
-    def _meanwhile(self) -> None:
+    def _meanwhile(self, host: int) -> None:
         """What there is time for while the nodes answer."""
         if self._count % self._check_ticks == self._check_ticks - 1:
             for lane in self.lanes:
@@ -224,7 +226,7 @@ class Loop:
         company = self._company
         may_arm = company is None or company.look()
         for lane in self.lanes:
-            lane.ask(self._ending, may_arm)
+            lane.prepare(host, self._ending, may_arm)
 
     def _complete(self) -> bool:
         for turn in self._turns:  # noqa: SIM110 - a generator would take longer than all of it

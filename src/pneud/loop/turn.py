@@ -90,6 +90,14 @@ class Turn:
         self.tick = tick = self._cycle(self.inbox.measurement(skipped, host), request, self.t_ns, told)
         return tick
 
+    def rehearse(self) -> None:
+        """Do for nothing what is about to be done in earnest, so that the processor has it at hand.
+
+        Most of what there is to do is new to a processor that has slept, and takes twice as long.
+        """
+        self.axis.rehearse(self.tick.measurement, self.t_ns)
+        self.centre(0)
+
     def command(self, sequence: int, counter: int) -> bytes:
         """What to send to the valve, by the counters of SYNC and, as far as it fits, of the command."""
         c = self.tick.command

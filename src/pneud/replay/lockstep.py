@@ -116,13 +116,14 @@ class Simulation:
                 turn.feed((sync._replace(stamp_ns=t_ns),))
                 turn.before += 1
             turn.begin(t_ns)
+            early = self._conditions.early(t_ns, 0)
             answers = node.poll(t_ns + self._wait_ns)
             if link == DOWN or machine.plant_stands(t_ns):  # it may have come to a stand since SYNC
                 answers = []
             left_over = self._feed(answers)
             done_ns = max(t_ns, turn.newest_ns) if self.inbox.complete else t_ns + self._wait_ns
             request = self._request(count, last_state, last_present)
-            tick = turn.decide(skipped, self._conditions.host(t_ns, 0), request)
+            tick = turn.decide(skipped, self._conditions.host(early), request)
             last_state, last_present = tick.state, tick.present
 
             sent_ns = done_ns + COMPUTING_NS

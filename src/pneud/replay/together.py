@@ -152,13 +152,14 @@ class Together:
                     lane.turn.before += 1
             for turn in turns:
                 turn.begin(t_ns)
+            early = [lane.conditions.early(t_ns, 0) for lane in lanes]
             left = self._hear(rigs.poll(t_ns + self._wait_ns))
             whole = all(turn.inbox.complete for turn in turns)
             now_ns = max(t_ns, *(turn.newest_ns for turn in turns)) if whole else t_ns + self._wait_ns
             set_ns, asked = now_ns, self._asked(count)
             for number, lane in enumerate(lanes):
                 turn, request = lane.turn, self._own_request(count, lane) or asked.get(number)
-                lane.see(turn.decide(0, lane.conditions.host(t_ns, 0), request, lane.told))
+                lane.see(turn.decide(0, lane.conditions.host(early[number]), request, lane.told))
                 now_ns += COMPUTING_NS
                 rigs.on_frame(Frame(now_ns, turn.command_id, turn.command(sequence, count)))
                 turn.sent(now_ns)
