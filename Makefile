@@ -57,8 +57,9 @@ coverage: $(DEV) ## every branch of safety/ and control/ is taken by a test of t
 mutation: $(MUTATION) ## what of safety/ can be changed without a test that fails (minutes)
 	@exec .ci/mutation $(ARGS)
 
+# What safety/ and control/ compute, no library has a part in.
 lowest: $(DEV) ## the quick tests with the lowest versions of all that pneud says it works with
-	@exec .ci/lowest $(ARGS)
+	@exec .ci/lowest $(addprefix --ignore ,$(wildcard $(COVERING))) $(ARGS)
 
 vm: $(DEV) ## the tests over real SocketCAN, in a virtual machine (see hil/README.md)
 	@exec hil/vm/run -t 600 -- $(BIN)/python -m pytest -m vm -p no:cacheprovider tests/vm $(ARGS)

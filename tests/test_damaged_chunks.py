@@ -17,7 +17,7 @@ from rewritten import rewrite
 MAGIC = b"\x89MCAP0\r\n"
 KINDS = {"lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
 COUNT = 2
-MORE = pytest.param(60, marks=pytest.mark.slow, id="many")
+MORE = pytest.param(30, marks=pytest.mark.slow, id="many")
 VERBS = {
     "replay": "replay {}",
     "replay from": "replay {} --from 0.1",
