@@ -12,9 +12,9 @@ from pydantic import ValidationError
 
 from pneud.bus.codec import Codec, Codecs, DatabaseError
 from pneud.bus.inbox import Inbox
+from pneud.bus.many import valid
 from pneud.bus.protection import CCITT, H2F, J1850
 from pneud.config.bus_tables import BusConfig
-from pneud.report.health import valid
 from pneud.signals import Frame
 from protected import LAYOUTS, RULES, codecs_with
 

@@ -8,52 +8,21 @@ what came before another one of its source.
 from __future__ import annotations
 
 from collections import Counter
-from typing import Any, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pneud.bus import crc8
-from pneud.bus.codec import SOURCES, Answer, Codec, Codecs
+from pneud.bus.codec import SOURCES, Answer, Codecs
 from pneud.bus.dbc_layout import SignalField, shift
+from pneud.bus.many import raw, valid
 from pneud.bus.wire import CAN_ERR_FLAG
 from pneud.log.files.columns import AFTER, BEFORE, SENT, Block, Floats, FrameColumns, Ints
 from pneud.report.spread import Spread
 from pneud.signals import Defect
 
-_TABLE = np.frombuffer(crc8.TABLE, dtype=np.uint8)
 _EMCY = range(0x081, 0x100)
 _HEARTBEAT = range(0x701, 0x780)
-
-Words = NDArray[np.uint64]
-
-
-def raw(field: SignalField, data: Words, length: int) -> Ints:
-    """Raw values of a field of many frames."""
-    word = data.byteswap() >> np.uint64(64 - 8 * length) if field.big_endian else data
-    bits = word >> np.uint64(shift(field, length)) & np.uint64((1 << field.length) - 1)
-    value = bits.astype(np.int64)
-    if field.signed:
-        sign = 1 << (field.length - 1)
-        value = (value ^ sign) - sign
-    return value
-
-
-def valid(codec: Codec, length: Ints, data: Words) -> NDArray[np.bool_]:
-    """Which frames have the right length and, where there is one, checksum."""
-    good: NDArray[np.bool_] = length == codec.length
-    if codec.guard.judged == "call":
-        frames = zip(data.tolist(), length.tolist(), strict=True)
-        found = (codec.valid(word.to_bytes(8, "little")[:n]) for word, n in frames)
-        return np.fromiter(found, dtype=np.bool_, count=len(data))
-    if codec.guard.judged == "inline":
-        state = np.full(len(data), crc8.identifier_state(codec.can_id), dtype=np.uint8)
-        for i in range(codec.length):
-            byte = (data >> np.uint64(8 * i) & np.uint64(0xFF)).astype(np.uint8)
-            if i == codec.length - 1:
-                good &= state ^ crc8.FINAL_XOR == byte
-            state = _TABLE[state ^ byte]
-    return good
 
 
 class SourceHealth:
@@ -71,21 +40,19 @@ class SourceHealth:
         self._counter = -1
         self._corrupt_since = 0
 
-    def add(
-        self, ticks: Any, frames: FrameColumns, sync_sent_ns: Ints, command_sent_ns: Ints, sync: bool
-    ) -> None:
-        """Take the frames of a block, whose ticks they belong to."""
-        codec = self.codec
+    def add(self, block: Block, sync_sent_ns: Ints, command_sent_ns: Ints, sync: bool) -> None:
+        """Take the frames of a block."""
+        codec, ticks, frames = self.codec, block.ticks, block.frames
         mine = (frames.can_id == codec.can_id) & (frames.part != SENT)
         kept = np.flatnonzero(mine)
         self.frames += len(kept)
-        good = valid(codec, frames.length[kept], frames.data[kept])
+        good = self._valid(block, kept)
         self.corrupt += int((~good).sum())
         # how many were corrupt since the last one that was taken
         corrupt = np.cumsum(~good) + self._corrupt_since
         kept, corrupt_before = kept[good], corrupt[good]
         if codec.counter_field is not None and len(kept):
-            kept, corrupt_before = self._counted(frames, kept, corrupt_before, codec.counter_field)
+            kept, corrupt_before = self._counted(block, kept, corrupt_before)
         self._corrupt_since = int(corrupt[-1]) if len(corrupt) else self._corrupt_since
         if len(kept):
             self._corrupt_since -= int(corrupt_before[-1])
@@ -93,7 +60,7 @@ class SourceHealth:
         tick, stamp, part = frames.tick[kept], frames.stamp_ns[kept], frames.part[kept]
         age_s: Floats = np.zeros(len(tick))
         if codec.age_field is not None:
-            age = raw(codec.age_field, frames.data[kept], codec.length)
+            age = self._raw(codec.age_field, block, kept)
             age_s = np.asarray(age * codec.age_field.scale + codec.age_field.offset, dtype=np.float64)
         late = age_s >= self._older_s
         if sync:
@@ -111,11 +78,27 @@ class SourceHealth:
         sent = command_sent_ns[tick]
         self.age.add(np.where(sent > 0, np.maximum(sent - stamp, 0), -1))
 
-    def _counted(
-        self, frames: FrameColumns, kept: Ints, corrupt_before: Ints, field: SignalField
-    ) -> tuple[Ints, Ints]:
+    def _valid(self, block: Block, kept: Ints) -> NDArray[np.bool_]:
+        if self.codec.length <= 8:
+            return valid(self.codec, block.frames.length[kept], block.frames.data[kept])
+        found = (self.codec.valid(block.long.get(i, b"")) for i in kept.tolist())
+        return np.fromiter(found, dtype=np.bool_, count=len(kept))
+
+    def _raw(self, field: SignalField, block: Block, kept: Ints) -> Ints:
+        """Raw values of a field, of frames that are valid."""
+        length = self.codec.length
+        if length <= 8:
+            return raw(field, block.frames.data[kept], length)
+        order: Literal["big", "little"] = "big" if field.big_endian else "little"
+        low, ones = shift(field, length), (1 << field.length) - 1
+        words = [int.from_bytes(block.long[i], order) >> low & ones for i in kept.tolist()]
+        sign = 1 << (field.length - 1) if field.signed else 0
+        return np.array([(word ^ sign) - sign for word in words], dtype=np.int64)
+
+    def _counted(self, block: Block, kept: Ints, corrupt_before: Ints) -> tuple[Ints, Ints]:
         """Those whose counter went on; counts the others, and what is missing between them."""
-        counter = raw(field, frames.data[kept], self.codec.length)
+        assert self.codec.counter_field is not None
+        counter = self._raw(self.codec.counter_field, block, kept)
         known = self._counter >= 0
         step = (
             np.diff(counter, prepend=self._counter if known else counter[0] - 1) % self.codec.counter_values
@@ -185,7 +168,7 @@ class Health:
         own = (sync_id, command_id) if self._sync else (command_id,)
         self.foreign += int(np.isin(received[~errors], own).sum())
         for source in self.sources:
-            source.add(block.ticks, frames, sync_ns, command_ns, self._sync)
+            source.add(block, sync_ns, command_ns, self._sync)
         self._emergencies(frames)
         return self._jitter(block, sync_ns)
 

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 from google.protobuf.message import DecodeError
 from mcap.opcode import Opcode
@@ -27,8 +27,10 @@ from pneud.log.format.framing import (
     attachment,
     first_ns,
     items,
+    items_by,
     message_count,
     metadata,
+    one_by_one,
     open_mcap,
     pieces,
 )
@@ -36,7 +38,10 @@ from pneud.log.format.meanings import READABLE, SCHEMA
 from pneud.log.format.records import LoggedEvent, LoggedTick, TickMessage, unpack, unpack_event
 from pneud.log.format.schema import EVENTS, FRAMES, METADATA, SETUP, STATE, TICK
 
-_SEQUENCES = 1 << 32  # of MCAP's messages, after which they begin anew
+if TYPE_CHECKING:
+    from pneud.log.files.stretches import Stretch, TickRows
+
+SEQUENCES = 1 << 32  # of MCAP's messages, after which they begin anew
 _LATEST_NS = (1 << 63) - 1  # Unix; MCAP's times have a bit more
 _LOOK_BACK = 2000  # places among which a snapshot is looked for
 _OWN_TOPICS = {TICK, FRAMES, STATE, EVENTS}
@@ -50,6 +55,13 @@ class RawBatch(NamedTuple):
     frames: bytes
 
 
+class RowBatch(NamedTuple):
+    """The same, alike ones together."""
+
+    ticks: list[TickRows]
+    frames: bytes
+
+
 class LoggedState(NamedTuple):
     """The state of the axis as read: it follows the record of its number and precedes the next one."""
 
@@ -59,7 +71,9 @@ class LoggedState(NamedTuple):
 
 
 Raw = RawBatch | LoggedState | LoggedEvent
+Rows = RowBatch | LoggedState | LoggedEvent
 Item = LoggedTick | LoggedState
+Split: TypeAlias = "Callable[[bytes], Iterator[Schema | Channel | LoggedMessage | Stretch]]"
 
 
 class _Definitions:
@@ -164,12 +178,15 @@ class _File:
                 pass
         return 0
 
-    def messages(self, from_ns: int, read: Callable[[int], None]) -> Iterator[tuple[str, str, LoggedMessage]]:
+    def messages(
+        self, from_ns: int, read: Callable[[int], None], split: Split = one_by_one
+    ) -> Iterator[tuple[str, str, LoggedMessage | Stretch]]:
         """Topic, schema and message; ends at the first place that cannot be read.
 
         Args:
             from_ns: begin with the last snapshot not after this time, or at the start where there is none.
             read: told how many bytes have been read, now and then.
+            split: takes apart what a chunk holds; ticks may come together, others come one by one.
         """
         self.damage = ""
         known = _Definitions()
@@ -186,15 +203,18 @@ class _File:
                     if piece.opcode == Opcode.STATISTICS and not start:
                         self._check_count(piece, count)
                     ended = ended or piece.opcode == Opcode.DATA_END
-                    for item in () if ended else items(piece):
-                        if not isinstance(item, LoggedMessage):
+                    for item in () if ended else items_by(split, piece):
+                        if isinstance(item, Schema | Channel):
                             known.learn(item)
                             continue
-                        count += 1
-                        if (channel := known.channels.get(item.channel)) is not None:
+                        some = len(item.rows) if not isinstance(item, LoggedMessage) else 1
+                        count += some
+                        if (channel := known.channels.get(item.channel)) is None:
+                            strangers += some
+                        elif channel[0] == TICK or isinstance(item, LoggedMessage):
                             yield *channel, item
                         else:
-                            strangers += 1
+                            yield from ((*channel, one) for one in item.singly())
                 if strangers:
                     self.damage = f"{strangers} messages are of channels that are nowhere defined"
             except DamageError as e:
@@ -254,6 +274,66 @@ class _File:
 def _first_topic(piece: Piece, known: _Definitions) -> str:
     first = next((item for item in items(piece) if isinstance(item, LoggedMessage)), None)
     return "" if first is None else known.channels.get(first.channel, ("", ""))[0]
+
+
+B_co = TypeVar("B_co", covariant=True)
+
+
+class _Gathering(Protocol[B_co]):
+    """Ticks that wait for their frames."""
+
+    @staticmethod
+    def split(data: bytes, /) -> Iterator[Schema | Channel | LoggedMessage | Stretch]:
+        """Take apart what a chunk holds."""
+
+    @staticmethod
+    def latest_ns(message: LoggedMessage | Stretch, /) -> int:
+        """Latest of the times of one message, or of several."""
+
+    def __len__(self) -> int: ...
+
+    def put(self, message: LoggedMessage | Stretch, schema: str, last: int, /) -> None:
+        """Some more, behind the tick with this number."""
+
+    def take(self, first: int, count: int, frames: bytes, /) -> B_co | None:
+        """So many ticks from a number on, with their frames; None where one is not there."""
+
+
+class _OneByOne:
+    """One message after the other."""
+
+    @staticmethod
+    def split(data: bytes) -> Iterator[Schema | Channel | LoggedMessage]:
+        """As it is said there."""
+        return one_by_one(data)
+
+    def __init__(self) -> None:
+        self._ticks: dict[int, TickMessage] = {}
+
+    def __len__(self) -> int:
+        return len(self._ticks)
+
+    @staticmethod
+    def latest_ns(message: LoggedMessage | Stretch) -> int:
+        """Its time."""
+        return int(message.log_time_ns)
+
+    def put(self, message: LoggedMessage | Stretch, schema: str, last: int) -> None:
+        """One more."""
+        assert isinstance(message, LoggedMessage)
+        number = numbered(message.sequence, last)
+        self._ticks[number] = TickMessage(number, message.log_time_ns, schema, message.data)
+
+    def take(self, first: int, count: int, frames: bytes) -> RawBatch | None:
+        """So many with consecutive numbers."""
+        pop = self._ticks.pop
+        ticks = [tick for i in range(count) if (tick := pop(first + i, None)) is not None]
+        return RawBatch(ticks, frames) if len(ticks) == count > 0 else None
+
+
+def numbered(sequence: Any, last: int) -> Any:
+    """The number whose sequence this is and that lies nearest to the last one; of one, or of an array."""
+    return last + (sequence - last + SEQUENCES // 2) % SEQUENCES - SEQUENCES // 2
 
 
 class LogReader:
@@ -346,6 +426,17 @@ class LogReader:
 
     def raw(self, from_ns: int = 0) -> Iterator[Raw]:
         """Ticks as bytes, snapshots and events in the order of the files; otherwise as `items`."""
+        return self._by(_OneByOne, from_ns)
+
+    def rows(self) -> Iterator[Rows]:
+        """As `raw`, from the start, with ticks that are alike together: a tenth of the time."""
+        from pneud.log.files.stretches import Together  # noqa: PLC0415 - for who looks at many ticks
+
+        return self._by(Together, 0)
+
+    def _by(
+        self, gather: Callable[[], _Gathering[B_co]], from_ns: int
+    ) -> Iterator[B_co | LoggedState | LoggedEvent]:
         self.truncated, self.damage, self.missing = False, "", 0
         files = self._files
         if from_ns:
@@ -353,36 +444,39 @@ class LogReader:
             files = files[next(later, len(files)) - 1 :]
         last = files[0].records_before
         for file in files:
-            last = yield from self._raw(file, last, from_ns if file is files[0] else 0)
+            last = yield from self._of(file, gather(), last, from_ns if file is files[0] else 0)
 
-    def _raw(self, file: _File, last: int, from_ns: int) -> Generator[Raw, None, int]:
-        waiting: dict[int, TickMessage] = {}
+    def _of(
+        self, file: _File, waiting: _Gathering[B_co], last: int, from_ns: int
+    ) -> Generator[B_co | LoggedState | LoggedEvent, None, int]:
         began = not from_ns  # from the middle, what came before is not missing
         before, whole = (
             sum(f.size for f in self._files if f.part < file.part),
             sum(f.size for f in self._files),
         )
-        for topic, schema, message in file.messages(from_ns, lambda read: self.watch(before + read, whole)):
-            if message.log_time_ns > _LATEST_NS:
+        told: Callable[[int], None] = lambda read: self.watch(before + read, whole)  # noqa: E731
+        for topic, schema, message in file.messages(from_ns, told, waiting.split):
+            if waiting.latest_ns(message) > _LATEST_NS:
                 self._damaged(f"damaged in a message of {topic}: its time lies behind the year 2262")
                 return last
-            # the number whose sequence this is and that lies nearest to the last one
-            number = last + (message.sequence - last + _SEQUENCES // 2) % _SEQUENCES - _SEQUENCES // 2
-            if topic == TICK:
-                waiting[number] = TickMessage(number, message.log_time_ns, schema, message.data)
-            elif topic == FRAMES:
+            if topic == TICK or not isinstance(message, LoggedMessage):
+                waiting.put(message, schema, last)
+                continue
+            number = numbered(message.sequence, last)
+            if topic == FRAMES:
                 # more may wait than these are of, where another program has sorted the log
                 try:
-                    ticks = [waiting.pop(number + i) for i in range(tick_count(message.data))]
-                except (DecodeError, KeyError):
-                    ticks = []
-                if not ticks:
+                    count = tick_count(message.data)
+                    batch = waiting.take(number, count, message.data)
+                except DecodeError:
+                    batch = None
+                if batch is None:
                     self.damaged_at(number, ValueError("frames without their ticks"))
                     return last
                 if began:
                     self.missing += max(0, number - last - 1)
-                began, last = True, ticks[-1].number
-                yield RawBatch(ticks, message.data)
+                began, last = True, number + count - 1
+                yield batch
             elif topic == STATE:
                 if began and number < last:  # sorted behind its time by another program: it says nothing here
                     continue
@@ -395,7 +489,7 @@ class LogReader:
                 except (DecodeError, ValueError) as e:
                     self._damaged(f"damaged in an event: {e}")
                     return last
-        if waiting and not file.damage:
+        if len(waiting) and not file.damage:
             file.damage = f"damaged at its end: {len(waiting)} ticks without their frames"
         if file.damage:
             self._damaged(file.damage if len(self._files) == 1 else f"{file.path.name}: {file.damage}")

@@ -144,7 +144,9 @@ class FrameBlock:
     """A message of `/can/frames` as read.
 
     Attributes:
-        counts: of each tick: frames received, those among them drained before SYNC left, frames sent.
+        received: frames of each tick.
+        before: those among them that were drained before SYNC left.
+        sent: frames sent.
         count: number of ticks.
         order: of each frame, in which column it stands; tick by tick, received ones, then sent ones.
         columns: the columns.
@@ -158,10 +160,14 @@ class FrameBlock:
             ValueError: its columns do not fit together.
         """
         message = _Frames.FromString(data)
-        self.counts = list(zip(message.received, message.before, message.sent, strict=True))
-        self.count = len(self.counts)
+        self.received, self.before, self.sent = (
+            list(column) for column in (message.received, message.before, message.sent)
+        )
+        self.count = len(self.received)
         self.order = list(message.order)
-        if sum(received + sent for received, _, sent in self.counts) != len(self.order):
+        if not self.count == len(self.before) == len(self.sent):
+            raise ValueError("frames of some ticks only")
+        if sum(self.received) + sum(self.sent) != len(self.order):
             raise ValueError("frames of no tick")
         if self.order and max(self.order) >= len(message.columns):
             raise ValueError("frames in a column that is not there")
@@ -181,7 +187,7 @@ class FrameBlock:
         new = tuple.__new__  # half the time of Frame(…)
         columns = [column.frames() for column in self.columns]
         frames = map(next, map(columns.__getitem__, self.order))
-        for t, (received, before, sent) in zip(t_ns, self.counts, strict=True):
+        for t, received, before, sent in zip(t_ns, self.received, self.before, self.sent, strict=True):
             yield (
                 tuple([new(Frame, (t + s, i, d)) for s, i, d in islice(frames, received)]),
                 before,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any, NamedTuple, TypeVar
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
@@ -22,14 +22,16 @@ from pneud.rt.inputs import open_file
 
 MAGIC = b"\x89MCAP0\r\n"
 SPAN = struct.Struct("<QQ")  # first and last time in a chunk, with which it begins
-_HEAD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
-_MESSAGE_HEAD = _HEAD.size + _MESSAGE.size
+HEAD = struct.Struct("<BQ")  # of a record: opcode and length of what follows
+MESSAGE = struct.Struct("<HIQQ")  # of a message, behind that: channel, sequence, two times
+MESSAGE_HEAD = HEAD.size + MESSAGE.size
 _LARGEST_CHUNK = 256 * 1024 * 1024
-_OPCODE_MESSAGE = int(Opcode.MESSAGE)
+OPCODE_MESSAGE = int(Opcode.MESSAGE)
 KNOWN = frozenset(int(code) for code in Opcode)
 """Opcodes of MCAP as it is today; others are of a later one, or private to who wrote them."""
 _NO_OPCODE = 0
+
+T = TypeVar("T")
 
 # What the decoders of MCAP and zstd raise on bytes that make no sense.
 NONSENSE = (struct.error, ValueError, IndexError, KeyError, MemoryError, OverflowError, McapError)
@@ -101,11 +103,11 @@ def pieces(file: IO[bytes], *, skip_chunks: bool = False) -> Iterator[Piece]:
     end = os.fstat(file.fileno()).st_size
     offset = file.tell()
     while True:
-        head = file.read(_HEAD.size)
-        if len(head) < _HEAD.size:
+        head = file.read(HEAD.size)
+        if len(head) < HEAD.size:
             raise CutShortError(f"cut short at byte {end}")
-        opcode, length = _HEAD.unpack(head)
-        following = offset + _HEAD.size + length
+        opcode, length = HEAD.unpack(head)
+        following = offset + HEAD.size + length
         if opcode == _NO_OPCODE:
             raise DamageError(f"damaged at byte {offset}: no record begins with {opcode}")
         if following > end:
@@ -182,12 +184,27 @@ def items(piece: Piece) -> list[Schema | Channel | LoggedMessage]:
     Raises:
         DamageError: its bytes are not what was written.
     """
+    return items_by(one_by_one, piece)
+
+
+def items_by(
+    split: Callable[[bytes], Iterable[Schema | Channel | LoggedMessage | T]], piece: Piece
+) -> list[Schema | Channel | LoggedMessage | T]:
+    """As `items`, with another way to take apart what a chunk holds.
+
+    Args:
+        split: as `one_by_one`.
+        piece: the record.
+
+    Raises:
+        DamageError: its bytes are not what was written.
+    """
     try:
         if piece.opcode == Opcode.CHUNK:
-            return list(_items(_decompressed(Chunk.read(stream(piece.body)))))
+            return list(split(_decompressed(Chunk.read(stream(piece.body)))))
         if piece.opcode == Opcode.MESSAGE:
-            channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(piece.body)
-            return [LoggedMessage(channel, sequence, log_ns, publish_ns, piece.body[_MESSAGE.size :])]
+            channel, sequence, log_ns, publish_ns = MESSAGE.unpack_from(piece.body)
+            return [LoggedMessage(channel, sequence, log_ns, publish_ns, piece.body[MESSAGE.size :])]
         if piece.opcode == Opcode.SCHEMA:
             return [Schema.read(stream(piece.body))]
         if piece.opcode == Opcode.CHANNEL:
@@ -203,8 +220,8 @@ def first_ns(piece: Piece) -> int | None:
     """Time of the first message that a record brings, a chunk's by its head alone; None if there is none."""
     if piece.opcode == Opcode.CHUNK and any(piece.body[: SPAN.size]):
         return int(SPAN.unpack_from(piece.body)[0])
-    if piece.opcode == Opcode.MESSAGE and len(piece.body) >= _MESSAGE.size:
-        return int(_MESSAGE.unpack_from(piece.body)[2])
+    if piece.opcode == Opcode.MESSAGE and len(piece.body) >= MESSAGE.size:
+        return int(MESSAGE.unpack_from(piece.body)[2])
     return None
 
 
@@ -228,19 +245,35 @@ def _decompressed(chunk: Chunk) -> bytes:
     return data
 
 
-def _items(data: bytes) -> Iterator[Schema | Channel | LoggedMessage]:
+def one_by_one(data: bytes) -> Iterator[Schema | Channel | LoggedMessage]:
+    """What a chunk holds, decompressed.
+
+    Raises:
+        one of `NONSENSE`.
+    """
     offset, end = 0, len(data)
-    new = tuple.__new__  # half the time of Message(…)
     while offset < end:
-        opcode, length = _HEAD.unpack_from(data, offset)
-        following = offset + _HEAD.size + length
-        if following > end:
-            raise ValueError("a record reaches beyond its chunk")
-        if opcode == _OPCODE_MESSAGE:
-            head = _MESSAGE.unpack_from(data, offset + _HEAD.size)
-            yield new(LoggedMessage, (*head, data[offset + _MESSAGE_HEAD : following]))
-        elif opcode == Opcode.SCHEMA:
-            yield Schema.read(stream(data[offset + _HEAD.size : following]))
-        elif opcode == Opcode.CHANNEL:
-            yield Channel.read(stream(data[offset + _HEAD.size : following]))
-        offset = following
+        item, offset = item_at(data, offset)
+        if item is not None:
+            yield item
+
+
+def item_at(data: bytes, offset: int) -> tuple[Schema | Channel | LoggedMessage | None, int]:
+    """The record at a place of a chunk, None where it is of no use here, and the place of the next one.
+
+    Raises:
+        one of `NONSENSE`.
+    """
+    opcode, length = HEAD.unpack_from(data, offset)
+    following = offset + HEAD.size + length
+    if following > len(data):
+        raise ValueError("a record reaches beyond its chunk")
+    if opcode == OPCODE_MESSAGE:
+        head = MESSAGE.unpack_from(data, offset + HEAD.size)
+        # half the time of LoggedMessage(…)
+        return tuple.__new__(LoggedMessage, (*head, data[offset + MESSAGE_HEAD : following])), following
+    if opcode == Opcode.SCHEMA:
+        return Schema.read(stream(data[offset + HEAD.size : following])), following
+    if opcode == Opcode.CHANNEL:
+        return Channel.read(stream(data[offset + HEAD.size : following])), following
+    return None, following

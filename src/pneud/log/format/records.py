@@ -370,8 +370,27 @@ def unpack(
     parts = frames.ticks(v[0] for v in values)
     began_ns = values[0][0] if first_ns is None and values else first_ns or 0
     for tick, v, its_frames in zip(ticks, values, parts, strict=True):
-        check, (request, more, told, program) = v[len(NUMBERS) :]
-        record = record_of(v, request, *its_frames, more, told, program)
-        t_s, bits = 1e-9 * (v[0] - began_ns), record.tick.present | record.tick.latched
-        names = names_of(bits, fault_names)
-        yield LoggedTick(tick.number, tick.log_time_ns, check, *record.tick, *record[1:], t_s, names)
+        yield logged(tick, v, its_frames, began_ns, fault_names)
+
+
+def logged(
+    message: TickMessage,
+    values: tuple[Any, ...],
+    frames: tuple[tuple[Frame, ...], int, tuple[Frame, ...]],
+    first_ns: int,
+    fault_names: Sequence[str],
+) -> LoggedTick:
+    """A tick, put together.
+
+    Args:
+        message: of it.
+        values: unpacked.
+        frames: of it, as from `FrameBlock.ticks`.
+        first_ns: where `t_s` begins.
+        fault_names: by bit.
+    """
+    check, (request, more, told, program) = values[len(NUMBERS) :]
+    record = record_of(values, request, *frames, more, told, program)
+    t_s, bits = 1e-9 * (values[0] - first_ns), record.tick.present | record.tick.latched
+    names = names_of(bits, fault_names)
+    return LoggedTick(message.number, message.log_time_ns, check, *record.tick, *record[1:], t_s, names)
