@@ -143,6 +143,12 @@ class Origin:
         elif self.lost:
             self.lost -= 1
 
+    def at_ease(self, syncs: int) -> bool:
+        """Nothing is open: neither of frames too many nor of a SYNC that the last one may have answered."""
+        lag, counts = self.lag, self.counts
+        awaited = lag is None or (not lag.open and self.counter == (lag.offset + syncs) % counts)
+        return awaited and -_SURPLUS < self.surplus <= 1
+
     def freeze(self) -> OriginState:
         """Between two ticks."""
         return OriginState(
@@ -366,6 +372,23 @@ class Inbox:
             return self._sync_delay_ns + self._sync_wire_ns if self.makes_sync else 0
         sample_ns = self._encoder.sample_ns
         return 0 if sample_ns == UNHEARD_NS else sample_ns - self._encoder_wire_ns - self._t_ns
+
+    @property
+    def at_ease(self) -> bool:
+        """All that a tick in which every source answers once and in time would change are its counts."""
+        return all(origin.at_ease(self._syncs) for origin in self._sources)
+
+    def pass_over(self, ticks: int) -> None:
+        """Go on as though so many ticks of that kind had come, whose counters all went on.
+
+        Only where it is `at_ease`. What those ticks told is not known: the next few have to be fed again
+        before anything is read from it.
+        """
+        self._syncs += ticks
+        self._rx += ticks * len(self._sources)
+        for origin in self._sources:
+            if origin.counts:
+                origin.counter = (origin.counter + ticks) % origin.counts
 
     def freeze(self) -> InboxState:
         """The state after `measurement`, to be logged."""

@@ -8,9 +8,17 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Any
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pneud.signals import Request, RequestKind, State
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
 
 AFTER_S = 5.0  # of tracking before periods are judged; where a run is too short, the last one before it is
 MOTIONS = 100  # kept, the newest ones
@@ -19,6 +27,17 @@ AGAINST = {"plant": "true position", "encoder": "encoder"}  # in words
 _TRACKING, _MOVING = int(State.TRACKING), int(State.MOVING)
 _GOTO, _JOG, _TRACK = int(RequestKind.GOTO), int(RequestKind.JOG), int(RequestKind.TRACK)
 _PLACE, _SPEED = 0.02, 0.05  # how far a period may end from where it began, and how much faster
+
+
+class Led(NamedTuple):
+    """Ticks in a row, as `Tracking.add` takes each."""
+
+    t_ns: NDArray[np.int64]
+    state: NDArray[np.int64]
+    taken: Mapping[int, Request]  # by place
+    error_m: Floats
+    reference: Sequence[Any]  # the columns of a `Reference`
+    voltage_v: Floats
 
 
 class _Sums:
@@ -39,6 +58,21 @@ class _Sums:
         if math.isfinite(before_v):
             self.steps += 1
             self.step_v += abs(voltage_v - before_v)
+
+    def add_many(self, error_m: Floats, voltage_v: Floats, before_v: float) -> None:
+        """As `add`, one after another and so in the same order."""
+        import numpy as np  # noqa: PLC0415 - the loop does without
+
+        finite = error_m[np.isfinite(error_m)]
+        if len(finite):
+            self.count += len(finite)
+            self.square = float(np.cumsum(np.concatenate(([self.square], finite * finite)))[-1])
+            self.max_m = max(self.max_m, float(np.abs(finite).max()))
+        self.max_v = float(np.fmax.reduce(np.abs(voltage_v), initial=self.max_v))
+        before = np.concatenate(([before_v], voltage_v[:-1]))
+        steps = np.abs(voltage_v - before)[np.isfinite(before)]
+        self.steps += len(steps)
+        self.step_v = float(np.cumsum(np.concatenate(([self.step_v], steps)))[-1])
 
     def take(self, other: _Sums) -> None:
         self.count += other.count
@@ -123,6 +157,39 @@ class Tracking:
             if self._period is not None:
                 self._period.sums.add(error_m, voltage_v, self._last_v)
         self._last_ns, self._last_v = t_ns, voltage_v
+
+    def add_many(self, led: Led) -> None:
+        """As `add` of each, to the same figures."""
+        import numpy as np  # noqa: PLC0415 - the loop does without
+
+        count = len(led.t_ns)
+        if not count:
+            return
+        turns = np.diff(led.reference[2] > 0.0) & (led.state[1:] == _TRACKING)
+        apart = np.flatnonzero(turns | (np.diff(led.state) != 0)) + 1
+        asked = (i for i, request in led.taken.items() if request.kind in (_GOTO, _TRACK))
+        for at, end in pairwise((*sorted({0, *apart.tolist(), *asked}), count)):
+            reference = tuple(float(column[at]) for column in led.reference)
+            error_m, voltage_v = float(led.error_m[at]), float(led.voltage_v[at])
+            self.add(int(led.t_ns[at]), int(led.state[at]), led.taken.get(at), error_m, reference, voltage_v)
+            if end > at + 1:
+                self._go_on(led, at + 1, end)
+
+    def _go_on(self, led: Led, begin: int, end: int) -> None:
+        """Ticks in which nothing ends, nothing begins and the acceleration keeps its sign."""
+        import numpy as np  # noqa: PLC0415 - the loop does without
+
+        error_m, voltage_v = led.error_m[begin:end], led.voltage_v[begin:end]
+        if self._motion is not None:
+            self._motion[1].add_many(error_m, voltage_v, self._last_v)
+        elif self._state != _TRACKING:
+            return
+        elif (period := self._period) is not None:
+            x = led.reference[0][begin:end]
+            period.low_m = float(np.fmin.reduce(x, initial=period.low_m))
+            period.high_m = float(np.fmax.reduce(x, initial=period.high_m))
+            period.sums.add_many(error_m, voltage_v, self._last_v)
+        self._last_ns, self._last_v = int(led.t_ns[end - 1]), float(voltage_v[-1])
 
     def _end(self) -> None:
         """What was going on is over."""

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
-from pneud.bus.mapped_inbox import inbox_of
 from pneud.config.reading import parse
 from pneud.loading import at_rate, codecs_of
+from pneud.log.files.columns import blocks
 from pneud.log.files.reader import LogReader
 from pneud.loop.summary import in_words, summarise
-from pneud.loop.tally import Tally
 from pneud.loop.tracking import in_words as tracking_in_words
 from pneud.notebook import html
-from pneud.signals import Answer, RequestKind
+from pneud.replay.heard import Heard
+from pneud.replay.tallied import Tallied
 
 SIMULATED = "simulated"
 
@@ -51,32 +50,18 @@ def summary_of(log: LogReader) -> Summary:
     """
     config = at_rate(parse(log.config_text, f"{log.path}:{log.config_name}"), log.rate_hz)
     codecs = codecs_of(config.bus, log.dbc_name, log.dbc, config.gas)
-    inbox, bus = inbox_of(codecs, config.bus), log.metadata.get("bus", "")
-    tally = Tally(truth=False, timed=bus != SIMULATED, sync=inbox.sync)
-    command_id = codecs.valve_command.can_id
-    tx, ending, leaving = 0, False, False
-    for logged in log:
-        for frame in logged.frames[: logged.before]:
-            inbox.feed(frame)
-        inbox.begin(logged.t_ns)
-        for frame in logged.frames[logged.before :]:
-            inbox.feed(frame)
-        inbox.measurement(logged.skipped, logged.host)
-        inbox.commanded_ns = next((f.stamp_ns for f in logged.sent if f.can_id == command_id), -1)
-        tx += sum(f.stamp_ns >= 0 for f in logged.sent)
-        request = logged.request
-        ending = leaving or ending or (request is not None and request.kind == RequestKind.SHUTDOWN)
-        if request is not None and request.kind == RequestKind.RESTART:
-            leaving = leaving or logged.answer == Answer.TAKEN  # from the next tick on
-        if math.isfinite(logged.truth_m):
-            tally.tracking.has_truth = True
-        tally.add(logged.record, ending=ending)
+    bus = log.metadata.get("bus", "")
+    heard = Heard(codecs, config.bus)
+    tallied = Tallied(timed=bus != SIMULATED, sync=heard.inbox.sync)
+    for block in blocks(log):
+        heard.add(block)
+        tallied.add(block)
     found = summarise(
-        tally,
+        tallied.tally,
         bus=bus,
         rate_hz=log.rate_hz,
-        counts=inbox.counts(),
-        tx=tx,
+        counts=heard.inbox.counts(),
+        tx=heard.sent,
         rx_dropped=0,
         log=str(log.path),
         log_dropped=log.missing,

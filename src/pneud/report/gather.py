@@ -19,7 +19,7 @@ from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LogReader
 from pneud.log.format.record_layout import WORD_BITS
 from pneud.log.format.records import LoggedEvent
-from pneud.loop.tracking import AGAINST, Tracking
+from pneud.loop.tracking import AGAINST, Led, Tracking
 from pneud.replay.mileage import done_by
 from pneud.replay.motions import Motion, Motions
 from pneud.report.closeup import Closeup
@@ -319,21 +319,17 @@ class _Gatherer:
         )
 
     def _track(self, block: Block, error_m: NDArray[np.float64]) -> None:
-        ticks, taken = block.ticks, dict(block.requests)
-        states = ticks["state"]
-        led = np.isin(states, (State.TRACKING, State.MOVING))
-        led[1:] |= led[:-1].copy()  # with the tick behind, which ends it
-        led[0] = True
-        kept = np.flatnonzero(led)
-        reference = zip(
-            *(ticks[f"reference.{name}"][kept].tolist() for name in Reference._fields), strict=True
+        ticks, real = block.ticks, block.real
+        self.tracking.add_many(
+            Led(
+                ticks["t_ns"],
+                ticks["state"].astype(np.int64),
+                {i: request for i, request in block.requests if ticks["answer"][i] == Answer.TAKEN},
+                error_m,
+                tuple(real(f"reference.{name}") for name in Reference._fields),
+                real("command.voltage_v"),
+            )
         )
-        columns = (ticks["t_ns"], states, ticks["answer"], error_m, ticks["command.voltage_v"])
-        for i, r, t_ns, state, answer, error, volts in zip(
-            kept.tolist(), reference, *(column[kept].tolist() for column in columns), strict=True
-        ):
-            request = taken.get(i) if answer == Answer.TAKEN else None
-            self.tracking.add(t_ns, state, request, error, r, volts)
 
     def _gaps(self, t_s: NDArray[np.float64], dropped: Any, skipped: Any) -> None:
         """Stretches without a tick: 1 where ticks were skipped, 2 where records are missing."""

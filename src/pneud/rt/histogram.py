@@ -11,6 +11,11 @@ from array import array
 from bisect import bisect_left
 from collections.abc import Sequence
 from itertools import accumulate
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 _BITS = 6  # 2**6 buckets an octave
 _LARGEST = 2**63 - 1
@@ -61,6 +66,25 @@ class Histogram:
         self.count += 1
         shift = ns.bit_length() - _BITS - 1
         self._counts[(shift << _BITS) + (ns >> shift) if shift > 0 else ns] += 1
+
+    def add_many(self, ns: NDArray[np.int64]) -> None:
+        """As `add` of each."""
+        import numpy as np  # noqa: PLC0415 - the loop does without
+
+        if not len(ns):
+            return
+        ns = np.maximum(ns, 0)
+        self._largest = max(self._largest, int(ns.max()))
+        self._smallest = min(self._smallest, int(ns.min()))
+        self._sum += (int((ns >> 32).sum()) << 32) + int((ns & 0xFFFF_FFFF).sum())  # a sum of all may not fit
+        self.count += len(ns)
+        bits = np.frexp(ns.astype(np.float64))[1].astype(np.int64)
+        bits -= (ns > 0) & (ns >> np.maximum(bits - 1, 0) == 0)  # rounded up
+        shift = np.maximum(bits - _BITS - 1, 0)
+        for index, count in zip(
+            *np.unique((shift << _BITS) + (ns >> shift), return_counts=True), strict=True
+        ):
+            self._counts[int(index)] += int(count)
 
     @property
     def max(self) -> float:
