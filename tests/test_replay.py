@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from axis_rig import quick
 from commands import object_of
 from commands import pneud_here as pneud
+from log_samples import bits
 from pneud import resources
 from pneud.config.reading import parse
 from pneud.console import profiles
@@ -18,7 +20,9 @@ from pneud.log.files.naming import LogError, create_log
 from pneud.log.files.reader import read_log
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import LogHeader
+from pneud.log.format.records import LoggedTick
 from pneud.log.format.schema import message_class
+from pneud.replay.feeding import Fed
 from pneud.replay.lockstep import Simulation
 from pneud.replay.replaying import replay
 from pneud.safety.faults import FAULT_NAMES
@@ -119,6 +123,29 @@ def test_a_simulation_replays_to_the_bit(log: Path) -> None:
     assert s["first_mismatch_tick"] is None
     assert s["commands"] == s["ticks"] > 1000
     assert s["truncated"] is False
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_a_replay_has_the_axis_in_c_and_makes_no_tick_that_nobody_asks_for(
+    log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[int] = []
+    whole = Fed.whole
+
+    def noted(fed: Fed) -> LoggedTick:
+        made.append(fed.number)
+        return whole(fed)
+
+    monkeypatch.setattr(Fed, "whole", noted)
+    outcome = replay(read_log(log))
+    assert (outcome.compiled, outcome.identical) == (True, True)
+    assert not made
+    seen = []
+    assert replay(read_log(log), look=lambda logged, tick: seen.append(logged)).identical
+    assert [bits(tick) for tick in seen] == [bits(tick) for tick in read_log(log)]
+    interpreted = parse(read_log(log).config_text, "x").model_copy(deep=True)
+    off = interpreted.model_copy(update={"loop": interpreted.loop.model_copy(update={"compiled": "off"})})
+    assert not replay(read_log(log), off).compiled
 
 
 def test_one_flipped_bit_is_found_in_its_tick(log: Path, tmp_path: Path) -> None:

@@ -25,8 +25,9 @@ from pneud.log.format.records import COARSE, COARSE_ERROR, FLOAT_ERROR, LoggedTi
 from pneud.log.format.schema import STANDING, WITHOUT_STANDING
 from pneud.log.format.snapshot import SnapshotError, from_json
 from pneud.loop.turn import Turn
+from pneud.replay.feeding import Fed, fed, states_of, without_standing
 from pneud.safety.supervisor import is_engaged
-from pneud.signals import Request, RequestKind, State, Tick
+from pneud.signals import Frame, Request, RequestKind, State, Tick
 
 
 class Difference(NamedTuple):
@@ -54,6 +55,7 @@ class ReplayOutcome(NamedTuple):
     same_fingerprint: bool
     truncated: bool
     damage: str
+    compiled: bool = False  # the axis was computed in C
 
     @property
     def identical(self) -> bool:
@@ -103,19 +105,14 @@ def replay(
     chosen = at_rate(config or parse(log.config_text, f"{log.path}:{log.config_name}"), log.rate_hz)
     codecs = codecs_of(chosen.bus, log.dbc_name, log.dbc, chosen.gas)
     p = conversions.axis_of(chosen, codecs.command_lsb_v)
-    turn = Turn(backend(chosen.loop.compiled, p).axis(p), inbox_of(codecs, chosen.bus), codecs)
-    command = codecs.valve_command
-
-    ticks = commands = mismatches = engaged = worst_lsb = 0
-    first: Difference | None = None
-    same_states = True
+    how = backend(chosen.loop.compiled, p)
+    turn = Turn(how.axis(p), inbox_of(codecs, chosen.bus), codecs)
+    compared = _Compared(codecs, chosen.bus.sync, log)
     gap = ""
-    exact = log.metadata.get("detail") == "full"
-    told = log.metadata["schema"] not in WITHOUT_STANDING
     tuning = _Tuned(_known(chosen, codecs), None if config is None else _configured(log, codecs))
     expected = 1
     from_ns = log.start_ns() + round(from_s * 1e9) if from_s > 0.0 else 0
-    for logged in log.items(from_ns):
+    for logged in fed(log, from_ns):
         if isinstance(logged, LoggedState):
             if logged.number + 1 != expected:  # the start, or behind missing records
                 state = _thawed(log, logged)
@@ -128,51 +125,101 @@ def replay(
             gap = gap or f"records {expected} to {logged.number - 1} are missing"
             continue
         expected += 1
+        request = logged.request
+        if request is not None:
+            request = tuning.asked(request)
         turn.open(logged.frames[: logged.before])
         turn.begin(logged.t_ns)
         turn.feed(logged.frames[logged.before :])
-        tick = turn.decide(logged.skipped, logged.host, tuning.asked(logged.request), logged.told)
-        turn.sent(next((f.stamp_ns for f in logged.sent if f.can_id == command.can_id), -1))
+        tick = turn.decide(logged.skipped, logged.host, request, logged.told)
+        turn.sent(compared.commanded_ns(logged.sent))
         if logged.log_time_ns < from_ns:
             continue
-        states_differ = _states(tick, told) != _states(logged, told)
-        different = states_differ or crc_of(tick) != logged.check
-        same_states = same_states and not states_differ
-        sent = {f.can_id: f.data for f in logged.sent}
-        sync, data = sent.get(codecs.sync.can_id), sent.get(command.can_id, b"")
-        whole = len(logged.sent) == 1 + (sync is not None) and command.valid(data)
-        whole = whole and (chosen.bus.sync is not True if sync is None else codecs.sync.valid(sync))
-        if whole:
-            commands += 1
-            counted = sync if codecs.sync.counter_values > 1 else None
-            sequence = command.decode(data)[2] if counted is None else codecs.sync.counter(counted)
-            again = turn.command(sequence, command.counter(data))
-            if again != data:
-                different = True
-                apart = abs(command.decode(data)[0] - command.decode(again)[0])
-                worst_lsb = max(worst_lsb, round(apart / codecs.command_lsb_v))
-        else:
-            different, same_states = True, False
-        if different:
-            mismatches += 1
-            if first is None:
-                first = _difference(logged.number - 1, logged, tick, whole, exact, told)
+        compared.add(logged, tick, turn)
         if look is not None:
-            look(logged, tick)
-        engaged += is_engaged(tick.state)
-        ticks += 1
+            look(logged.whole(), tick)
     return ReplayOutcome(
-        ticks,
-        commands,
-        mismatches,
-        first,
-        engaged,
-        worst_lsb,
-        same_states,
+        compared.ticks,
+        compared.commands,
+        compared.mismatches,
+        compared.first,
+        compared.engaged,
+        compared.worst_lsb,
+        compared.same_states,
         log.metadata.get("fingerprint") == numeric_fingerprint(),
         log.truncated or bool(gap),
         log.damage or gap,
+        how.name == "compiled",
     )
+
+
+class _Compared:
+    """What differs from the log, tick by tick."""
+
+    def __init__(self, codecs: Codecs, sync: bool | str, log: LogReader) -> None:
+        self.ticks = self.commands = self.mismatches = self.engaged = self.worst_lsb = 0
+        self.first: Difference | None = None
+        self.same_states = True
+        self._sync, self._command, self._lsb_v = codecs.sync, codecs.valve_command, codecs.command_lsb_v
+        self._sync_id, self._command_id = codecs.sync.can_id, codecs.valve_command.can_id
+        self._makes_sync = sync is True
+        self._counted = codecs.sync.counter_values > 1
+        self._exact = log.metadata.get("detail") == "full"
+        self._told = log.metadata["schema"] not in WITHOUT_STANDING  # how the load stands at its target
+
+    def commanded_ns(self, sent: tuple[Frame, ...]) -> int:
+        """When the command was sent; −1 where it was not."""
+        if len(sent) == 2 and sent[0].can_id == self._sync_id and sent[1].can_id == self._command_id:
+            return sent[1].stamp_ns
+        return next((f.stamp_ns for f in sent if f.can_id == self._command_id), -1)
+
+    def add(self, logged: Fed, tick: Tick, turn: Turn) -> None:
+        """One tick, after the axis has decided it again."""
+        states_differ = not self._alike(states_of(tick), logged.states)
+        different = states_differ or crc_of(tick) != logged.check
+        self.same_states = self.same_states and not states_differ
+        whole, again = self._sent_again(logged.sent, turn)
+        self.commands += whole
+        self.same_states = self.same_states and whole
+        different = different or not again
+        if different:
+            self.mismatches += 1
+            if self.first is None:
+                self.first = _difference(
+                    logged.number - 1, logged.whole(), tick, whole, self._exact, self._told
+                )
+        self.engaged += is_engaged(tick.state)
+        self.ticks += 1
+
+    def _alike(self, one: tuple[int, ...], other: tuple[int, ...]) -> bool:
+        if self._told:
+            return one == other
+        return without_standing(one) == without_standing(other)
+
+    def _sent_again(self, sent: tuple[Frame, ...], turn: Turn) -> tuple[bool, bool]:
+        """Whether a valid SYNC, if any, and a valid command were sent, and whether that comes out again."""
+        if len(sent) == 2 and sent[0].can_id == self._sync_id and sent[1].can_id == self._command_id:
+            beat, data = sent[0].data, sent[1].data
+            if self._counted and len(data) == self._command.length and self._sync.valid(beat):
+                again = turn.command(self._sync.counter(beat), self._command.counter(data))
+                if again == data:
+                    return True, True
+        return self._sent_otherwise(sent, turn)
+
+    def _sent_otherwise(self, sent: tuple[Frame, ...], turn: Turn) -> tuple[bool, bool]:
+        sync, command = self._sync, self._command
+        frames = {f.can_id: f.data for f in sent}
+        beat, data = frames.get(sync.can_id), frames.get(command.can_id, b"")
+        whole = len(sent) == 1 + (beat is not None) and command.valid(data)
+        if not whole or not (sync.valid(beat) if beat is not None else not self._makes_sync):
+            return False, False
+        told = beat if self._counted else None
+        sequence = command.decode(data)[2] if told is None else sync.counter(told)
+        again = turn.command(sequence, command.counter(data))
+        if again != data:
+            apart_v = abs(command.decode(data)[0] - command.decode(again)[0])
+            self.worst_lsb = max(self.worst_lsb, round(apart_v / self._lsb_v))
+        return True, again == data
 
 
 class _Known(NamedTuple):
@@ -233,12 +280,6 @@ def _thawed(log: LogReader, state: LoggedState) -> Snapshot:
             f" replay from the start, or with pneud {log.metadata.get('pneud', 'of the log')}"
         ) from None
     return found
-
-
-def _states(t: Tick | LoggedTick, told: bool) -> tuple[int, ...]:
-    """What may not differ at all; `told` where the log says how the load stands at its target."""
-    states = t.state, t.present, t.latched, t.answer, t.command.enable, *(t.program or ())
-    return (*states, t.in_position, t.hunting) if told else states
 
 
 def _difference(

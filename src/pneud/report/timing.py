@@ -2,17 +2,46 @@
 
 from __future__ import annotations
 
-from pneud.report.gather import LoggedRun
+from pneud.config.reading import parse
+from pneud.loading import at_rate, codecs_of
+from pneud.log.files.columns import blocks
+from pneud.log.files.reader import LogReader
+from pneud.report.health import Health
+from pneud.report.spread import Spread
+from pneud.signals import RequestKind
+
+SIMULATED = "simulated"
 
 
-def in_words(run: LoggedRun) -> list[str]:
-    """What the log says about when things happened; nothing in simulated time."""
-    if run.simulated or not run.timing["lateness_ns"].count:
+def in_words(log: LogReader) -> list[str]:
+    """What the log says about when things happened; nothing in simulated time, or where there is no tick.
+
+    Raises:
+        ConfigError: the configuration in the log cannot be used by this version.
+        DatabaseError: nor its DBC.
+    """
+    if log.metadata.get("bus") == SIMULATED:
         return []
-    ages = ", ".join(f"{s.name.replace('_', ' ')} {s.age.in_words('/')}" for s in run.health.sources)
+    config = at_rate(parse(log.config_text, f"{log.path}:{log.config_name}"), log.rate_hz)
+    codecs = codecs_of(config.bus, log.dbc_name, log.dbc, config.gas)
+    health = Health(codecs, config.bus.sync is True, round(1e9 / log.rate_hz))
+    lateness, latency, skipped, ended = Spread(), Spread(), 0, False
+    for block in blocks(log):
+        if len(block.number):
+            health.add(block)
+            lateness.add(block.ticks["timing.lateness_ns"])
+            latency.add(block.ticks["timing.latency_ns"])
+            ends = [index for index, request in block.requests if request.kind == RequestKind.SHUTDOWN]
+            skipped += (
+                0 if ended else int(block.ticks["measurement.skipped"][: ends[0] if ends else None].sum())
+            )
+            ended = ended or bool(ends)
+    if not lateness.count:
+        return []
+    ages = ", ".join(f"{s.name.replace('_', ' ')} {s.age.in_words('/')}" for s in health.sources)
     return [
-        f"recorded timing, µs p50/p99/max: wake-up lateness {run.timing['lateness_ns'].in_words('/')},"
-        f" sensor to command {run.timing['latency_ns'].in_words('/')},"
-        f" jitter of SYNC {run.health.sync_jitter.in_words('/')}; {run.counted.skipped} ticks skipped",
+        f"recorded timing, µs p50/p99/max: wake-up lateness {lateness.in_words('/')},"
+        f" sensor to command {latency.in_words('/')},"
+        f" jitter of SYNC {health.sync_jitter.in_words('/')}; {skipped} ticks skipped",
         f"age of frames when the command was sent: {ages}",
     ]

@@ -26,7 +26,6 @@ from pneud.replay.differences import Differences, compare
 from pneud.replay.playing import play
 from pneud.replay.replaying import ReplayOutcome
 from pneud.replay.replaying import replay as run
-from pneud.report.gather import gather
 from pneud.report.pictures import require
 from pneud.report.timing import in_words
 from pneud.rt.outputs import require_folder
@@ -152,7 +151,7 @@ def _again(
     with progress(how) as report:
         watch(report, log)
         outcome = run(log, what_if, begin_s, differences.add if differences is not None else None)
-        timing = in_words(gather(log)) if not json and told is None and outcome.ticks else []
+        timing = in_words(log) if not json and told is None and outcome.ticks else []
     if differences is not None and output is not None:
         courses.write(differences.points, ("log", "replay"), output)
     if json:
