@@ -167,9 +167,11 @@ RULES = {
     "loop": "scenario replay daemon",
     "scenario": "loop daemon",
     "replay": "daemon study report",
-    **dict.fromkeys(("bench", "notebook", "report", "study", "service", "mqtt", "web"), "daemon verbs"),
-    "daemon": "study bench notebook report service mqtt web replay verbs",
-    "verbs.run": "study bench notebook report service mqtt web replay cli verbs.other",
+    **dict.fromkeys(
+        ("bench", "farm", "notebook", "report", "study", "service", "mqtt", "web"), "daemon verbs"
+    ),
+    "daemon": "study bench farm notebook report service mqtt web replay verbs",
+    "verbs.run": "study bench farm notebook report service mqtt web replay cli verbs.other",
     "verbs": "cli",
 }
 

@@ -66,7 +66,9 @@ GIVEN = {
     "log.md": [
         "pneud sim -o run.mcap --duration 6",
         f"ln -s {ROOT}/configs .",
+        f"mkdir logs && cp {ROOT}/tests/golden/requests.mcap logs/",
     ],
+    "farm.md": [f"mkdir logs && cp {ROOT}/tests/golden/{{virtual,requests}}.mcap logs/"],
 }
 # Programs of others that a page has its reader start
 NEEDS = {"mqtt.md": ("mosquitto", "mosquitto_sub")}

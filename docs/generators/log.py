@@ -103,6 +103,7 @@ for block in blocks(read_log("run.mcap")):  # arrays, thousands of ticks at a ti
 ## In other tools
 
     pneud logs                                 # which there are; --json
+    pneud logs logs --summary year.parquet     # what was done in all of them: farm.md
     pneud report run.mcap                      # one page, run.html; several logs are compared
     pneud report run.mcap -o part.html --from 2 --to 4
     pneud bench --json > bench.json            # what this machine can do …

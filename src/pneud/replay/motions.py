@@ -27,7 +27,16 @@ from pneud.log.files.columns import Block, blocks
 from pneud.log.files.reader import LogReader
 from pneud.physics.gas import Gas, flow_factor
 from pneud.physics.ratings import DENSITY_ANR_KG_M3
-from pneud.signals import Answer, Reference, Request, RequestKind, State, error_m, true_error_m
+from pneud.signals import (
+    Answer,
+    Reference,
+    Request,
+    RequestKind,
+    State,
+    error_m,
+    state_name,
+    true_error_m,
+)
 
 Floats = NDArray[np.float64]
 
@@ -72,6 +81,10 @@ class Motion(NamedTuple):
     to_n: float = NAN  # force of the piston that was asked for
     at_n: float = NAN  # and that was there at the end
     beyond_n: float = NAN  # further than was asked for, at most
+    mean_step_v: float = NAN  # of the command, from tick to tick
+    saturated_ticks: int = 0  # in which the law asked for more than it got
+    supply_min_pa: float = NAN
+    ended_in: str = ""  # the state behind it; nothing where the log ends with it
 
     @property
     def duration_s(self) -> float:
@@ -127,10 +140,12 @@ class _Open:
         self.to_n, self.from_n, self.at_n = to_n, NAN, NAN
         self.beyond_n = 0.0 if not math.isnan(to_n) else NAN
         self.end_s = self.last_s = begin_s
-        self.count = 0
+        self.count = self.ticks = 0
         self.square = self.max_m = self.speed_m_s = self.air_kg = self.energy_j = self.work_j = 0.0
         self.beyond_m = -math.inf
         self.low_m = self.high_m = from_m
+        self.step_v, self.saturated, self.supply_pa, self.last_v = 0.0, 0, math.inf, NAN
+        self.ended_in = ""
         self.tail_s = self.in_position_s = NAN  # how far it was looked at; when the axis said so
         self.outside_s = -math.inf  # last tick out of tolerance
 
@@ -148,6 +163,10 @@ class _Open:
             self.in_position_s - self.begin_s,
             self.speed_m_s, self.air_kg / DENSITY_ANR_KG_M3, self.energy_j, self.work_j,
             self.to_n, self.at_n, self.beyond_n,
+            self.step_v / (self.ticks - 1) if self.ticks > 1 else NAN,
+            self.saturated,
+            self.supply_pa if math.isfinite(self.supply_pa) else NAN,
+            self.ended_in,
         )  # fmt: skip
 
 
@@ -165,6 +184,9 @@ class _Columns(NamedTuple):
     work_j: Floats
     in_position: NDArray[np.bool_]
     force_n: Floats  # of the piston
+    voltage_v: Floats
+    saturated: NDArray[np.int64]
+    supply_pa: Floats
 
 
 class Motions:
@@ -222,6 +244,7 @@ class Motions:
             t_s, dt_s, error, position, speed, real("reference.position_m"), air_kg,
             air_kg * self.air.joule_per_kg(supply), np.maximum(force * speed, 0.0) * dt_s,
             block.ticks["in_position"] != 0, force,
+            real("command.voltage_v"), block.ticks["command.saturated"].astype(np.int64), supply,
         )  # fmt: skip
 
     def _redirects(self, request: Request) -> bool:
@@ -232,7 +255,7 @@ class Motions:
 
     def _begin(self, state: int, request: Request | None, c: _Columns, at: int) -> None:
         settles = state == State.HOLDING
-        self._end(settles)
+        self._end(settles, state_name(state))
         self._jog_m_s = 0.0
         kind, to_m = _KINDS.get(State(state) if 0 <= state < len(State) else State.FAULT, ""), NAN
         if request is not None and request.kind == RequestKind.GOTO:
@@ -247,12 +270,13 @@ class Motions:
         if kind:
             self._now = _Open(kind, float(c.t_s[at]), float(c.position_m[at]), to_m, to_n)
 
-    def _end(self, settles: bool = False) -> None:
+    def _end(self, settles: bool = False, into: str = "") -> None:
         """What was going on is over; how it settles is looked at in a hold behind it."""
         self._put_away()
         ended, self._now = self._now, None
         if ended is None:
             return
+        ended.ended_in = into
         if settles and ended.kind not in ("hold", "force"):
             self._before = ended
             self._place = len(self._done)
@@ -278,6 +302,7 @@ class Motions:
         m.energy_j += float(np.nansum(c.energy_j))
         m.work_j += float(np.nansum(c.work_j))
         m.end_s = float(c.t_s[-1] + c.dt_s[-1])
+        _count(m, c)
         _stretch(m, c.position_m)
         if not m.asked and not math.isnan(c.reference_m[-1]):
             m.to_m = float(c.reference_m[-1])
@@ -299,6 +324,15 @@ class Motions:
         if len(outside):
             m.outside_s = float(t_s[outside[-1]] + self._period_s)
         m.tail_s = float(t_s[-1])
+
+
+def _count(m: _Open, c: _Columns) -> None:
+    """What the command did, and the supply."""
+    m.ticks += len(c.t_s)
+    m.step_v += float(np.nansum(np.abs(np.diff(c.voltage_v, prepend=m.last_v))))
+    m.last_v = float(c.voltage_v[-1])
+    m.saturated += int(c.saturated.sum())
+    m.supply_pa = float(np.fmin.reduce(c.supply_pa, initial=m.supply_pa))
 
 
 def _pressed(m: _Open, c: _Columns) -> None:
@@ -329,7 +363,7 @@ def motions(log: LogReader) -> list[Motion]:
     """
     config = at_rate(parse(log.config_text, f"{log.path}:{log.config_name}"), log.rate_hz)
     found, first_ns = Motions(config), None
-    for block in blocks(log):
+    for block in blocks(log, frames=False):
         if len(block.number):
             t_ns: Any = block.ticks["t_ns"]
             first_ns = int(t_ns[0]) if first_ns is None else first_ns
