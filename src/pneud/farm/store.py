@@ -87,7 +87,11 @@ class ParquetStore:
 
     def known(self) -> dict[str, Known]:
         """The logs that are in it."""
-        rows = zip(*(self._table.column(name).to_pylist() for name in _KNOWN), strict=True)
+        import pyarrow.compute as pc  # noqa: PLC0415
+
+        motion = self._table.column("motion")  # each log has a first one, or none
+        firsts = self._table.filter(pc.or_(pc.is_null(motion), pc.equal(pc.fill_null(motion, 0), 1)))
+        rows = zip(*(firsts.column(name).to_pylist() for name in _KNOWN), strict=True)
         return {log: Known(*rest) for log, *rest in rows}
 
     def change(self, without: Iterable[str], rows: Sequence[Row]) -> None:
