@@ -96,6 +96,19 @@ def test_a_fast_one_leads_on_without_a_stop() -> None:
     assert_smooth(ticks, rig.axis.parameters.motion, room=1.01)
 
 
+@pytest.mark.parametrize("tolerance_m", [2e-4, 1e-3, 8e-3])
+@pytest.mark.parametrize("further_m", [0.0, 5e-4, 0.03])
+def test_a_fast_one_that_brakes_already_leads_on_without_turning(
+    tolerance_m: float, further_m: float
+) -> None:
+    x = here()
+    early = FAST._replace(target_m=x + 0.03, tolerance_m=tolerance_m)
+    ticks = list(to_the_end(begun([early, EXACT._replace(target_m=x + 0.03 + further_m)])))
+    assert next(t for t in ticks if t.progress.step == 2).reference.acceleration_m_s2 < 0.0
+    assert min(t.reference.velocity_m_s for t in ticks) >= -1e-9
+    assert max(t.reference.position_m for t in ticks) <= x + 0.03 + further_m + 1e-9
+
+
 def test_one_that_only_sets_out_leaves_the_next_to_wait_on_the_way() -> None:
     x = here()
     until = Step(program.UNTIL, what=program.POSITION, low=x + 0.02, high=1e9, timeout_s=3.0)

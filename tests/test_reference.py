@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from pneud.control.reference import (
@@ -183,6 +183,40 @@ def test_a_way_turns_in_its_first_two_pieces_or_not_at_all(start: Reference, end
     side = math.copysign(1.0, end - along(sum(p.T for p in w.pieces[:2]), w).position_m)
     for p in w.pieces[2:]:
         assert all(side * at(p.T * i / 20, p).velocity_m_s >= -1e-9 for i in range(21))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    start=position,
+    end=position,
+    share=st.floats(0.02, 0.999),
+    further=st.one_of(st.just(0.0), st.floats(0.0, 0.01), st.floats(0.0, 0.5)),
+    before=bounds,
+    after=bounds,
+)
+def test_a_motion_led_on_the_way_that_it_goes_does_not_turn(
+    start: float, end: float, share: float, further: float, before: Bounds, after: Bounds
+) -> None:
+    """Wherever on a way the next one begins, to the same end or a farther one, braking harder where it must."""
+    assume(abs(end - start) > 5e-3)  # shorter ones are as short as pieces may be
+    side = math.copysign(1.0, end - start)
+    w = move(rest(start), end, before)
+    now = along(share * w.T, w)
+    on = move(now, end + side * further, after, before)
+    size = 1e-4 * before.speed_m_s
+    assert min(side * r.velocity_m_s for r in look(on)) >= -size
+    assert close(along(0.0, on), now)
+    assert along(on.T, on).position_m == pytest.approx(end + side * further, abs=1e-9)
+    hardest = Bounds(*map(max, before, after))
+    assert_smooth(on, now, hardest)
+    assert_within(on, now, hardest)
+
+
+def test_a_motion_that_is_to_brake_more_gently_than_it_can_brakes_as_hard_as_it_may() -> None:
+    w = move(rest(0.1), 0.6, STANDARD)
+    now, gentle = along(0.75 * w.T, w), Bounds(0.3, 0.2, 4.0)
+    assert min(r.velocity_m_s for r in look(move(now, 0.6, gentle))) < -0.01
+    assert min(r.velocity_m_s for r in look(move(now, 0.6, gentle, STANDARD))) >= -1e-9
 
 
 def test_a_long_way_is_cruised_at_the_bound() -> None:

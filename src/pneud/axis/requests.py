@@ -339,7 +339,7 @@ def _within(bounds: Bounds, now: Reference, end_m: float, p: AxisParameters) -> 
     low_m, high_m = p.limits.travel_min_m, p.limits.travel_max_m
     first, now = way_inside(now, p)
     for _ in range(HARDENINGS):
-        path = move(now, end_m, bounds)
+        path = move(now, end_m, bounds, p.motion)
         if stays(way(*path.pieces[:2]), low_m, high_m):  # beyond these it does not turn
             return way(*first, *path.pieces)
         bounds = Bounds(bounds.speed_m_s, 2.0 * bounds.acceleration_m_s2, 4.0 * bounds.jerk_m_s3)

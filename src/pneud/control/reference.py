@@ -11,6 +11,7 @@ used: steps of jerk are steps of the command, and a replay would hang on the ver
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 from pneud.signals import Reference
@@ -22,6 +23,10 @@ LEAST_CRUISE_S = 1e-9
 HALVINGS = 40
 MAX_HARDENINGS = 10
 SAMPLES = 32
+KEPT = 0.92  # of its speed that a motion which brakes may lose while its deceleration ends
+LEAST_TIME, TIME_STEP, TIMES = 1.4, 1.07, 22  # of distance over speed: times tried for a piece that brakes
+GLANCES = 16  # points of it that are looked at
+ROUNDED = 1.0 + 1e-6
 MOST_OMEGA_RAD_S = 2.0 * math.pi * 20.0  # of a sine
 
 
@@ -172,23 +177,66 @@ def ramp_s(change_m_s: float, bounds: Bounds) -> float:
     )
 
 
-def move(start: Reference, end_m: float, bounds: Bounds) -> Way:
+def move(start: Reference, end_m: float, bounds: Bounds, hardest: Bounds | None = None) -> Way:
     """The way from any motion to rest at a position.
 
     Acceleration and jerk go to zero, then the speed changes to that of the cruise and to zero, all within the
-    bounds as in `to_rest`. A motion too fast to stop in time stops first and comes back; one that is faster
-    than the bounds allow slows down to them if the distance lets it.
+    bounds as in `to_rest`. A motion that brakes does not turn meanwhile, and one that has to go on braking to
+    stop in time does. One that is too fast for that, too, stops first and comes back; one that is faster than
+    the bounds allow slows down to them if the distance lets it.
+
+    Args:
+        start: the motion.
+        end_m: where it leads.
+        bounds: of the way.
+        hardest: what a motion may brake with that would have to come back else; as `bounds` without it.
+    """
+    most = bounds if hardest is None else hardest
+    first, x, v = _even(start, bounds, most)
+    if not _stops(x, v, end_m, bounds):
+        braked = _braked(start, end_m, bounds, most)
+        if braked is not None:
+            return way(braked)
+        sooner, at_m, speed = _even(start, most, most, soon=True)
+        for braking in (bounds, most._replace(speed_m_s=bounds.speed_m_s)):
+            if _stops(at_m, speed, end_m, braking):
+                return _way_on(sooner, at_m, speed, end_m, braking)
+        first = (*first, _ramp(x, v, 0.0, bounds))
+        x, v = x + 0.5 * v * ramp_s(abs(v), bounds), 0.0
+    return _way_on(first, x, v, end_m, bounds)
+
+
+def _even(
+    start: Reference, bounds: Bounds, hardest: Bounds, soon: bool = False
+) -> tuple[tuple[Septic, ...], float, float]:
+    """The pieces on which acceleration and jerk of a motion end; position and velocity then.
+
+    Args:
+        start: the motion.
+        bounds: of the piece.
+        hardest: likewise, where the motion would turn else.
+        soon: as soon as the bounds allow; else somewhat later, at which less has to be reckoned with.
     """
     x, v, a, j = start
-    pieces = []
-    if a != 0.0 or j != 0.0:
-        ease, eased = _eased(start, bounds)
-        pieces.append(ease)
-        x, v = eased.position_m, eased.velocity_m_s
-    halt_m = 0.5 * v * ramp_s(abs(v), bounds)
-    if v * (end_m - x - halt_m) < 0.0:
-        pieces.append(_ramp(x, v, 0.0, bounds))
-        x, v = x + halt_m, 0.0
+    if a == 0.0 and j == 0.0:
+        return (), x, v
+    T = _ease_s(start, bounds)
+    if soon:
+        most_a, most_j = _most(start, bounds)
+        longest = 6.75 * (most_a - abs(a)) / abs(j) if j != 0.0 else LEAST_S
+        T = max(_least_ease_s(a, j, most_j), min(LEAST_S, longest))
+    ease, eased = _eased(start, min(T, _unturned_s(start, bounds, hardest)))
+    return (ease,), eased.position_m, eased.velocity_m_s
+
+
+def _stops(x: float, v: float, end_m: float, bounds: Bounds) -> bool:
+    """Whether a motion without acceleration can stop ahead at a position."""
+    return v * (end_m - x - 0.5 * v * ramp_s(abs(v), bounds)) >= 0.0
+
+
+def _way_on(first: tuple[Septic, ...], x: float, v: float, end_m: float, bounds: Bounds) -> Way:
+    """The way behind these pieces, from a motion without acceleration that can stop ahead."""
+    pieces = [*first]
     distance, speed, side = abs(end_m - x), abs(v), math.copysign(1.0, end_m - x)
     top = _cruise(speed, distance, bounds)
     if top > 0.0:
@@ -257,7 +305,7 @@ def to_rest(start: Reference, bounds: Bounds) -> Way:
     First acceleration and jerk go to zero, then the velocity. The bounds on acceleration and jerk are kept,
     or `ROOM` times what the motion began with; its speed may still grow while the acceleration ends.
     """
-    ease, eased = _eased(start, bounds)
+    ease, eased = _eased(start, _ease_s(start, bounds))
     speed = abs(eased.velocity_m_s)
     most_a, most_j = _most(start, bounds)
     T_halt = ramp_s(speed, Bounds(bounds.speed_m_s, most_a, most_j))
@@ -272,13 +320,29 @@ def _most(start: Reference, bounds: Bounds) -> tuple[float, float]:
     )
 
 
-def _eased(start: Reference, bounds: Bounds) -> tuple[Septic, Reference]:
-    """The piece on which acceleration and jerk go to zero, and its end."""
-    x, v, a, j = start
+def _ease_s(start: Reference, bounds: Bounds) -> float:
+    """Time in which acceleration and jerk go to zero."""
+    _, _, a, j = start
     most_a, most_j = _most(start, bounds)
     # the acceleration is a cubic: its jerk stays below |j| + 1.5 |a|/T, itself below |a| + 4/27 |j| T
     longest = 6.75 * (most_a - abs(a)) / abs(j) if j != 0.0 else LEAST_S
-    T = max(1.5 * abs(a) / (most_j - abs(j)), min(LEAST_S, longest))
+    return max(1.5 * abs(a) / (most_j - abs(j)), min(LEAST_S, longest))
+
+
+def _least_ease_s(a: float, j: float, most_j: float) -> float:
+    """The least such time by the jerk alone.
+
+    One that takes the acceleration back is greatest, at (1 + c)²/(4 c) |j|, where T = 6 |a|/(|j| (3 + c)).
+    """
+    if a * j < 0.0:
+        m = 2.0 * most_j / abs(j) - 1.0
+        return 6.0 * abs(a) / (abs(j) * (3.0 + m + math.sqrt(m * m - 1.0)))
+    return 1.5 * abs(a) / (most_j - abs(j) / 3.0)
+
+
+def _eased(start: Reference, T: float) -> tuple[Septic, Reference]:
+    """The piece on which acceleration and jerk go to zero in a time, and its end."""
+    x, v, a, j = start
     eased = Reference(
         x + T * (v + T * (0.35 * a + T * j / 20.0)),
         v + T * (0.5 * a + T * j / 12.0),
@@ -286,6 +350,73 @@ def _eased(start: Reference, bounds: Bounds) -> tuple[Septic, Reference]:
         0.0,
     )
     return septic(T, start, eased), eased
+
+
+def _unturned_s(start: Reference, bounds: Bounds, hardest: Bounds) -> float:
+    """Time in which a deceleration has to end so that the motion does not turn, as far as the bounds let it.
+
+    With the cubic of `_eased` a deceleration A whose jerk j takes it back loses A T/2 − j T²/12 of speed.
+    """
+    _, v, a, j = start
+    side = math.copysign(1.0, v)
+    A = -side * a
+    root = A * A - 4.0 / 3.0 * side * j * KEPT * abs(v)
+    if A <= 0.0 or root < 0.0:
+        return LONGEST_S
+    most_j = max(_most(start, bounds)[1], hardest.jerk_m_s3)
+    return max(_least_ease_s(a, j, most_j), 4.0 * KEPT * abs(v) / (A + math.sqrt(root)))
+
+
+def _braked(start: Reference, end_m: float, bounds: Bounds, hardest: Bounds) -> Septic | None:
+    """The shortest single piece to rest at a position ahead that does not turn; None where there is none."""
+    x, v, _, _ = start
+    side = math.copysign(1.0, v)
+    ahead_m = side * (end_m - x)
+    if not ahead_m > 0.0 or v == 0.0:
+        return None
+    most_a, most_j = _most(start, bounds)
+    most = Bounds(
+        ROUNDED * max(abs(v), hardest.speed_m_s),
+        ROUNDED * max(most_a, hardest.acceleration_m_s2),
+        ROUNDED * max(most_j, hardest.jerk_m_s3),
+    )
+    times = [ahead_m / abs(v) * LEAST_TIME * TIME_STEP**i for i in range(TIMES)]
+    for T in (*_as_ramps(start, end_m, times), *times):
+        piece = septic(T, start, rest(end_m))
+        if _goes_on(piece, side, most):
+            return piece
+    return None
+
+
+def _as_ramps(start: Reference, end_m: float, times: list[float]) -> list[float]:
+    """Time in which a ramp of the velocity, a quintic as in `_ramp`, would stop just there; one at most.
+
+    A motion that is on such a ramp goes on along it.
+    """
+    x, v, a, j = start
+
+    def beyond_m(T: float) -> float:
+        return T * (0.5 * v + T * (0.1 * a + T * j / 120.0)) - (end_m - x)
+
+    for low, high in pairwise(times):
+        before = beyond_m(low)
+        if before * beyond_m(high) < 0.0:
+            for _ in range(HALVINGS):
+                middle = 0.5 * (low + high)
+                low, high = (middle, high) if before * beyond_m(middle) > 0.0 else (low, middle)
+            return [low]
+    return []
+
+
+def _goes_on(p: Septic, side: float, most: Bounds) -> bool:
+    """Whether a piece that ends at rest never turns, and keeps to the bounds."""
+    for i in range(1, GLANCES):
+        _, v, a, j = at(p.T * i / GLANCES, p)
+        if not 0.0 <= side * v <= most.speed_m_s:
+            return False
+        if abs(a) > most.acceleration_m_s2 or abs(j) > most.jerk_m_s3:
+            return False
+    return True
 
 
 def stop(start: Reference, bounds: Bounds, low_m: float, high_m: float) -> Way:
