@@ -197,7 +197,7 @@ def test_a_way_turns_in_its_first_two_pieces_or_not_at_all(start: Reference, end
 def test_a_motion_led_on_the_way_that_it_goes_does_not_turn(
     start: float, end: float, share: float, further: float, before: Bounds, after: Bounds
 ) -> None:
-    """Wherever on a way the next one begins, to the same end or a farther one, braking harder where it must."""
+    """Wherever on a way the next begins, to the same end or a farther one, braking harder where it must."""
     assume(abs(end - start) > 5e-3)  # shorter ones are as short as pieces may be
     side = math.copysign(1.0, end - start)
     w = move(rest(start), end, before)

@@ -398,9 +398,9 @@ def _as_ramps(start: Reference, end_m: float, times: list[float]) -> list[float]
     def beyond_m(T: float) -> float:
         return T * (0.5 * v + T * (0.1 * a + T * j / 120.0)) - (end_m - x)
 
-    for low, high in pairwise(times):
-        before = beyond_m(low)
-        if before * beyond_m(high) < 0.0:
+    for first, last in pairwise(times):
+        before, low, high = beyond_m(first), first, last
+        if before * beyond_m(last) < 0.0:
             for _ in range(HALVINGS):
                 middle = 0.5 * (low + high)
                 low, high = (middle, high) if before * beyond_m(middle) > 0.0 else (low, middle)
