@@ -95,19 +95,17 @@ def test_loops_are_gone_through_as_often_as_they_say(listed: list[Step], laps: i
 
 def test_a_record_waits_for_what_it_says() -> None:
     near = Run(UNDER_WAY, what=program.NEAR, target_m=0.3, tolerance_m=0.01)
-    assert looked(near, x=0.288).stage == UNDER_WAY
-    assert looked(near, State.MOVING, x=0.291).stage == DUE
+    assert looked(near, x=0.288, goal=0.3).stage == UNDER_WAY
+    assert looked(near, x=0.291, goal=0.292).stage == UNDER_WAY
+    assert looked(near, State.MOVING, x=0.291, goal=0.293).stage == DUE
     standing = Run(UNDER_WAY, what=program.STANDING, tolerance_m=0.01, velocity_m_s=0.002, time_ns=5)
-    for seen in (
-        {"state": State.MOVING},
-        {"x": 0.0111},
-        {"v": -0.0021},
-    ):
+    for seen in ({"state": State.MOVING}, {"x": 0.0111}):
         assert looked(standing, 3, **seen).within_ns == -1
-    begun = looked(standing, 3, x=-0.009, v=0.0019)
+    begun = looked(standing, 3, x=-0.009, v=0.3)
     assert (begun.within_ns, begun.stage) == (3, UNDER_WAY)
     assert looked(begun, 7).stage == UNDER_WAY
     assert looked(begun, 8).stage == DUE
+    assert looked(begun, 8, v=-0.0021).stage == UNDER_WAY
     assert looked(begun, 8, x=0.02).within_ns == -1
     joined = Run(UNDER_WAY, what=program.JOINED)
     assert looked(joined, phase=GOING).stage == UNDER_WAY
