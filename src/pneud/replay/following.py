@@ -6,16 +6,17 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from pneud.safety.faults import BLOCKS_ARM
-from pneud.signals import Answer, Record, Request, RequestKind, State
+from pneud.replay.asking import Asking
+from pneud.signals import Answer, Record, Request, State
 
 
-class Following:
+class Following(Asking):
     """Arms, asks for what is wanted in turn, the last of it to follow a profile, and measures that.
 
     Attributes:
         lasts_s: of the profile.
         over: the profile has come to its end, something was refused, or a fault has ended it.
+        good: it has been followed to its end.
     """
 
     def __init__(self, wanted: Iterable[Request], lasts_s: float) -> None:
@@ -25,25 +26,11 @@ class Following:
             wanted: one request a tick, once the axis holds.
             lasts_s: of the profile.
         """
-        self._wanted = [Request(RequestKind.ARM), *wanted]
-        self.lasts_s = lasts_s
-        self._armed = self._ended = self.over = self.good = False
+        super().__init__(wanted)
+        self.lasts_s, self.good = lasts_s, False
         self._refused: str | None = None
         self._squares_mm = self._most_mm = 0.0
         self._ticks = 0
-
-    def ask(self, state: int, present: int) -> Request | None:
-        """What is asked of the axis in this tick; an `Operator`."""
-        if self.over:
-            ended, self._ended = self._ended, True
-            return None if ended else Request(RequestKind.SHUTDOWN)
-        ready = (
-            state == State.HOLDING if self._armed else state == State.DISARMED and not present & BLOCKS_ARM
-        )
-        if not ready or not self._wanted:
-            return None
-        self._armed = True
-        return self._wanted.pop(0)
 
     def see(self, record: Record) -> None:
         """What became of it in a tick."""
@@ -61,11 +48,6 @@ class Following:
             self._ticks += 1
         elif self._ticks:
             self.over, self.good = True, tick.state == State.HOLDING
-
-    @property
-    def begun(self) -> bool:
-        """It has been armed."""
-        return self._armed
 
     @property
     def results(self) -> dict[str, Any]:

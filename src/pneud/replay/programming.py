@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 from pneud.control import program
 from pneud.control.program import Program
-from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES
-from pneud.signals import Answer, Record, Request, RequestKind, Stage, State, Tick
+from pneud.replay.asking import ARM, Asking, is_armable
+from pneud.safety.faults import FAULT_NAMES
+from pneud.signals import Answer, Record, Request, Stage, State, Tick
 
 DUE, DONE, ENDED, STOPPED = int(Stage.DUE), int(Stage.DONE), int(Stage.ENDED), int(Stage.STOPPED)
 WORKING = (int(Stage.UNDER_WAY), DONE, DUE, int(Stage.LATE))
-ARM = Request(RequestKind.ARM)
 
 
 class Passed(NamedTuple):
@@ -113,8 +113,8 @@ class Passing:
         return [ends[b] - ends[a] for a, b in pairwise(laps)]
 
 
-class Programming:
-    """Arms, hands a program over, and sees it through; an `Operator` of `Simulation`.
+class Programming(Asking):
+    """Arms, hands a program over, and sees it through.
 
     Attributes:
         passing: what has been done.
@@ -131,26 +131,9 @@ class Programming:
             steps: of the program.
             room_m: as for `Passing`.
         """
-        self._wanted = [ARM, *wanted]
+        super().__init__(wanted)
         self.passing = Passing(steps, room_m)
-        self.over = self.ended = False
-        self.why = ""
-        self._armed = self._told = False
-
-    def ask(self, state: int, present: int) -> Request | None:
-        """What is asked of the axis in this tick."""
-        if self.over:
-            told, self._told = self._told, True
-            return None if told else Request(RequestKind.SHUTDOWN)
-        if not self._wanted:
-            return None
-        ready = (
-            state == State.HOLDING if self._armed else state == State.DISARMED and not present & BLOCKS_ARM
-        )
-        if not ready:
-            return None
-        self._armed = True
-        return self._wanted.pop(0)
+        self.ended, self.why = False, ""
 
     def see(self, record: Record) -> None:
         """What became of it in a tick."""
@@ -195,7 +178,7 @@ class ProgrammingTogether:
         if self._armed:
             ready = all(tick.state == State.HOLDING for tick in last)
         else:
-            ready = all(tick.state == State.DISARMED and not tick.present & BLOCKS_ARM for tick in last)
+            ready = all(is_armable(tick.state, tick.present) for tick in last)
         if not ready:
             return {}
         self._armed = True
