@@ -88,13 +88,23 @@ class Bench:
                 end.answer(self.ticks[n]._replace(answer=int(answer), present=present))
 
     def ask(self, verb: str, **fields: Any) -> dict[str, Any]:
+        (reply,) = self.say(verb, **fields)
+        return reply
+
+    def say(self, verb: str, **fields: Any) -> list[dict[str, Any]]:
         self.client.sendall(json.dumps({"v": 1, "id": 1, "verb": verb, **fields}).encode() + b"\n")
+        return self.turns()
+
+    def turns(self) -> list[dict[str, Any]]:
+        """What the client is told in some turns of the server."""
         for _ in range(6):
             self.server.step(0.0)
             self.loop()
-        (line,) = self.client.recv(1 << 20).splitlines()
-        reply: dict[str, Any] = json.loads(line)
-        return reply
+        try:
+            lines = self.client.recv(1 << 20).splitlines()
+        except BlockingIOError:
+            return []
+        return [json.loads(line) for line in lines]
 
 
 def tick(state: State, present: int = 0) -> Tick:
@@ -201,6 +211,60 @@ def test_who_does_not_hold_keeps_all_from_going(desk: Bench) -> None:
     desk.refuses["y"] = (Answer.BEYOND_LIMITS, 0)
     assert desk.ask("goto_all", axes={"x": 500, "y": 300})["axis"] == "y"
     assert desk.taken[-1] == {"x": Request(RequestKind.HOLD)}
+
+
+def going(desk: Bench, name: str, x: float) -> None:
+    n = NAMES.index(name)
+    desk.ticks[n] = tick(State.MOVING)._replace(reference=Reference(x, 0.1, 0.0, 0.0))
+    desk.rings[n].put(Record(desk.ticks[n], TIMING, (), 0, (), x))
+
+
+def test_who_moves_comes_to_rest_before_all_set_out(desk: Bench) -> None:
+    desk.stands(0.4, 0.4)
+    going(desk, "y", 0.39)
+    assert desk.say("goto_all", axes={"x": 500, "y": 350}) == []
+    assert desk.taken == [{"y": Request(RequestKind.HOLD)}]
+    desk.stands(0.4, 0.38)
+    (reply,) = desk.turns()
+    assert (reply["ok"], reply["axes"]) == (True, ["x", "y"])
+    assert {name: r.kind for name, r in desk.taken[-1].items()} == dict.fromkeys(NAMES, RequestKind.GOTO)
+    assert desk.taken[-1]["y"].values[1] == pytest.approx(0.3 * desk.taken[-1]["x"].values[1])
+
+
+@pytest.mark.parametrize(("verb", "fields"), [("stop", {}), ("goto", {"axis": "x", "x_mm": 300})])
+def test_another_command_comes_before_what_waits_for_axes_to_stand(
+    desk: Bench, verb: str, fields: dict[str, Any]
+) -> None:
+    desk.stands(0.4, 0.4)
+    going(desk, "y", 0.39)
+    desk.say("goto_all", axes={"x": 500, "y": 350})
+    replies = desk.say(verb, **fields)
+    assert [reply["ok"] for reply in replies] == [False, True]
+    assert replies[0]["error"]["type"] == "displaced"
+    desk.stands(0.4, 0.38)
+    assert desk.turns() == []
+    assert RequestKind.GOTO not in {r.kind for r in desk.taken[0].values()}
+
+
+def test_who_does_not_come_to_rest_is_named(desk: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pneud.console.setting_out.PATIENCE_S", 0.0)
+    desk.stands(0.4, 0.4)
+    going(desk, "y", 0.39)
+    replies = [*desk.say("goto_all", axes={"x": 500, "y": 350}), *desk.turns()]
+    assert [reply["error"]["message"] for reply in replies] == ["goto: y has not come to rest within 0 s"]
+
+
+def test_who_has_gone_sets_nothing_out(desk: Bench) -> None:
+    desk.stands(0.4, 0.4)
+    going(desk, "y", 0.39)
+    desk.say("goto_all", axes={"x": 500, "y": 350})
+    desk.client.close()
+    desk.server.step(0.0)
+    desk.stands(0.4, 0.38)
+    for _ in range(6):
+        desk.server.step(0.0)
+        desk.loop()
+    assert desk.taken == [{"y": Request(RequestKind.HOLD)}]
 
 
 LENGTHS = st.floats(1e-6, 2.0)

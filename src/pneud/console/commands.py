@@ -35,6 +35,7 @@ _EMPTY = Request(RequestKind.PIECE)  # the profile
 _RESUME = Request(RequestKind.RUN, (0.0, 0.0, 0.0))
 _URGENT = ("disarm", "stop")
 _STEERED = tuple(State(state).label for state in STEERED)
+_MOVING = tuple(state for state in STEERED if state != State.HOLDING)
 _PLAIN = {verb: RequestKind[verb.upper()] for verb in ("clear", "hold", "home", *_URGENT)}
 
 
@@ -176,6 +177,11 @@ class AxisDesk:
                 shown = "".join(c if c.isprintable() else "?" for c in text)
                 return Orders(f"mark {shown}", (Request(RequestKind.MARK),), free=True)
         raise AssertionError(message)
+
+    def moves(self) -> bool:
+        """Whether the axis is in a motion that a hold would bring to rest."""
+        last = self._ring.reader().latest()
+        return last is not None and last.tick.state in _MOVING
 
     def stands_m(self) -> float:
         """Where the axis holds.

@@ -27,6 +27,7 @@ class Orders(NamedTuple):
     axes: tuple[int, ...] = (0,)  # places of those that are asked, all in one tick
     each: Mapping[int, Request] | None = None  # what, where it is not the same of all
     steps: tuple[Mapping[int, Request], ...] = ()  # one after the other, where each is not the same of all
+    then: protocol.GotoAll | None = None  # is to be planned when these axes stand, and replied to then
 
     def step(self, number: int) -> Mapping[int, Request]:
         """What to ask next of which axes."""
@@ -54,6 +55,9 @@ class Desk(Protocol):
 
     def gains(self) -> dict[str, Any]:
         """The fields of the reply to `tune_get`."""
+
+    def moves(self) -> bool:
+        """Whether the axis is in a motion that a hold would bring to rest."""
 
     def stands_m(self) -> float:
         """Where the axis holds.

@@ -23,6 +23,7 @@ from pneud.console.line_stream import MAX_LINE
 from pneud.console.orders import Desk, Orders
 from pneud.console.peer import GROUP, Peer, commanding_group, may_command, peer_of
 from pneud.console.protocol import Error, ProtocolError
+from pneud.console.setting_out import SettingOut
 from pneud.signals import Answer, Request, RequestKind, State
 
 INFO, WARNING = 2, 3  # levels of the log's events
@@ -35,6 +36,7 @@ _MOTION = (
 _RENEWED = (RequestKind.JOG, RequestKind.PROBE)  # by the same again, which is no other command
 _CHUNK = 16 * 1024
 _ACCEPTS = 16  # new clients in a turn
+_LOOK_S = 0.01  # between two looks at axes that come to rest before they set out
 _QUIET_S = 1.0  # between two words for the log about the same client's mistakes
 
 
@@ -82,6 +84,7 @@ class Server:
         self._number = first
         self._attending: dict[int, Connected] = {}  # to a motion of an axis that ends with him
         self._files = files or Beside(self._read, clock)
+        self._later = SettingOut(self._desks, self._refuse)
         self._unfinished: tuple[Connected | None, Orders] | None = None
         self._renewed: dict[int, str] = {}  # by axis
         self._order: dict[int, dict[str, Any]] = {}  # of motion of an axis, the last one that was taken
@@ -102,7 +105,7 @@ class Server:
 
     def step(self, timeout_s: float) -> None:
         """Wait for something to do, for so long at most, and do it."""
-        for key, events in self._selector.select(timeout_s):
+        for key, events in self._selector.select(min(timeout_s, _LOOK_S) if self._later else timeout_s):
             if key.fileobj is self._listener:
                 self._accept()
             elif key.fileobj is self._loop:
@@ -118,6 +121,8 @@ class Server:
         for client in list(self._clients):
             self._serve(client, now_s)
         self._files.go_on()
+        for setting_out, message in self._later.due(now_s) if self._later else ():
+            self._command(setting_out, message, True)
         self._hand_over()
 
     def ask(self, message: protocol.Request, label: str, refused: Callable[[ProtocolError], None]) -> None:
@@ -192,6 +197,7 @@ class Server:
         client.connection.close()
         self._report_mistakes(client)
         self._lease.drop(client)
+        self._later.drop(client)
         for job in self._jobs:
             if job.client is client:
                 job.client = None
@@ -541,6 +547,7 @@ class Server:
             order = {"number": outcome.number, "words": job.plan.words}
             self._order |= dict.fromkeys(job.plan.axes, order)
             more["order"] = outcome.number
+            self._later.displace(job.plan.axes)
         if job.plan.undo is not None:
             self._unfinished = (job.client, job.plan) if job.plan.unfinished else None
             if not job.plan.unfinished:
@@ -551,6 +558,9 @@ class Server:
             self._say(INFO, f"{job.label}: {self._of(job.plan)}{job.plan.words} → taken")
         for axis in job.plan.axes if moves else ():
             self._attend(axis, job, renewed=job.plan.words if kind in _RENEWED else "")
+        if job.plan.then is not None:
+            self._later.add(job.client, job.plan.then, self._clock())
+            return
         state = State(outcome.state).label
         self._send(job.client, self._reply(job.number, job.plan.axes, **more, state=state))
 

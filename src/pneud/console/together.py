@@ -119,8 +119,10 @@ def run(desks: Sequence[Desk], message: protocol.Run) -> Orders:
 def goto(desks: Sequence[Desk], message: protocol.GotoAll) -> Orders:
     """Set out together and arrive together, by one law of time that keeps everybody's limits.
 
+    Axes that are in motion come to rest first.
+
     Raises:
-        ProtocolError: an axis is not there, does not hold, or cannot go there.
+        ProtocolError: an axis is not there, neither holds nor moves, or cannot go there.
     """
     names = [desk.name for desk in desks]
     targets: dict[int, float] = {}
@@ -129,16 +131,22 @@ def goto(desks: Sequence[Desk], message: protocol.GotoAll) -> Orders:
             raise ProtocolError(Error.INVALID, f"no axis {name!r}; there is {', '.join(names)}")
         _check_free(desks[names.index(name)], "goto")
         targets[names.index(name)] = x_mm
-    ways, bounds = [], []
+    ways, bounds, moving = [], [], []
     for axis, x_mm in targets.items():
         desk = desks[axis]
         try:
             desk.plan(protocol.Goto(v=1, id=message.id, verb="goto", x_mm=float(x_mm)))
+            if desk.moves():
+                moving.append(axis)
+                continue
             ways.append(abs(x_mm * _MM - desk.stands_m()))
         except ProtocolError as e:
             e.axis = desk.name
             raise
         bounds.append(desk.bounds(ways[-1]))
+    if moving:
+        rest = Request(RequestKind.HOLD)
+        return Orders("hold, to set out together", (rest,), axes=tuple(moving), then=message)
     each = {
         axis: Request(RequestKind.GOTO, (x_mm * _MM, *kept))
         for (axis, x_mm), kept in zip(targets.items(), alike(ways, bounds), strict=True)
