@@ -30,7 +30,7 @@ def stands_at(b: Bench, position_m: float, state: State = State.HOLDING) -> None
     tick = tick_at(time.monotonic_ns())
     tick = tick._replace(
         state=int(state),
-        in_position=int(state == State.HOLDING),
+        in_position=int(state in (State.HOLDING, State.PRESSING)),
         present=0,
         latched=0,
         reference=tick.reference._replace(position_m=position_m),
@@ -81,6 +81,27 @@ def test_a_goto_waits_until_the_load_is_there_and_a_jog_renews_its_lease(tmp_pat
         b.requests.clear()
         axis.jog(10.0, for_s=0.15)
         assert kinds(b) == [RequestKind.JOG, RequestKind.JOG, RequestKind.HOLD]
+
+
+def test_a_force_waits_until_it_is_there(tmp_path: Path) -> None:
+    async def pressed(b: Bench) -> Any:
+        async with pneud.AsyncClient(b.path) as axis:
+            return await axis.force(-40.0, rate_n_s=500.0)
+
+    with served(tmp_path) as b:
+        with pneud.Client(b.path) as axis:
+            stands_at(b, 0.3, State.PRESSING)
+            assert axis.force(40.0, between_mm=(200.0, 400.0))["state"] == "pressing"
+            assert "order" in axis.force(50.0, wait=False, speed_mm_s=100.0, timeout_s=2.0)
+            with pytest.raises(pneud.RefusedError, match=r"N are more than limits\.force and the supply"):
+                axis.force(1e5)
+        assert asyncio.run(pressed(b))["state"] == "pressing"
+        assert [r.values for r in b.requests if r.kind == RequestKind.FORCE] == [
+            pytest.approx((40.0, 0.0, 0.2, 0.4, 0.0, 0.0)),
+            pytest.approx((50.0, 0.0, 0.0, 0.0, 0.1, 2.0)),
+            pytest.approx((-40.0, 500.0, 0.0, 0.0, 0.0, 0.0)),
+        ]
+        assert kinds(b)[-1] == RequestKind.STOP  # what it has set going
 
 
 def test_a_profile_is_uploaded_whole(tmp_path: Path) -> None:
@@ -163,7 +184,7 @@ def test_the_examples_of_the_docstrings_with_a_daemon(
             become("holding")  # they stop in the end
         with pneud.Client() as axis:
             names["axis"] = axis
-            for call in ("goto", "track", "jog", "hold", "tune", "status", "events", "mark"):
+            for call in ("goto", "force", "track", "jog", "hold", "tune", "status", "events", "mark"):
                 play(found.pop(f"Client.{call}"), names)
             axis.track()
             for call, state in (("stop", "holding"), ("disarm", "disarmed"), ("arm", "holding")):

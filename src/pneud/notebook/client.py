@@ -26,7 +26,7 @@ from pneud.notebook import html, steps
 from pneud.notebook.steps import Ask, Dialogue, Pause, Samples
 
 T = TypeVar("T")
-_MOVING = ("arm", "goto", "jog", "track", "home")
+_MOVING = ("arm", "goto", "force", "jog", "track", "home")
 _LOOK_S = 0.002  # what the loop is writing is complete at the next look
 _SHOWN = ("state", "position_mm", "reference_mm", "error_mm", "in_position", "command_v", "bus", "log")
 
@@ -262,6 +262,41 @@ class Client(_Base):
         }
         return Status(self._run(steps.goto(x_mm, wait, tolerance_mm, timeout_s, **bounds)))
 
+    def force(
+        self,
+        force_n: float,
+        *,
+        wait: bool = True,
+        rate_n_s: float | None = None,
+        between_mm: tuple[float, float] | None = None,
+        speed_mm_s: float | None = None,
+        timeout_s: float | None = None,
+    ) -> Status:
+        """Press with a force of the piston, and wait until it is there.
+
+        Args:
+            force_n: on the load; positive outwards.
+            wait: come back when the force is within its tolerance; else when the ramp has begun.
+            rate_n_s: of the ramp; None for the configured one, as below.
+            between_mm: window of the travel; None for all of it.
+            speed_mm_s: at most.
+            timeout_s: to have reached the force; the axis stops after it.
+
+        Returns:
+            How the axis is then; without `wait`, the reply to the order.
+
+        Examples:
+            >>> pressed = axis.force(15.0, between_mm=(400.0, 600.0))  # which friction bears
+            >>> pressed["state"], abs(pressed["force_n"] - 15.0) < 3.0
+            ('pressing', True)
+
+        Raises:
+            RefusedError: it may not press so (`kind` is `beyond_limits`, …) or the force does not come
+                (`fault`, `replaced`, `stopped`, `gone`).
+        """
+        bounds = {"rate_n_s": rate_n_s, "speed_mm_s": speed_mm_s, "timeout_s": timeout_s}
+        return Status(self._run(steps.force(force_n, wait, between_mm, **bounds)))
+
     def jog(self, velocity_mm_s: float, for_s: float) -> str:
         """Move at a speed for a time, then hold; should this program die, its lease runs out.
 
@@ -393,6 +428,17 @@ class AsyncClient(_Base):
     ) -> Status:
         """As `Client.goto`, whose other bounds are `bounds`."""
         return Status(await self._run(steps.goto(x_mm, wait, tolerance_mm, timeout_s, **bounds)))
+
+    async def force(
+        self,
+        force_n: float,
+        *,
+        wait: bool = True,
+        between_mm: tuple[float, float] | None = None,
+        **bounds: float | None,
+    ) -> Status:
+        """As `Client.force`, whose other bounds are `bounds`."""
+        return Status(await self._run(steps.force(force_n, wait, between_mm, **bounds)))
 
     async def jog(self, velocity_mm_s: float, for_s: float) -> str:
         """As `Client.jog`."""

@@ -16,7 +16,7 @@ from pneud.console.client import RefusedError
 from pneud.console.endpoint import PlaceError
 from pneud.console.profiles import ProfileError
 from pneud.console.tuning import name_of
-from pneud.console.waiting import Arrival
+from pneud.console.waiting import Arrival, Reaching
 from pneud.control.reference import Septic
 from pneud.study.running import doubts_running
 
@@ -52,8 +52,8 @@ def asked(verb: str, **fields: Any) -> Dialogue[dict[str, Any]]:
     return reply
 
 
-def arrived(arrival: Arrival) -> Dialogue[dict[str, Any]]:
-    """Wait until the load is where an order leads, and how it is then."""
+def arrived(arrival: Arrival | Reaching) -> Dialogue[dict[str, Any]]:
+    """Wait until the load is where an order leads, or presses as it says, and how it is then."""
     while True:
         try:
             status: dict[str, Any] = yield Ask("status", {})
@@ -73,6 +73,18 @@ def goto(
     if not wait:
         return reply
     return (yield from arrived(Arrival(reply["order"], x_mm, begun_s, tolerance_mm, timeout_s)))
+
+
+def force(
+    force_n: float, wait: bool, between_mm: tuple[float, float] | None, **bounds: float | None
+) -> Dialogue[dict[str, Any]]:
+    """Press, and wait until the force is there."""
+    low_mm, high_mm = (None, None) if between_mm is None else between_mm
+    begun_s = time.monotonic()
+    reply = yield from asked("force", force_n=force_n, low_mm=low_mm, high_mm=high_mm, **bounds)
+    if not wait:
+        return reply
+    return (yield from arrived(Reaching(reply["order"], force_n, begun_s)))
 
 
 def jog(velocity_mm_s: float, for_s: float) -> Dialogue[dict[str, Any]]:
