@@ -281,8 +281,8 @@ class Command(NamedTuple):
     enable: int
     saturated: int  # 1 where the law asked for more than the output chain let through
     law_v: float  # what the law asked for; NaN where it was not asked
-    s: float  # sliding variable of (12)
-    ustar: float  # u* of (19)
+    s: float  # sliding variable of (12); in PRESSING the wanted force less the piston's [N]
+    ustar: float  # u* of (19); in PRESSING the wanted force, on its ramp [N]
 
 
 class Told(NamedTuple):

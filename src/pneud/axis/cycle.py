@@ -278,15 +278,18 @@ def actuate(
     """
     dt, e = (1 + m.skipped) * law.h, belief.estimate
     if state in (HOMING, PROBING, PRESSING):
+        off_n, wanted_n = 0.0, 0.0
         if state == HOMING:
             law_v = homing.command(course.homing, m, e, p.homing, law)
         elif state == PRESSING:
             assert course.controller is not None
             law_v = force.command(course.press, course.controller, e, last_v, law)
+            wanted_n = course.press.wanted_n
+            off_n = wanted_n - force.piston_n(e, law)
         else:
             law_v = probe.opening_v(course.probe, belief.sampled_ns)
         out = emit(law_v, last_v, dt, p.output)
-        command = Command(out.voltage_v, out.enable, out.saturated, law_v, 0.0, 0.0)
+        command = Command(out.voltage_v, out.enable, out.saturated, law_v, off_n, wanted_n)
         return Driven(course.controller, command, out.faults)
     assert course.controller is not None
     reference = aim(course.reference, course.led, p.leading)

@@ -1,4 +1,7 @@
-"""The four groups of curves: error, position with its reference, pressures on one scale, the valve."""
+"""The four groups of curves: error, position with its reference, pressures on one scale, the valve.
+
+Where the axis presses, the force takes the place of the error.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,8 @@ from typing import NamedTuple
 from rich.style import Style
 
 from pneud.log.live.amiss import NEVER_NS
-from pneud.signals import Record, ValveState
-from pneud.view.history import History, Trace, span_s
+from pneud.signals import Record, State, ValveState
+from pneud.view.history import Column, History, Trace, span_s
 from pneud.view.info import ScreenInfo
 from pneud.view.palette import Palette
 from pneud.view.plot import Curve, Guide, extremes, plot, range_limits, row_at, signed_limits
@@ -21,6 +24,7 @@ _LEAST_ERROR_M = 1e-6
 _LEAST_POSITION_M = 1e-3
 _LEAST_PRESSURE_PA = 5e4
 _LEAST_COMMAND_V = 0.05
+_LEAST_FORCE_N = 10.0
 _TAGS_WIDTH = 8
 _OLD_TICKS = 10  # after so many without it a value is not of now
 
@@ -45,8 +49,12 @@ def curves_of(record: Record, history: History, info: ScreenInfo, look: Palette,
         return Curve(trace.columns(t_ns, columns), style, letter)
 
     h = history
+    if record.tick.state == State.PRESSING:
+        first = _force(record, info, look, h.wanted.columns(t_ns, columns), h.force.columns(t_ns, columns))
+    else:
+        first = _error(record, h, look, curve(h.error, look.error))
     return [
-        _error(record, h, look, curve(h.error, look.error)),
+        first,
         _position(
             record, look, curve(h.reference, look.reference, "r"), curve(h.position, look.position, "x")
         ),
@@ -76,6 +84,31 @@ def _error(record: Record, history: History, look: Palette, curve: Curve) -> Gro
         signed_limits(extremes((curve,)), _LEAST_ERROR_M),
         (Guide(0.0, "─"),),
         _of_length,
+    )
+
+
+def _force(record: Record, info: ScreenInfo, look: Palette, wanted: list[Column], x3: list[Column]) -> Group:
+    """The piston's force on the load, and the one that is wanted."""
+    tick = record.tick
+    rod_n = info.atmosphere_pa * (info.area_1_m2 - info.area_2_m2)
+    if not math.isfinite(rod_n):
+        rod_n = 0.0
+    now_n, wanted_n = tick.estimate.x3_n - rod_n, tick.command.ustar
+    own = [None if part is None else (part[0] - rod_n, part[1] - rod_n) for part in x3]
+    curves = Curve(wanted, look.reference, "r"), Curve(own, look.position, "f")
+    return Group(
+        "force",
+        (
+            (number(now_n, "+.1f", "N"), look.position),
+            (f"wanted {number(wanted_n, '+.1f', 'N')}", PLAIN),
+            (f"error {number(tick.command.s, '+.1f', 'N')}", PLAIN),
+            (f"load bears {number(tick.estimate.force_n, '+.1f', 'N')}", DIM),
+        ),
+        curves,
+        (("ref", wanted_n, look.reference), ("f", now_n, look.position)),
+        range_limits(extremes(curves), _LEAST_FORCE_N),
+        (),
+        lambda newtons: f"{round(newtons, 3):g} N",
     )
 
 

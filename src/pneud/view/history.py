@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from pneud.log.live.amiss import Amiss
 from pneud.rt.histogram import Histogram
-from pneud.signals import Record, RequestKind, Tick
+from pneud.signals import Record, RequestKind, State, Tick
 
 BUCKET_NS = 20_000_000
 SPAN_S = 10.0
@@ -19,6 +19,7 @@ _LARGEST = 1e30  # squares of smaller values and their sums stay finite
 _EVENTS = 16
 _BLOCKS = " ▁▂▃▄▅▆▇█"
 _SECOND_NS = 1_000_000_000
+PRESSING = int(State.PRESSING)
 _FRAME_BITS, _STUFFING = 47, 1.1  # of a frame without data, interframe space included; as bits are stuffed
 
 Column = tuple[float, float] | None
@@ -157,6 +158,7 @@ class History:
         self.p2 = Trace()
         self.supply = Trace()
         self.force = Trace()
+        self.wanted = Trace()  # force, where one is
         self.bus_bit_s = math.nan  # on the wire, in the last whole second
         self._limited = Trace()  # 1 where the command was
         self._skips: deque[tuple[int, int]] = deque(maxlen=4096)  # time, ticks skipped before it
@@ -211,6 +213,8 @@ class History:
         self.p2.add(t_ns, m.p2_pa)
         self.supply.add(t_ns, m.supply_pa)
         self.force.add(t_ns, tick.estimate.x3_n)
+        if tick.state == PRESSING:
+            self.wanted.add(t_ns, tick.command.ustar)
         self._limited.add(t_ns, float(tick.command.saturated))
         self._count_bits(record, t_ns)
 
