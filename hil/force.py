@@ -40,7 +40,7 @@ from pneud.safety.faults import BLOCKS_ARM, names
 from pneud.signals import Request, RequestKind, State
 
 RIG = "virtual.toml"
-SHARES = (0.1, 0.4, 0.8)  # of the piston's greatest force
+SHARES = (0.1, 0.4, 0.8, -0.1, -0.4, -0.8)  # of the piston's greatest force; inwards where negative
 SPRINGS_N_MM = (1.0, 3.0, 10.0, 30.0, 100.0)
 FRICTION = (0.5, 1.0, 2.0)
 HELD_S, PRESSED_S, LOOKED_S = 0.3, 2.0, 0.4  # before, meanwhile; and of that at its end

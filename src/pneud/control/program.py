@@ -145,8 +145,8 @@ def look(
 ) -> Run:
     """The run after a tick.
 
-    A load that stands has been near for a while, and is slow at its end: a single velocity on the way there, as
-    noisy as they are, would begin that while anew, and rounds would differ by it.
+    A load that stands has been near for a while, and is slow at its end: a single velocity, noisy as it is,
+    would begin that while anew, and rounds would differ by it.
 
     Args:
         run: before it.
