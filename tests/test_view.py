@@ -198,6 +198,18 @@ def test_how_the_load_stands_at_its_target_is_shown_with_what_to_look_at() -> No
     assert all(len(f"hunting: check {cure}") <= 80 for cure in HUNTING_CURES.values())
 
 
+def test_where_it_presses_the_force_stands_in_the_place_of_the_error() -> None:
+    command = TICK.command._replace(s=1.7, ustar=62.0)
+    pressing = RECORD._replace(tick=TICK._replace(state=int(State.PRESSING), command=command))
+    info = INFO._replace(area_1_m2=1.256e-3, area_2_m2=1.056e-3, atmosphere_pa=1e5)
+    before = [at(i) for i in range(50)]
+    page = "\n".join(drawn(history_of(*before, *(at(50 + i, pressing) for i in range(50))), (110, 40), info))
+    for text in ("── force  +80.0 N", "wanted +62.0 N", "error +1.7 N", "load bears -43.7 N", "60 N", "r", "f"):
+        assert text in page
+    assert "── error" not in page
+    assert "── force" not in "\n".join(drawn(history_of(*before), (110, 40), info))
+
+
 def test_before_the_first_tick_and_in_silence_the_screen_says_so() -> None:
     history = History()
     assert any("waiting for the first tick" in line for line in drawn(history))
