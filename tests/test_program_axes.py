@@ -53,7 +53,7 @@ def run(folder: Path, cycles: int = 1, struck: int = 0) -> tuple[ProgrammingToge
         all_.append(records)
         operator.see(records)
         if struck and records[0].tick.progress.step == struck and records[0].tick.state != State.FAULT:
-            sim.lanes[0].conditions = SimpleNamespace(host=lambda *_: 1)  # type: ignore[assignment]
+            sim.lanes[0].conditions = SimpleNamespace(early=lambda *_: 0, host=lambda *_: 1)  # type: ignore[assignment]
         if operator.over and len(all_) > 50:
             sim.end()
     return operator, all_
@@ -112,7 +112,7 @@ def test_a_fault_in_any_record_of_either_is_named_and_both_go_on_there(seed: int
         if not struck and ticks[axis].progress.step >= record:
             wait -= 1
             if wait < 0:
-                sim.lanes[axis].conditions = SimpleNamespace(host=lambda *_: 1)  # type: ignore[assignment]
+                sim.lanes[axis].conditions = SimpleNamespace(early=lambda *_: 0, host=lambda *_: 1)  # type: ignore[assignment]
                 struck, at = True, ticks[0].progress.step
         elif struck and ticks[axis].latched:
             assert names(ticks[axis].latched) == ["link_down"]
