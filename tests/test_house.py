@@ -166,12 +166,12 @@ RULES = {
     "compiled": "loop scenario",
     "loop": "scenario replay daemon",
     "scenario": "loop daemon",
-    "replay": "daemon study report",
+    "replay": "daemon study report campaign",
     **dict.fromkeys(
-        ("bench", "farm", "notebook", "report", "study", "service", "mqtt", "web"), "daemon verbs"
+        ("bench", "campaign", "farm", "notebook", "report", "study", "service", "mqtt", "web"), "daemon verbs"
     ),
-    "daemon": "study bench farm notebook report service mqtt web replay verbs",
-    "verbs.run": "study bench farm notebook report service mqtt web replay cli verbs.other",
+    "daemon": "study bench campaign farm notebook report service mqtt web replay verbs",
+    "verbs.run": "study bench campaign farm notebook report service mqtt web replay cli verbs.other",
     "verbs": "cli",
 }
 

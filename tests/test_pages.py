@@ -31,6 +31,8 @@ NOT_HERE = {
     r"systemctl .*|python3 -m venv /opt/pneud|/opt/pneud/.*": "root, systemd; tests/vm/test_service.py",
     r"scp .*": "a second machine",
     r"python3 -m venv \.venv && .*|\.venv/bin/python -m hatchling .*": "tests/test_packaging.py does",
+    r"make many-runs\b.*": "minutes; tests/test_many_runs.py runs fewer",
+    r"pneud campaign .* --scheduler .*": "a cluster; tests/test_many_runs.py begins one",
     r"pneud bench\b.*": "minutes; tests/test_bench.py runs short ones",
     r"pneud commission": "a rig",
     r"pneud commission --virtual .*": "minutes; tests/test_tutorial.py runs one",

@@ -33,7 +33,7 @@ BYTE = 0xDC00  # and more: a byte of a name that is no UTF-8, as Python keeps it
 FOLDER = Path(__file__).parent / "verbs"
 # of help and completion, what one looks for together; a verb that does not stand here comes last
 GROUPS = {
-    "Software rig": ("plant", "sim", "scenarios", "reproduce"),
+    "Software rig": ("plant", "sim", "scenarios", "campaign", "reproduce"),
     "Logs": ("logs", "replay", "report", "view", "export", "import", "recover", "learnt", "identify"),
     "A rig and its machine": (
         *("new", "map", "nodes", "commission", "check", "design"),

@@ -117,11 +117,21 @@ def complete(config: Config, text: str, path: Path, rate_hz: float | None = None
     if rate_hz is not None:
         config = at_rate(config, rate_hz)
     dbc = _dbc_of(config, path)
-    codecs = load_codecs(config.bus, dbc, config.gas, keep=True)
+    return fitting(Loaded(config, path, text, dbc, load_codecs(config.bus, dbc, config.gas, keep=True)))
+
+
+def fitting(loaded: Loaded) -> Loaded:
+    """An axis whose frames can carry what it has to say, on a bus that can carry the frames.
+
+    Raises:
+        ConfigError: the bus cannot.
+        DatabaseError: the frames cannot.
+    """
+    config, path, _, dbc, codecs = loaded
     _check_ranges(config, codecs, dbc)
     if why := overload(config, codecs):
         raise ConfigError(f"{path}: {why}")
-    return Loaded(config, path, text, dbc, codecs)
+    return loaded
 
 
 def _dbc_of(config: Config, path: Path) -> Path:

@@ -16,12 +16,13 @@ from typing import Any, NamedTuple
 from pneud.axis.state import AxisParameters
 from pneud.config.conversions import axis_of, plant_of
 from pneud.config.models import Config
-from pneud.control.reference import Sine, Way, move, rest, sine, still, transfer, unhurried
+from pneud.control.reference import Sine, move, rest, sine, still, transfer, unhurried
 from pneud.physics.plant import PlantParameters
 from pneud.study import trial
 from pneud.study.gains import LARGE_ERROR
+from pneud.study.going import Going
 from pneud.study.push import service
-from pneud.study.trial import Errand, Pair, Verdict, begin
+from pneud.study.trial import Verdict
 
 NOMINAL = "as configured"
 WITHIN_M = 5e-5  # RMS error along the sine
@@ -193,41 +194,10 @@ class _Session:
 
     def __init__(self, task: Task) -> None:
         self.task, self.at_m = task, task.axis.reference.centre_m
-        self.pair: Pair = begin(self.at_m, task.axis.controller, task.plant)
-        self.joins = True
         self.slack = 1.0 if task.case == NOMINAL else SLACK
+        tolerance_m = self.slack * task.course.position_m
+        self.go = Going(self.at_m, task.axis.controller, task.plant, tolerance_m).go
         self.figures: list[Figure] = []
-
-    def go(
-        self,
-        way: Way,
-        after_s: float,
-        judged_s: float | None = None,
-        sine: Sine | None = None,
-        force_n: float = 0.0,
-    ) -> Verdict:
-        """Along a way and on for a time; judged from so long behind the way, or all of it.
-
-        What it returns as `outside` are ticks behind the way, −1 where there is no end to them.
-        """
-        p, plant, c = self.task.axis.controller, self.task.plant, self.task.course
-        before = round(way.T / p.h)
-        ticks = before + round(after_s / p.h)
-        self.pair, found = trial.compiled()[0](
-            self.pair,
-            self.joins,
-            ticks,
-            0 if judged_s is None else before + round(judged_s / p.h),
-            self.slack * c.position_m,
-            Errand(way, sine or Sine(self.at_m, 0.0, 0.0), force_n),
-            p,
-            plant,
-            trial.step_v(p, plant),
-        )
-        self.joins = False
-        outside = -1 if found.outside >= ticks - 1 else max(0, found.outside + 1 - before)
-        verdict: Verdict = found._replace(outside=outside)
-        return verdict
 
     def seconds(self, *runs: Verdict) -> float:
         """The longest time until the load is in position for good."""

@@ -18,6 +18,7 @@ from pneud.rig.dynamics import PlantState, advance, initial_state
 from pneud.rig.sensors import quantised, sensed
 from pneud.rt.folders import cache_folder
 from pneud.signals import Reference
+from pneud.study.closed_loop import supply_flow_kg_s
 from pure2c import BuildError, compile_functions
 
 MOST_SEED = 0x7FFFFFFF
@@ -52,6 +53,7 @@ class Verdict(NamedTuple):
     step_v: float  # mean |Δu|
     saturated: int  # ticks
     outside: int  # the last tick with an error beyond the tolerance, 0 without one
+    air_kg: float  # from the supply
 
 
 def uniform(seed: int) -> int:
@@ -132,7 +134,7 @@ def trial(
     Returns:
         Where to go on from, and what came of it.
     """
-    squares = steps = most = 0.0
+    squares = steps = most = air = 0.0
     high, low = -1e9, 1e9
     saturated = outside = 0
     for i in range(ticks):
@@ -146,10 +148,13 @@ def trial(
             most = max(most, abs(error))
             high, low = max(high, true_m), min(low, true_m)
             steps += abs(b.last_v - before)
+            air += supply_flow_kg_s(b.rig, plant)
             if abs(b.last_v) >= SATURATED * p.valve.u_max_v:
                 saturated += 1
     count = max(1, ticks - judged)
-    return b, Verdict(math.sqrt(squares / count), most, high, low, steps / count, saturated, outside)
+    return b, Verdict(
+        math.sqrt(squares / count), most, high, low, steps / count, saturated, outside, air * p.h
+    )
 
 
 def begin(position_m: float, p: Controller, plant: PlantParameters, seed: int = 1) -> Pair:

@@ -1,0 +1,84 @@
+"""What figures depend on, and how they are spread: by ranks, so that neither units nor curves matter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pneud.campaign.unit import Row
+
+Floats = NDArray[np.float64]
+SHARES = (5.0, 50.0, 95.0, 99.0)
+FEWEST = 8  # runs from which ranks say anything
+
+
+class Spread(NamedTuple):
+    """How a figure is spread."""
+
+    known: int
+    none: int  # runs without it
+    least: float
+    shares: tuple[float, ...]  # percentiles, of `SHARES`
+    most: float
+
+
+class Rank(NamedTuple):
+    """How a figure goes with something that runs were given."""
+
+    figure: str
+    given: str
+    correlation: float  # of ranks: 1 where both rise together, −1 where one falls as the other rises
+    runs: int
+
+
+def numbers(rows: Sequence[Row], column: str) -> Floats:
+    """A column as numbers, NaN where there is none."""
+    return np.array([_number(row.get(column)) for row in rows])
+
+
+def _number(value: object) -> float:
+    return float(value) if isinstance(value, int | float) else np.nan
+
+
+def spread(values: Floats) -> Spread | None:
+    """How a column is spread; None where it has no number."""
+    found = values[np.isfinite(values)]
+    if not len(found):
+        return None
+    shares = tuple(float(x) for x in np.percentile(found, SHARES))
+    return Spread(len(found), len(values) - len(found), float(found.min()), shares, float(found.max()))
+
+
+def ranks(values: Floats) -> Floats:
+    """The place of each number among all, from 0; equal ones share the mean of theirs."""
+    _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
+    ends = np.cumsum(counts)
+    means: Floats = (ends - 0.5 * (counts + 1.0))[place.ravel()]
+    return means
+
+
+def correlation(one: Floats, other: Floats) -> float:
+    """Spearman's: that of the ranks, where both have numbers; NaN where one of them is always the same."""
+    both = np.isfinite(one) & np.isfinite(other)
+    if both.sum() < FEWEST:
+        return float("nan")
+    a, b = (ranks(values[both]) for values in (one, other))
+    a, b = a - a.mean(), b - b.mean()
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / size if size > 0.0 else float("nan")
+
+
+def strongest(rows: Sequence[Row], figures: Sequence[str], given: Sequence[str]) -> list[Rank]:
+    """Every figure with everything that is given, the strongest first; what is no number is left out."""
+    columns = {name: numbers(rows, name) for name in (*figures, *given)}
+    found = []
+    for figure in figures:
+        for name in given:
+            value = correlation(columns[figure], columns[name])
+            if not np.isnan(value):
+                runs = int((np.isfinite(columns[figure]) & np.isfinite(columns[name])).sum())
+                found.append(Rank(figure, name, value, runs))
+    return sorted(found, key=lambda r: (-abs(r.correlation), r.figure, r.given))
