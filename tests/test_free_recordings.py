@@ -32,6 +32,20 @@ def test_an_export_comes_back_to_the_bit(name: str, tmp_path: Path) -> None:
     assert object_of(pneud_here("replay", tmp_path / "again.mcap", "--json"))["identical"]
 
 
+@pytest.mark.parametrize("suffix", ["asc", "blf"])
+def test_frames_of_can_fd_come_back_from_other_tools_recordings(suffix: str, tmp_path: Path) -> None:
+    recorded("flexible", tmp_path)
+    recording = tmp_path / f"run.{suffix}"
+    assert pneud_here("export", tmp_path / "run.mcap", "-o", recording).returncode == 0
+    done = pneud_here("import", recording, "-o", tmp_path / "again.mcap")
+    assert done.returncode == 0
+    assert "passed over" not in done.stderr
+    ran, again = read_log(tmp_path / "run.mcap"), read_log(tmp_path / "again.mcap")
+    for one, other in zip(ran, again, strict=True):
+        assert [f[1:] for f in (*one.frames, *one.sent)] == [f[1:] for f in (*other.frames, *other.sent)]
+        assert one.state == other.state
+
+
 @pytest.mark.parametrize("name", ["free", "bare", "extended"])
 def test_a_recording_of_others_is_a_log_to_replay_and_to_read(name: str, tmp_path: Path) -> None:
     log = recorded(name, tmp_path)

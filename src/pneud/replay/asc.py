@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 
-from pneud.bus.wire import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from pneud.bus.wire import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, FD_LENGTHS
 from pneud.replay.passing import (
     EXTENDED,
     FD,
@@ -57,14 +57,14 @@ class _UnreadableError(Exception):
     """A line is not the frame that it should be; the text says why."""
 
 
-def read(path: Path, remarks: Remarks) -> Iterator[Passing]:
-    """The classic frames of a recording in their order.
+def read(path: Path, remarks: Remarks, *, fd: bool = False) -> Iterator[Passing]:
+    """The frames of a recording in their order; those of CAN FD only where they are wanted.
 
     Raises:
         OSError: the file cannot be read.
         LogError: it is UTF-16.
     """
-    state = _State(remarks)
+    state = _State(remarks, fd)
     for line in lines(path, remarks):
         try:
             passing = state.take(line)
@@ -80,8 +80,9 @@ def read(path: Path, remarks: Remarks) -> Iterator[Passing]:
 class _State:
     """What the lines so far say about those that follow."""
 
-    def __init__(self, remarks: Remarks) -> None:
+    def __init__(self, remarks: Remarks, fd: bool) -> None:
         self._remarks = remarks
+        self._takes_fd = fd
         self._base = 16
         self._relative = False
         self._date_ns: int | None = None  # to count from, unless the stamps just go on
@@ -170,12 +171,32 @@ class _State:
             flags = int(rest[4 + length + 2], 16)
         except (ValueError, IndexError):
             raise _UnreadableError(FD) from None
-        if flags & _EDL or not channel.isdecimal():
+        if not channel.isdecimal() or (flags & _EDL and not self._takes_fd):
             raise _UnreadableError(FD)
+        if flags & _EDL:
+            return self._flexible(line, time_ns, _channel(channel), direction.lower(), name, length, rest[4:])
         kind = "r" if flags & _REMOTE else "d"
         return self._classic(
             line, time_ns, _channel(channel), [name, direction, kind, rest[3], *rest[4 : 4 + length]]
         )
+
+    def _flexible(
+        self,
+        line: Line,
+        time_ns: int,
+        channel: str,
+        direction: str,
+        name: str,
+        length: int,
+        data: list[str],
+    ) -> Passing | None:
+        if direction == "txrq":
+            self._remarks.add(REQUEST, line.place, partial=False)
+            return None
+        if direction not in ("rx", "tx") or length not in FD_LENGTHS:
+            raise _UnreadableError(_UNLIKE)
+        frame = Frame(time_ns, self._identifier(name), self._data(data, length))
+        return Passing(frame, channel, direction == "tx")
 
     def _identifier(self, name: str) -> int:
         extended = name[-1] in "xX"

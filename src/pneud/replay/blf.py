@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from pneud.bus.wire import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG
+from pneud.bus.wire import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, FD_LENGTHS
 from pneud.log.files.naming import LogError
 from pneud.replay.passing import EXTENDED, FD, NO_IDENTIFIER, REQUEST, SECOND_NS, STANDARD, Passing
 from pneud.replay.remarks import Remarks
@@ -74,8 +74,8 @@ class _Outer(NamedTuple):
     fits: bool  # its size can be believed
 
 
-def read(path: Path, remarks: Remarks) -> Iterator[Passing]:
-    """The classic frames of a recording in their order.
+def read(path: Path, remarks: Remarks, *, fd: bool = False) -> Iterator[Passing]:
+    """The frames of a recording in their order; those of CAN FD only where they are wanted.
 
     Raises:
         OSError: the file cannot be read.
@@ -84,7 +84,7 @@ def read(path: Path, remarks: Remarks) -> Iterator[Passing]:
     with open_file(path) as file:
         end = file.seek(0, 2)
         head = _head(path, file, end)
-        stream = _Stream(head.start_ns, remarks)
+        stream = _Stream(head.start_ns, remarks, fd)
         for outer in _objects(file, head.begin, end, remarks):
             if not outer.follows:
                 stream.interrupt()
@@ -190,8 +190,9 @@ class _Stream:
         objects: how many there were.
     """
 
-    def __init__(self, start_ns: int, remarks: Remarks) -> None:
+    def __init__(self, start_ns: int, remarks: Remarks, fd: bool) -> None:
         self.objects = 0
+        self._takes_fd = fd
         self._start_ns = start_ns
         self._remarks = remarks
         self._tail = b""
@@ -250,7 +251,9 @@ class _Stream:
         unit, time = _TIME.unpack_from(data, _OBJECT.size)
         stamp_ns = self._start_ns + time * (10_000 if unit == _TEN_MICROSECONDS else 1)
         try:
-            channel, can_id, content, sent = taken(data[at:])
+            channel, can_id, content, sent, flexible = taken(data[at:])
+            if flexible and not self._takes_fd:
+                raise _UnreadableError(FD)
         except struct.error:
             self._remarks.add(_UNLIKE, place)
         except _UnreadableError as e:
@@ -265,41 +268,48 @@ class _UnreadableError(Exception):
     """An object is not the frame that it should be; the text says why."""
 
 
-_Content = tuple[int, int, bytes, bool]  # channel, identifier with its flags, data, sent
+_Content = tuple[int, int, bytes, bool, bool]  # channel, identifier with its flags, data, sent, of CAN FD
 
 
 def _classic(content: bytes) -> _Content:
     channel, flags, dlc, number, data = _CLASSIC.unpack_from(content)
-    return channel, _identifier(number, flags & _REMOTE), data[:dlc], bool(flags & _SENT)
+    return channel, _identifier(number, flags & _REMOTE), data[:dlc], bool(flags & _SENT), False
 
 
 def _fd_1(content: bytes) -> _Content:
     """On a bus that carries CAN FD; the frame may be a classic one all the same."""
     channel, flags, number, fd, count = _FD_1.unpack_from(content)
-    if fd & _EDL_1:
-        raise _UnreadableError(FD)
-    data = content[_FD_1.size :][: min(count, 8)]
-    return channel, _identifier(number, flags & _REMOTE), data, bool(flags & _SENT)
+    flexible = bool(fd & _EDL_1)
+    data, remote = _fd_data(content[_FD_1.size :], count, flexible), 0 if flexible else flags & _REMOTE
+    return channel, _identifier(number, remote), data, bool(flags & _SENT), flexible
 
 
 def _fd_2(content: bytes) -> _Content:
     channel, count, number, flags, way = _FD_2.unpack_from(content)
-    if flags & _EDL_2:
-        raise _UnreadableError(FD)
     if way == _REQUESTED:
         raise _UnreadableError(REQUEST)
-    data = content[_FD_2.size :][: min(count, 8)]
-    return channel, _identifier(number, flags & _REMOTE_2), data, bool(way)
+    flexible = bool(flags & _EDL_2)
+    data, remote = _fd_data(content[_FD_2.size :], count, flexible), 0 if flexible else flags & _REMOTE_2
+    return channel, _identifier(number, remote), data, bool(way), flexible
+
+
+def _fd_data(content: bytes, count: int, flexible: bool) -> bytes:
+    """So many bytes, of a classic frame eight at the most."""
+    if not flexible:
+        return content[: min(count, 8)]
+    if count not in FD_LENGTHS or len(content) < count:
+        raise _UnreadableError(_UNLIKE)
+    return content[:count]
 
 
 def _error(content: bytes) -> _Content:
     channel, dlc, number, data = _ERROR.unpack_from(content)
     can_id = number & (EXTENDED if number & CAN_EFF_FLAG else STANDARD)
-    return channel, can_id | CAN_ERR_FLAG, data[:dlc], False
+    return channel, can_id | CAN_ERR_FLAG, data[:dlc], False, False
 
 
 def _plain_error(content: bytes) -> _Content:
-    return content[0] if content else 1, CAN_ERR_FLAG, b"", False
+    return content[0] if content else 1, CAN_ERR_FLAG, b"", False, False
 
 
 _TAKEN = {

@@ -90,7 +90,7 @@ def _write_other(path: Path, frames: Kinds, switches: bool) -> int:
 def read(path: Path, remarks: Remarks | None = None, *, fd: bool = False) -> Iterator[Passing]:
     """The frames of a recording in their order; its suffix is one of `FORMATS`.
 
-    Those of CAN FD are passed over unless `fd`, and but in candump logs.
+    Those of CAN FD are passed over unless `fd`.
 
     Raises:
         LogError: the file cannot be read, or is no recording.
@@ -101,6 +101,6 @@ def read(path: Path, remarks: Remarks | None = None, *, fd: bool = False) -> Ite
         if suffix == CANDUMP:
             yield from candump.read(path, remarks, fd=fd)
         else:
-            yield from {".asc": asc.read, ".blf": blf.read}[suffix](path, remarks)
+            yield from {".asc": asc.read, ".blf": blf.read}[suffix](path, remarks, fd=fd)
     except OSError as e:
         raise LogError(f"{path}: cannot be read: {e.strerror or e}") from None
