@@ -132,6 +132,9 @@ def test_the_half_that_is_led_goes_where_the_other_goes(tmp_path: Path) -> None:
     assert states[400] == (State.HOLDING, State.TRACKING)
     at_rest = found[410]
     assert [record.truth_m for record in at_rest] == pytest.approx([0.5, 0.5], abs=1e-4)
+    in_position = [[bool(records[n].tick.in_position) for records in found] for n in (0, 1)]
+    assert all(any(one[250:410]) for one in in_position)
+    assert [record.tick.in_position for record in found[150]] == [0, 0]  # on the way there
     assert states[500] == (State.HOLDING, State.TRACKING)
     assert states[-1] == (State.DISARMED, State.DISARMED)
     ends = [next(i for i in range(520, len(states)) if states[i][n] == State.DISARMED) for n in (0, 1)]
@@ -181,6 +184,7 @@ def test_one_that_is_led_parts_from_the_other_and_couples_again() -> None:
     assert states[45] == State.HOLDING
     assert states[450] == State.TRACKING
     assert abs(follows(found[450], -0.5, 0.7)) < 1e-4
+    assert [record.tick.in_position for record in found[450]] == [1, 1]
     assert found[740][1].truth_m == pytest.approx(0.4, abs=1e-4)
     assert abs(follows(found[990], -0.5, 0.7)) < 1e-4
     assert states[1150] == State.HOLDING  # nobody leads it any more

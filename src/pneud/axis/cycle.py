@@ -16,9 +16,8 @@ from pneud.axis.standing import AT_WORK, Standing, judge
 from pneud.axis.state import INSIDE, AxisParameters, AxisState, Doubt, learnt_so_far, switched_on
 from pneud.axis.stops import UNHELD, excused, gentle, outside
 from pneud.control import force, homing, probe
-from pneud.control.force import Press
-from pneud.control.leading import NOT_LED, aim
-from pneud.control.plan import FOLLOWING, IDLE, NONE, Plan
+from pneud.control.leading import ALONE, NOT_LED, aim, is_at_rest
+from pneud.control.plan import FOLLOWING, IDLE, LED, NONE, Plan
 from pneud.control.program import DUE, UNDER_WAY, Run, halted, look, progress, stopped
 from pneud.control.step import Controller, forget, unlearnt
 from pneud.safety import checks
@@ -30,6 +29,7 @@ from pneud.safety.supervisor import (
     HOMING,
     PRESSING,
     PROBING,
+    TRACKING,
     Supervisor,
     advance,
     is_engaged,
@@ -101,7 +101,7 @@ def cycle(
     if run.stage >= UNDER_WAY:
         run = observed(run, t_ns, after.state, course, belief.estimate, state.standing.in_position, law)
     reference = aim(course.reference, course.led, p.leading)
-    stood = stand(state, after.state, belief.estimate, reference, course.press, driven.command, t_ns, p)
+    stood = stand(state, after.state, belief, reference, course, driven.command, t_ns, p)
     done = state.odometer
     if t_ns - done.looked_ns >= LOOK_NS:
         done = counted(state, belief, m, course.found, is_engaged(after.state), t_ns)
@@ -231,27 +231,34 @@ def observed(
 def stand(
     state: AxisState,
     now: int,
-    e: Estimate,
+    belief: Belief,
     r: Reference,
-    press: Press,
+    course: Course,
     command: Command,
     t_ns: int,
     p: AxisParameters,
 ) -> Standing:
     """How the load stands at its target; not at all where the reference has not come to its end.
 
+    One that is led by another axis stands where that one rests: it never holds by itself.
+
     Args:
         state: after the last tick.
         now: state of this tick.
-        e: the estimate.
+        belief: what is known of the load.
         r: the reference.
-        press: how far pressing has come.
+        course: where the axis is led.
         command: that leaves.
         t_ns: this tick's SYNC.
         p: parameters.
     """
+    e = belief.estimate
     if now != HOLDING:
-        return REACHED if now == PRESSING and press.reached else AT_WORK
+        if now == PRESSING and course.press.reached:
+            return REACHED
+        led = p.leading.how != ALONE and now == TRACKING and course.plan.phase == LED
+        if not led or not is_at_rest(course.led, belief.sampled_ns):
+            return AT_WORK
     step_v, error_m = command.voltage_v - state.last_v, r.position_m - e.position_m
     return judge(state.standing, t_ns, error_m, e.velocity_m_s, step_v, p.expected)
 
