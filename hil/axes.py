@@ -4,9 +4,12 @@
     .venv/bin/python -m hil.axes --seconds 10 --runs 2x700
 
 First the bus's arithmetic, then, one after the other, one axis alone at each rate, those asked for, and two
-at the last rate. An axis among several has to track within 1.2 times of one alone, no frame may be lost, and
-the loop's own work a tick may grow no more than with the number of axes. Real time on a machine that does
-something else as well is none: what was skipped stands beside.
+at the last rate. An axis among several has to track within 1.2 times of one alone, no frame may be lost or
+wrong, and the loop's own work a tick may grow no more than with the number of axes. Real time on a machine
+that does something else as well is none: what came late, answers that never left (a node that stalls
+leaves one out), and what was skipped stand beside.
+
+A frame is lost where its sender's counter has gone on by more than what was heard.
 
 Exit status: 0 where all held, 1 else.
 """
@@ -47,7 +50,11 @@ class Ran(NamedTuple):
     rate_hz: float
     rms_mm: list[float]
     max_mm: list[float]
-    lost: int  # frames lost, late, stale or wrong
+    heard: int  # frames
+    lost: int  # frames that were sent, by their counters, and never heard
+    late: int  # heard, but they answered an earlier SYNC
+    wrong: int  # by their checksum, or with a counter that stood still
+    unanswered: int  # readings that a tick went without, for which no frame came at all
     skipped: int
     late_us: float  # wake-ups, p99
     work_us: float  # of a tick, all axes: deciding, sending, recording; the median
@@ -101,7 +108,11 @@ def ran(file: Path, seconds: float, bus: str, seed: int) -> Ran:
         first["rate_hz"],
         [one["tracking_mm"]["rms"] or float("nan") for one in each.values()],
         [one["tracking_mm"]["max"] or float("nan") for one in each.values()],
-        sum(one[what] for one in frames for what in ("lost", "late", "stale", "crc")),
+        sum(one["rx"] for one in frames),
+        sum(one["lost"] for one in frames),
+        sum(one["late"] for one in frames),
+        sum(one["crc"] + one["stale"] for one in frames),
+        sum(one["amiss"]["missing"] for one in each.values()),
         first["skipped"],
         first["lateness_us"]["p99"],
         sum(work_us(Path(one["log"])) for one in each.values()),
@@ -128,7 +139,8 @@ def row(one: Ran, alone: Ran) -> str:
     rms = ", ".join(f"{1e3 * mm:.1f}" for mm in one.rms_mm)
     return (
         f"{one.axes:4d} {one.rate_hz:6g} {rms:>26} {worst:7.2f} {1e3 * max(one.max_mm):7.0f}"
-        f" {one.lost:6d} {one.skipped:7d} {one.late_us:8.0f} {one.work_us:8.1f}"
+        f" {one.heard:8d} {one.lost:5d} {one.late:5d} {one.wrong:5d} {one.unanswered:6d} {one.skipped:7d}"
+        f" {one.late_us:8.0f} {one.work_us:8.1f}"
         f" {one.work_us / one.axes:8.1f}  {' '.join(one.faults)}"
     )
 
@@ -142,7 +154,9 @@ def judged(runs: list[Ran]) -> list[str]:
         if any(not mm <= WORSE * alone.rms_mm[0] for mm in one.rms_mm):
             found.append(f"{name}: an axis tracks worse than {WORSE} times one alone")
         if one.lost:
-            found.append(f"{name}: {one.lost} frames lost, late or wrong")
+            found.append(f"{name}: {one.lost} frames lost of {one.heard}")
+        if one.wrong:
+            found.append(f"{name}: {one.wrong} frames wrong of {one.heard}")
         if one.faults:
             found.append(f"{name}: {', '.join(one.faults)}")
         if one.work_us > ROOM * one.axes * alone.work_us:
@@ -180,8 +194,8 @@ def main() -> int:
         except ConfigError as e:
             raise SystemExit(f"hil.axes: {e}") from None
         print(
-            "axes   rate                   rms [um]  /alone max[um]   lost skipped late p99  work[us]"
-            "  per axis",
+            "axes   rate                   rms [um]  /alone max[um]   frames  lost  late wrong silent skipped"
+            " wake p99 work[us] per axis",
             flush=True,
         )
         runs: list[Ran] = []

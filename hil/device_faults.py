@@ -1,6 +1,7 @@
 """The fault scenarios on rigs of other people's devices: what is noticed, and what is still safe.
 
     .venv/bin/python -m hil.device_faults -o out                  # in simulated time, on every set
+    .venv/bin/python -m hil.device_faults --sample 1      # a tenth of it, drawn by a seed
     .venv/bin/python -m hil.device_faults --bus unixcan --sets words,bare --scenarios recorder-killed
 
 A fault that the devices of a set cannot show is named by `pneud check` (`not noticed here`). Where a
@@ -15,12 +16,14 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
+import random
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -46,6 +49,7 @@ _OF_FRAMES = ("missing", "corrupt", "frozen", "late")  # faults of a frame, whoe
 _TAKEN = ("valve_rebooted", "valve_disagrees", "valve_active")  # of a valve that hears another controller
 PNEUD = [sys.executable, "-m", "pneud.cli"]
 PATIENCE_S = 90.0
+OF_SET, OF_SCENARIO = 8, 3  # least number of scenarios on a set, and of sets for a scenario, in a sample
 Otherwise = dict[str, tuple[str, ...]]
 SYNC_ID, COMMAND_ID = 0x080, 0x203  # of pneud's own frames, which scenarios name
 _OF_ROLE = {"encoder": "position_m", "pressure": "p1_pa", "valve_status": "state"}
@@ -230,6 +234,27 @@ def of_set(work: tuple[str, list[str], str]) -> list[Case]:
         return [case(name, one, load_scenario(s), bus, place) for s in scenarios]
 
 
+def dealt(sets: Sequence[str], scenarios: Sequence[str], seed: int) -> list[tuple[str, list[str]]]:
+    """About a tenth of all pairs: scenarios for each set, dealt as cards from shuffled packs.
+
+    Every set has `OF_SET` scenarios or more, and every scenario comes on `OF_SCENARIO` sets or more, as far
+    as there are so many.
+    """
+    chance, pack = random.Random(seed), list[str]()
+    many = max(OF_SET, math.ceil(OF_SCENARIO * len(scenarios) / len(sets)), math.ceil(len(scenarios) / 10))
+    found = []
+    for name in sets:
+        hand = list[str]()
+        while len(hand) < min(many, len(scenarios)):
+            if all(card in hand for card in pack):
+                pack += chance.sample(scenarios, len(scenarios))
+            card = next(card for card in pack if card not in hand)
+            pack.remove(card)
+            hand.append(card)
+        found.append((name, sorted(hand)))
+    return found
+
+
 def in_words(cases: Iterable[Case]) -> Iterator[str]:
     """What there is to say of the cases of a set: what fails, what is not noticed."""
     for found in cases:
@@ -252,6 +277,7 @@ def main() -> int:
     parser.add_argument("--bus", default="sim", help="sim, unixcan, or an interface such as vcan0")
     parser.add_argument("--sets", default="", help="names, separated by commas")
     parser.add_argument("--scenarios", default="", help="names, separated by commas")
+    parser.add_argument("--sample", type=int, metavar="SEED", help="a tenth of it, drawn by this seed")
     parser.add_argument("--jobs", type=int, default=1, help="processes; in simulated time only")
     parser.add_argument("-o", "--output", type=Path, default=None, help="folder for device_faults.json")
     o = parser.parse_args()
@@ -264,7 +290,8 @@ def main() -> int:
         clock = [name for name, s in there.items() if any(f.kind == "clock_step" for f in s.fault)]
         scenarios = [n for n in scenarios if not there[n].needs_interface and n not in clock]
     began, cases = time.monotonic(), list[Case]()
-    work = [(name, scenarios, o.bus) for name in sets]
+    pairs = [(name, scenarios) for name in sets] if o.sample is None else dealt(sets, scenarios, o.sample)
+    work = [(name, some, o.bus) for name, some in pairs]
     with ProcessPoolExecutor(o.jobs if o.bus == "sim" else 1) as pool:
         for found in pool.map(of_set, work):
             cases += found
@@ -278,7 +305,7 @@ def main() -> int:
     blind = sum(bool(found["unnoticed"]) for found in cases if found["met"])
     out = sum("left_out" in found for found in cases)
     print(
-        f"{o.bus}: {len(sets)} sets, {len(scenarios)} scenarios:"
+        f"{o.bus}: {len(sets)} sets, {len(scenarios)} scenarios, {len(cases)} runs:"
         f" {len(cases) - bad - blind - out} as expected,"
         f" {blind} not noticed and safe, {bad} not as expected, {out} left out, {seconds:.0f} s"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +86,18 @@ def test_heartbeats_are_of_the_message_that_tells_the_position(tmp_path: Path) -
     one = device_sets()["bare"]
     axis = device_faults.axis_of(one.write(tmp_path, "bare"), load_scenario("heartbeat-lost"), one)
     assert axis.config.bus.messages["ENC"].heartbeat_timeout_ms == 200.0
+
+
+def test_a_sample_has_enough_of_each() -> None:
+    sets, scenarios = [f"set{n}" for n in range(28)], [f"scenario{n}" for n in range(83)]
+    drawn = device_faults.dealt(sets, scenarios, 1)
+    times = Counter(scenario for _, some in drawn for scenario in some)
+    assert [name for name, _ in drawn] == sets
+    assert all(len(set(some)) == len(some) >= device_faults.OF_SET for _, some in drawn)
+    assert set(times) == set(scenarios)
+    assert min(times.values()) >= device_faults.OF_SCENARIO
+    assert sum(times.values()) <= 0.12 * len(sets) * len(scenarios)
+    assert drawn == device_faults.dealt(sets, scenarios, 1) != device_faults.dealt(sets, scenarios, 2)
 
 
 @pytest.mark.slow
