@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import subprocess
+import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,8 +14,9 @@ from typing import Any
 
 import pytest
 
+from browser import Tab, chromium
 from commands import PNEUD, eventually, pneud
-from pneud import resources
+from pneud import crew, resources
 from pneud.console.client import Client, RefusedError
 from pneud.console.endpoint import PlaceError
 from pneud.log.files.reader import read_log
@@ -140,3 +142,31 @@ def test_a_scenario_happens_to_the_axis_that_it_names(tmp_path: Path) -> None:
     assert found["a1"]["state"] == State.HOLDING.label
     assert "scenario" in found["a2"]
     assert "scenario" not in found["a1"]
+
+
+def test_a_page_shows_and_commands_the_axis_that_is_chosen_on_it(tmp_path: Path) -> None:
+    with daemon(tmp_path) as (_, path), chromium(tmp_path) as port:
+        eventually(lambda: states(path) == ["tracking", "tracking"])
+        words = ("web", "--operate", "--listen", "127.0.0.1:0", "--socket", path)
+        with crew.program(*PNEUD, *words, out=subprocess.PIPE, err=subprocess.PIPE) as web:
+            assert web.stdout is not None
+            url = web.stdout.readline().split()[0]
+            tab = Tab(port)
+            tab.open(url)
+            tab.until("document.getElementById('name').textContent === 'a1'")
+            assert tab.js("[...document.querySelectorAll('#choice a')].map(a => a.textContent)") == [
+                "a1",
+                "a2",
+            ]
+            tab.js("document.querySelectorAll('#choice a')[1].click()")
+            tab.until("document.getElementById('name')?.textContent === 'a2'")
+            tab.until("!document.getElementById('controls').hidden")  # its key has come along
+            tab.js("document.querySelector('[data-do=hold]').click()")
+            eventually(lambda: states(path) == ["tracking", "holding"])
+            tab.until("document.getElementById('state').textContent.startsWith('holding')")
+            tab.js("document.getElementById('stop').click()")  # all of them
+            eventually(lambda: states(path) == ["holding", "holding"])
+            with urllib.request.urlopen(f"{url.partition('#')[0]}metrics") as answer:
+                told = answer.read().decode()
+            assert all(f'pneud_up{{axis="{name}"}} 1' in told for name in ("a1", "a2"))
+            tab.close()

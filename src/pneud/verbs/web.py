@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import secrets
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -65,14 +66,16 @@ def web(
     if programs is not None and not programs.is_dir():
         raise VerbError(f"--programs {programs}: is no folder")
 
+    names, choice = _axes(socket, axis)
     # what serves is loaded where it is needed: whoever has made a mistake is told at once
     from pneud.web.admission import Door  # noqa: PLC0415
     from pneud.web.axis import Axis  # noqa: PLC0415
     from pneud.web.places import listen as taken  # noqa: PLC0415
     from pneud.web.places import password_of  # noqa: PLC0415
 
-    seen = Axis(lambda: Client(socket, axis))
-    seen.attach()
+    seen = {name: Axis(partial(Client, socket, name or None), choice) for name in names}
+    for one in seen.values():
+        one.attach()
     password = None if password_file is None else password_of(password_file)
     listener = taken(listen, tls_cert is not None, tuple(name or ()))
     place = listener.place
@@ -92,6 +95,19 @@ def web(
     )
     print(f"{place.url}{f'#{token}' if token else ''}  ({who}; Ctrl-C ends it)", flush=True)
     door = Door(place, password or token, operate)
-    serving.serve(seen, socket, axis, door, listener, certificate, metrics, programs)
+    serving.serve(seen, socket, door, listener, certificate, metrics, programs)
     print("pneud: the page has ended", file=sys.stderr)
     return 0
+
+
+def _axes(socket: str | None, axis: str | None) -> tuple[list[str], list[str]]:
+    """The axes that are to be shown, and those of them that a page has the choice of.
+
+    Raises:
+        PlaceError: there is no daemon.
+    """
+    if axis is not None:
+        return [axis], []
+    with Client(socket) as client:
+        names = list(client.ask("status").get("axes", ()))
+    return (names, names) if names else ([""], [])

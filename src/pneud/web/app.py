@@ -7,10 +7,10 @@ import json
 import sys
 import time
 import traceback
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from http import HTTPStatus
 from importlib.resources import files
-from typing import Any
+from typing import Any, NamedTuple
 
 from starlette.applications import Starlette
 from starlette.datastructures import Headers
@@ -22,7 +22,7 @@ from starlette.websockets import WebSocket
 
 from pneud.report.frame import asset
 from pneud.web.admission import Door, Session
-from pneud.web.axis import Axis
+from pneud.web.axis import Axis, statuses_of
 from pneud.web.hand import Hand
 from pneud.web.live import Gallery, Page
 from pneud.web.metrics import OPENMETRICS, TEXT, text_of
@@ -62,24 +62,35 @@ _HEADERS = {
 _Answer = Callable[[Request], Awaitable[Response]]
 
 
+class Shown(NamedTuple):
+    """An axis that pages show."""
+
+    axis: Axis
+    gallery: Gallery
+    hand: Callable[[Any], Hand]
+
+
 class Pages:
     """What is behind the door."""
 
-    def __init__(
-        self,
-        axis: Axis,
-        door: Door,
-        gallery: Gallery,
-        reports: Reports,
-        programs: Programs,
-        hand: Callable[[Any], Hand],
-    ) -> None:
-        self._axis = axis
+    def __init__(self, shown: Mapping[str, Shown], door: Door, reports: Reports, programs: Programs) -> None:
+        """Nobody has come.
+
+        Args:
+            shown: the axes by their names; who names none sees the first.
+            door: who comes in.
+            reports: of their logs.
+            programs: that they may go through.
+        """
+        self._shown = shown
         self._door = door
-        self._gallery = gallery
         self._reports = reports
         self._programs = programs
-        self._hand = hand
+
+    def _asked_for(self, asked: Request | WebSocket) -> Shown | None:
+        """The axis that a page shows, by `?axis=NAME`; None where there is no such axis."""
+        name = asked.query_params.get("axis")
+        return next(iter(self._shown.values())) if name is None else self._shown.get(name)
 
     def app(self) -> ASGIApp:
         """What a server calls."""
@@ -122,9 +133,12 @@ class Pages:
         )
         return answer
 
-    async def logs(self, _: Request) -> Response:
+    async def logs(self, request: Request) -> Response:
         """What logs there are."""
-        log = (self._axis.status or {}).get("log")
+        shown = self._asked_for(request)
+        if shown is None:
+            return _line(HTTPStatus.NOT_FOUND, f"no such axis; there is {', '.join(self._shown)}")
+        log = (shown.axis.status or {}).get("log")
         return JSONResponse({"logs": await self._reports.list(log)})
 
     async def programs(self, _: Request) -> Response:
@@ -145,16 +159,17 @@ class Pages:
     async def metrics(self, request: Request) -> Response:
         """The facts of the status, in the dialect that is asked for."""
         openmetrics = "application/openmetrics-text" in request.headers.get("accept", "")
-        text = text_of(self._axis.statuses, openmetrics)
+        text = text_of(statuses_of(shown.axis for shown in self._shown.values()), openmetrics)
         return Response(text, headers={"Content-Type": OPENMETRICS if openmetrics else TEXT})
 
     async def live(self, socket: WebSocket) -> None:
         """A page's pictures and orders."""
-        if self._gallery.full:
+        shown = self._asked_for(socket)
+        if shown is None or shown.gallery.full:
             await socket.close()
             return
         await socket.accept()
-        page = Page(socket, self._gallery, self._axis, self._hand)
+        page = Page(socket, shown.gallery, shown.axis, shown.hand)
         await page.serve(self._door.may_command)
 
 

@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from pneud.console.attached import attached
@@ -51,12 +51,14 @@ class Axis:
         strip: its curves.
     """
 
-    def __init__(self, connect: Callable[[], Client]) -> None:
+    def __init__(self, connect: Callable[[], Client], choice: Sequence[str] = ()) -> None:
         """Begin; `follow` does the work.
 
         Args:
             connect: makes a connection; raises PlaceError.
+            choice: the axes that a page may show, this one among them; none where there is no other.
         """
+        self._choice = list(choice)
         self.status: dict[str, Any] | None = None
         self.strip = Strip()
         self._connect = connect
@@ -161,23 +163,23 @@ class Axis:
             return Banner(Level.BAD, f"no daemon to be seen: {self._lost}", "it is looked for again", ())
         return banner_of(self._last, self._info, now_s - self._heard_s)
 
-    @property
-    def statuses(self) -> list[Mapping[str, Any]]:
-        """For metrics, with what this process has used."""
-        return with_own([] if self.status is None else [self.status], "web")
-
     def facts(self) -> dict[str, Any]:
         """What of the status a page shows."""
         status = self.status
         if status is None:
             return {}
         done = mileage.in_words(status["mileage"])
-        return {**{key: status.get(key) for key in _KEPT}, "done": done}
+        return {**{key: status.get(key) for key in _KEPT}, "done": done, "choice": self._choice}
 
     def close(self) -> None:
         """Hang up."""
         with contextlib.suppress(OSError):
             self._leave("")
+
+
+def statuses_of(axes: Iterable[Axis]) -> list[Mapping[str, Any]]:
+    """For metrics, with what this process has used."""
+    return with_own([axis.status for axis in axes if axis.status is not None], "web")
 
 
 def _begun(ring: Ring) -> tuple[RingReader, Strip]:

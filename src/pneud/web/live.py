@@ -40,10 +40,17 @@ class Picture(NamedTuple):
 
 
 class Gallery:
-    """All pages, and the pictures that are painted for them."""
+    """All pages of an axis, and the pictures that are painted for them."""
 
-    def __init__(self, axis: Axis) -> None:
+    def __init__(self, axis: Axis, everybody: set[Page] | None = None) -> None:
+        """Nobody looks.
+
+        Args:
+            axis: what is painted.
+            everybody: the pages of all axes, which are counted together.
+        """
         self._axis = axis
+        self._everybody: set[Page] = set() if everybody is None else everybody
         self._pages: set[Page] = set()
         self._painted: dict[int, Picture] = {}  # by the bucket behind which curves begin
         self._number = 0
@@ -51,20 +58,22 @@ class Gallery:
     @property
     def full(self) -> bool:
         """Whether no more pages are served."""
-        return len(self._pages) >= PAGES
+        return len(self._everybody) >= PAGES
 
     @property
     def hands_full(self) -> bool:
         """Whether no more pages may command."""
-        return sum(page.commands for page in self._pages) >= HANDS
+        return sum(page.commands for page in self._everybody) >= HANDS
 
     def enter(self, page: Page) -> None:
         """Paint for one more."""
         self._pages.add(page)
+        self._everybody.add(page)
 
     def leave(self, page: Page) -> None:
         """Paint for one less."""
         self._pages.discard(page)
+        self._everybody.discard(page)
 
     async def paint(self) -> None:
         """Make pictures while somebody looks, for ever."""

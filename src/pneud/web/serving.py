@@ -7,7 +7,7 @@ import contextlib
 import os
 import signal
 import ssl
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,10 +18,10 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 
 from pneud.console.endpoint import find
 from pneud.web.admission import Door
-from pneud.web.app import LONGEST, Pages
-from pneud.web.axis import Axis
+from pneud.web.app import LONGEST, Pages, Shown
+from pneud.web.axis import Axis, statuses_of
 from pneud.web.hand import Hand, Tell
-from pneud.web.live import Gallery
+from pneud.web.live import Gallery, Page
 from pneud.web.metrics import text_of
 from pneud.web.places import Listener
 from pneud.web.programs import Programs
@@ -97,9 +97,8 @@ def checked(certificate: Certificate) -> Certificate:
 
 
 def serve(
-    axis: Axis,
+    axes: Mapping[str, Axis],
     socket_path: str | None,
-    name: str | None,
     door: Door,
     listener: Listener,
     certificate: Certificate | None,
@@ -109,9 +108,8 @@ def serve(
     """Serve until a signal says that it is enough.
 
     Args:
-        axis: attached.
+        axes: attached, by their names; the name of the only one may be empty.
         socket_path: of the daemon's console.
-        name: of the axis, where there are several.
         door: who comes in.
         listener: where they come.
         certificate: for TLS.
@@ -120,20 +118,24 @@ def serve(
     """
     if not door.operate:  # a stop goes through here
         os.nice(_NICE)
-    gallery, reports, listed = Gallery(axis), Reports(), Programs(programs)
+    reports, listed, everybody = Reports(), Programs(programs), set[Page]()
 
-    def hand(tell: Tell) -> Hand:
-        return Hand(lambda: find(socket_path), tell, name, listed)
+    def hand_of(name: str) -> Callable[[Tell], Hand]:
+        return lambda tell: Hand(lambda: find(socket_path), tell, name or None, listed)
 
-    app = Pages(axis, door, gallery, reports, listed, hand).app()
-    work: list[Callable[[], Coroutine[Any, Any, None]]] = [axis.follow, gallery.paint]
+    shown = {name: Shown(axis, Gallery(axis, everybody), hand_of(name)) for name, axis in axes.items()}
+    app = Pages(shown, door, reports, listed).app()
+    work: list[Callable[[], Coroutine[Any, Any, None]]] = []
+    for one in shown.values():
+        work += [one.axis.follow, one.gallery.paint]
     if metrics is not None:
-        work.append(lambda: _write_metrics(axis, metrics))
+        work.append(lambda: _write_metrics(axes, metrics))
     try:
         asyncio.run(_run(app, listener, certificate, work))
     finally:
         reports.close()
-        axis.close()
+        for axis in axes.values():
+            axis.close()
         if metrics is not None:
             metrics.unlink(missing_ok=True)
 
@@ -181,10 +183,10 @@ async def _run(
         task.result()
 
 
-async def _write_metrics(axis: Axis, path: Path) -> None:
+async def _write_metrics(axes: Mapping[str, Axis], path: Path) -> None:
     """Keep a file of metrics, for ever."""
     while True:
-        await asyncio.to_thread(write_metrics, path, text_of(axis.statuses))
+        await asyncio.to_thread(write_metrics, path, text_of(statuses_of(axes.values())))
         await asyncio.sleep(_FILE_S)
 
 

@@ -46,7 +46,7 @@
   const asked = new Map();
   function connect() {
     if (line) { line.onclose = null; line.close(); }
-    const mine = line = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
+    const mine = line = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live${location.search}`);
     let open = false;
     mine.onopen = () => { open = true; asked.clear(); mine.send(JSON.stringify({ hello: store.get() })); };
     mine.onmessage = event => {
@@ -134,8 +134,22 @@
     }
     draw(picture.curves);
   }
+  let shownChoice = "";
+  function choose(names, name) {  // the axes of the daemon; a link each, so that the way back leads back
+    const found = names.length > 1 ? [name, ...names].join(" ") : "";
+    if (found === shownChoice) return;
+    shownChoice = found;
+    at("choice").hidden = !found;
+    at("choice").replaceChildren(...(found ? names : []).map(one => {
+      const link = document.createElement("a");
+      link.href = `?axis=${encodeURIComponent(one)}`; link.textContent = one;
+      if (one === name) link.setAttribute("aria-current", "page");
+      return link;
+    }));
+  }
   function facts(status) {
     if (!status.name) return;
+    choose(status.choice, status.name);
     set("name", status.name); document.title = `${status.name} – pneud`;
     set("where", `${status.bus}, ${status.rate_hz} Hz`);
     limits = status.limits;
@@ -343,7 +357,7 @@
 
   const size = bytes => bytes < 1e6 ? `${(bytes / 1e3).toFixed(0)} kB` : `${(bytes / 1e6).toFixed(1)} MB`;
   async function logs() {
-    const answer = await fetch("logs");
+    const answer = await fetch(`logs${location.search}`);
     if (!answer.ok) { tell("the logs cannot be listed"); return; }
     const found = (await answer.json()).logs;
     at("logs").replaceChildren(...found.map(log => {
@@ -367,7 +381,7 @@
   figures();
   const token = location.hash.slice(1);
   if (token) {
-    history.replaceState(null, "", location.pathname);
+    history.replaceState(null, "", location.pathname + location.search);
     enter(token).catch(e => tell(e.message)).finally(connect);
   } else connect();
 })();
