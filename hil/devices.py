@@ -25,6 +25,8 @@ from typing import Any, NamedTuple
 
 from hil.device_sets import DeviceSet, device_sets
 
+from pneud import resources
+from pneud.config.toml import changed_text, tables_of
 from pneud.loading import load
 from pneud.replay.lockstep import Simulation, backend_of
 from pneud.replay.running import through
@@ -57,7 +59,19 @@ SLOW = Way("virtual.toml", {"loop": {"rate_hz": 200.0}, "reference": {"frequency
 def written(name: str, one: DeviceSet, way: Way, folder: Path) -> Path:
     """The configuration of a set, with its DBC, in a folder."""
     patient = one._replace(more={**one.more, **PATIENT})
+    if one.more.get("sync") is False:
+        # as their data sheets have it: the rig's devices sample at the rate of the loop
+        own = {"period_us": 1e6 / tables_of(sheet_of(way))["loop"]["rate_hz"]}
+        theirs = (message for message in one.messages if message != "CMD")
+        patient = patient._replace(
+            guards=dict(one.guards) | {m: {**one.guards.get(m, {}), **own} for m in theirs}
+        )
     return patient.write(folder, name, way.base, **way.change)
+
+
+def sheet_of(way: Way) -> str:
+    """The configuration that gets the devices, before it does."""
+    return changed_text((resources.configs() / way.base).read_text(encoding="utf-8"), dict(way.change))
 
 
 def simulated(file: Path, way: Way) -> dict[str, Any]:

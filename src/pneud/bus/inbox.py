@@ -14,6 +14,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from pneud.bus.cadence import Cadence, CadenceState
 from pneud.bus.codec import Codec, Codecs
 from pneud.bus.lag import UNREAD, UNTOLD, Lag, LagState, Reading, told_by
 from pneud.bus.wire import (
@@ -70,6 +71,7 @@ class OriginState(NamedTuple):
     sample_ns: int
     values: tuple[float, ...]
     lag: LagState = LagState()
+    cadence: CadenceState = CadenceState()
 
 
 class InboxState(NamedTuple):
@@ -86,14 +88,15 @@ class InboxState(NamedTuple):
     counters: tuple[int, ...] = ()  # of its multiplexed messages
     awaited: int = 0  # what of its multiplexed messages has come and is not used
     echo: tuple[float, int] = (0.0, 0)  # the last command: voltage [V], enable
+    offset_ns: int = 0  # from the last tick's SYNC to its newest position, where sensors run free
 
 
 class Origin:
     """What is known of one source, or of a part of one."""
 
     __slots__ = (
-        *("bit", "check", "codec", "corrupt", "counter", "counts", "decode", "defects", "doubted"),
-        *("has_age", "lag", "lost"),
+        *("bit", "cadence", "check", "codec", "corrupt", "counter", "counts", "decode", "defects", "doubted"),
+        *("has_age", "lag", "lost", "tells_age"),
         *("sample_ns", "surplus", "values"),
     )
 
@@ -106,11 +109,14 @@ class Origin:
         *,
         has_age: bool = False,
         counted: bool = True,
+        period_us: float | None = None,
     ) -> None:
         self.bit = bit
         self.codec = codec
         self.check, self.decode = codec.check, codec.decode
-        self.has_age = has_age
+        self.cadence = None if period_us is None else Cadence(period_us * 1e3)
+        self.tells_age = has_age
+        self.has_age = has_age or self.cadence is not None  # a sample is older than its frame
         # how many values its counter has, if it counts
         self.counts = codec.counter_values if counted and codec.counter_values > 1 else 0
         lags = bus.sync and self.counts
@@ -158,13 +164,16 @@ class Origin:
             self.sample_ns,
             self.values,
             self.lag.freeze() if self.lag is not None else LagState(),
+            self.cadence.state if self.cadence is not None else CadenceState(),
         )
 
     def thaw(self, state: OriginState) -> None:
         """Go on from there."""
-        self.counter, self.corrupt, self.defects, self.sample_ns, self.values, lag = state
+        self.counter, self.corrupt, self.defects, self.sample_ns, self.values, lag, cadence = state
         if self.lag is not None:
             self.lag.thaw(lag)
+        if self.cadence is not None:
+            self.cadence.state = cadence
 
     def age_ns(self, t_ns: int, fresh: int) -> int:
         """How old the newest value is at a SYNC, by the bits of what is fresh there [ns]."""
@@ -210,6 +219,7 @@ class Inbox:
         """The last command that left: voltage [V], enable; to be set where no valve tells."""
         self._syncs = 0
         self._before_ns = 0  # the last tick's SYNC
+        self._known_offset_ns = 0  # of the last position that a tick had
         self._readings = UNREAD  # the last three positions that were fresh
         self._fresh = 0
         self._rx = self._crc = self._stale = self._late = self._errors = 0
@@ -227,11 +237,16 @@ class Inbox:
 
     def _listened(self, codecs: Codecs, bus: BusConfig) -> Sequence[Origin]:
         """What is listened to, the encoder first."""
-        nan = math.nan
+        nan, frames = math.nan, bus.frames
+        encoder_us, pressure_us = frames.encoder.period_us, frames.pressure.period_us
         return (
-            Origin(int(Source.ENCODER), codecs.encoder, (nan, 0, 0.0), bus, has_age=True),
-            Origin(int(Source.PRESSURE), codecs.pressure, (nan, nan, nan), bus),
-            Origin(int(Source.VALVE), codecs.valve_status, (nan, 0), bus),
+            Origin(
+                int(Source.ENCODER), codecs.encoder, (nan, 0, 0.0), bus, has_age=True, period_us=encoder_us
+            ),
+            Origin(int(Source.PRESSURE), codecs.pressure, (nan, nan, nan), bus, period_us=pressure_us),
+            Origin(
+                int(Source.VALVE), codecs.valve_status, (nan, 0), bus, period_us=frames.valve_status.period_us
+            ),
         )
 
     @property
@@ -289,8 +304,11 @@ class Inbox:
         values = origin.decode(data)
         sample_ns = stamp_ns
         if origin.has_age:
-            age_s = values[2]
-            sample_ns = UNHEARD_NS if age_s >= self._older_s else stamp_ns - round(age_s * 1e9)
+            if origin.cadence is not None:
+                sample_ns = self._on_the_beat(origin, stamp_ns, values)
+            else:
+                age_s = values[2]
+                sample_ns = UNHEARD_NS if age_s >= self._older_s else stamp_ns - round(age_s * 1e9)
         late = sample_ns < self._not_before_ns
         if counts:
             lag, older = origin.lag, False
@@ -315,6 +333,13 @@ class Inbox:
         origin.sample_ns = sample_ns
         origin.defects = 0
         self._fresh |= origin.bit
+
+    def _on_the_beat(self, origin: Origin, stamp_ns: int, values: tuple[Any, ...]) -> int:
+        """When a sample was taken of a source that keeps a beat."""
+        age_s = values[2] if origin.tells_age else 0.0
+        if age_s >= self._older_s or origin.cadence is None:
+            return UNHEARD_NS
+        return origin.cadence.instant(stamp_ns - round(age_s * 1e9))
 
     def _lags(self, origin: Origin, lag: Lag, counter: int, value: Any, late: bool) -> bool:
         """Whether a frame whose counter is not the expected one answers an earlier SYNC."""
@@ -370,8 +395,11 @@ class Inbox:
             self._not_before_ns = NEVER_NS
             # another's is heard when it has come, and nothing can be ahead of it
             return self._sync_delay_ns + self._sync_wire_ns if self.makes_sync else 0
-        sample_ns = self._encoder.sample_ns
-        return 0 if sample_ns == UNHEARD_NS else sample_ns - self._encoder_wire_ns - self._t_ns
+        encoder = self._encoder
+        if self._fresh & encoder.bit:
+            self._known_offset_ns = encoder.sample_ns - self._encoder_wire_ns - self._t_ns
+        # without a reading the estimate is carried on from the last one, by as much as ticks are apart
+        return self._known_offset_ns
 
     @property
     def at_ease(self) -> bool:
@@ -401,6 +429,7 @@ class Inbox:
             self._syncs,
             self._t_ns,
             self._readings,
+            offset_ns=self._known_offset_ns,
         )
 
     def thaw(self, state: InboxState) -> None:
@@ -412,6 +441,7 @@ class Inbox:
     def _thaw_times(self, state: InboxState) -> None:
         self.commanded_ns = state.commanded_ns
         self._syncs, self._t_ns, self._readings = state.syncs, state.t_ns, state.readings
+        self._known_offset_ns = state.offset_ns
 
     def counts(self) -> Counts:
         """What has come in since the start."""

@@ -66,12 +66,15 @@ class MappedInbox(Inbox):
         self._answers = sorted(codecs.answers, key=lambda answer: "position_m" not in answer.filled)
         for i, answer in enumerate(self._answers):
             codec = answer.codec
-            # a message's kinds have one counter, which the gate looks at
             tells_age = "age_s" in answer.filled or self._constants[_AGE] > 0.0
             aged = "position_m" in answer.filled and tells_age
             # a message's kinds have one counter, which the gate looks at
             counted = answer.kind is None
-            origin = Origin(1 << i, codec, self._constants, bus, has_age=aged, counted=counted)
+            told = bus.messages.get(answer.name)
+            period_us = None if told is None else told.period_us
+            origin = Origin(
+                1 << i, codec, self._constants, bus, has_age=aged, counted=counted, period_us=period_us
+            )
             if answer.kind is not None:
                 gate = self._gates.setdefault(codec.can_id, _Gate(codecs, codec.can_id))
                 gate.parts[answer.kind] = origin
@@ -179,6 +182,7 @@ class MappedInbox(Inbox):
             tuple(gate.counter for gate in self._gates.values()),
             self._awaited,
             self.echo,
+            self._known_offset_ns,
         )
 
     def thaw(self, state: InboxState) -> None:

@@ -86,6 +86,14 @@ class BusConfig(Section):
         return self
 
     @model_validator(mode="after")
+    def _period_of_free(self) -> BusConfig:
+        if self.sync and any(device.period_us is not None for device in self.devices):
+            raise ValueError(
+                "period_us is of devices that sample by themselves, and sync has these answer it"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _data_of_fd(self) -> BusConfig:
         rate = self.data_bitrate_bit_s
         if rate is not None and not self.fd:

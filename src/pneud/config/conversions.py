@@ -175,6 +175,7 @@ def plant_of(c: Config) -> PlantParameters:
         load_n=true.cylinder.resistance_n + beam_kg * uphill_m_s2(true.cylinder),
         detail=detail_of(c, valve.u_max_v, gas.R, gas.temperature_k),
         wiring=wiring_of(p.wiring),
+        free_jitter_s=p.free_jitter_us * 1e-6,
     )
 
 

@@ -23,6 +23,7 @@ class MessageConfig(ProtectionConfig):
     crc: str | None = None  # signal with the checksum; "none": the device has none
     node: Annotated[int, Field(ge=1, le=127)] | None = None
     heartbeat_timeout_ms: Annotated[float, Field(ge=1, le=60_000)] | None = None
+    period_us: Annotated[float, Field(ge=100, le=100_000)] | None = None  # at which it samples, running free
 
     @field_validator("counter", "crc", mode="before")
     @classmethod

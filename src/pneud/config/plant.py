@@ -233,6 +233,7 @@ class PlantConfig(Section):
     bitrate_bit_s: MaybeInfinite = 1.0e6  # of the wire that the frames keep busy
     node_delay_us: Annotated[float, Field(ge=0, le=500)] = 20.0  # from SYNC to an answer
     free_period_us: FreePeriod | None = None  # of nodes that run free (bus.sync); none: as loop.rate_hz
+    free_jitter_us: Annotated[float, Field(ge=0, le=10_000)] = 0.0  # about as late as their frames leave
     devices: Literal["frames", "canopen"] | None = None  # what its nodes are; none: as bus.nodes
     odd_nodes: Annotated[int, Field(ge=0)] | None = None  # seed of one that misbehaves while it is configured
     cylinder: PlantCylinderConfig = PlantCylinderConfig()

@@ -62,6 +62,9 @@ def _connected(bus: BusConfig) -> dict[str, Any]:
         for key, field in ProtectionConfig.model_fields.items():
             if frame[key] == field.default:
                 del frame[key]
+    for message in (*found["frames"].values(), *found.get("messages", {}).values()):
+        if message["period_us"] is None:
+            del message["period_us"]
     return found
 
 

@@ -177,11 +177,10 @@ class Session:
             codecs = axis.ready.loaded.codecs
             turn = Turn(axis.ready.axis, inbox_of(codecs, axis.config.bus), codecs)
             watch = RecorderWatch(axis.ring, axis.recorder)
-            known = truth if turn.inbox.makes_sync else None  # which it is at SYNC, as that was sent
             operator = end if asking is None else asking.ends[number]
             own = options._replace(unproven=axis.ready.unproven)
             known_ids = identifiers(axis.config, codecs)
-            lanes.append(Lane(turn, ready.link, watch, own, known, operator, known_ids))
+            lanes.append(Lane(turn, ready.link, watch, own, truth, operator, known_ids))
         company = Company(lanes, [axis.config for axis in self.axes], asking) if asking is not None else None
         return Loop(lanes, ready.axes[0].loaded.codecs, ready.link, options, nodes, company)
 

@@ -79,6 +79,7 @@ class Lane:
         self.operated = self.again = False
         self.decided_ns = self.done_ns = 0
         self._truth = truth
+        self._at_sync = turn.inbox.makes_sync  # the plant tells of the SYNC that was sent
         self._truth_m = math.nan
         self._console = console
         self._watch = ConsoleWatch(recorder.ring)
@@ -141,7 +142,8 @@ class Lane:
     def see_truth(self, sync_ns: int) -> None:
         """Look for the true position at this tick's SYNC."""
         if self._truth is not None:
-            self._truth_m = self._truth.get(self.turn.t_ns, sync_ns)
+            t_ns = self.turn.t_ns
+            self._truth_m = self._truth.get(t_ns, sync_ns) if self._at_sync else self._truth.near(t_ns)
 
     def record(
         self, sync: Frame, lateness_ns: int, set_ns: int, called_ns: int, *, freeze: bool, report: bool

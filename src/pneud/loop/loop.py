@@ -20,6 +20,7 @@ from pneud.loop.following import Following
 from pneud.loop.lane import Lane
 from pneud.loop.options import Options
 from pneud.loop.pacer import Pacer
+from pneud.loop.phase import Phase
 from pneud.loop.routes import Routes
 from pneud.loop.turn import END_TICKS
 from pneud.rt.notify import Service
@@ -80,6 +81,7 @@ class Loop:
         self._arrived_ns = 0  # when this tick's set came, after SYNC; 0 for none
         self._in_vain = False
         self._answered = all(turn.inbox.sync for turn in self._turns)  # else frames come by themselves
+        self._phase = None if self._answered else Phase(self._period_ns)
         self._following: Following | None = None
         if options.follow_s is not None:
             patience_ns = round(options.follow_s * 1e9)
@@ -166,6 +168,8 @@ class Loop:
             lane.record(sync, lateness_ns, set_ns, called_ns, freeze=freeze, report=report)
             called_ns = lane.done_ns
         # account
+        if self._phase is not None and (frames := turns[0].frames):
+            self._pacer.put_off(self._phase.shift_ns(frames[-1].stamp_ns - t_ns))
         return self._account(t_ns, skipped)
 
     def _lacks(self, nodes: Nodes) -> int:

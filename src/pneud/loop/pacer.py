@@ -44,6 +44,11 @@ class Pacer:
         self._sleep = sleep
         self._deadline_ns: int | None = None
 
+    def put_off(self, by_ns: int) -> None:
+        """Move all grid points that are to come; to earlier where it is negative."""
+        if self._deadline_ns is not None:
+            self._deadline_ns += by_ns
+
     def next(self) -> tuple[int, int, int]:
         """Sleep until the next grid point.
 

@@ -84,3 +84,4 @@ class PlantParameters(NamedTuple):
     load_n: float = 0.0  # constant force against positive motion, the weight's part included
     detail: Detail = Detail()
     wiring: Wiring = Wiring()
+    free_jitter_s: float = 0.0  # by about so much what they have sampled by themselves leaves late

@@ -16,6 +16,7 @@ from pneud.config import conversions
 from pneud.loading import SYNC_COUNTERS, Loaded, load, plans_of_plant
 from pneud.log.format.header import LogHeader
 from pneud.loop.conditions import Conditions
+from pneud.loop.phase import Phase
 from pneud.loop.turn import END_TICKS, Turn
 from pneud.replay.simulated_machine import DOWN, HEALTHY, SimulatedMachine
 from pneud.rig.answering import Plant
@@ -27,6 +28,7 @@ from pneud.scenario.format import Scenario
 from pneud.signals import Frame, Record, Request, RequestKind, State, Timing
 
 START_NS = 1_000_000_000
+_STEP_NS = 1_000  # least time between two looks for frames
 COMPUTING_NS = 100_000  # from the last answer to the command's send()
 
 Operator = Callable[[int, int], Request | None]
@@ -97,10 +99,11 @@ class Simulation:
         idle, count, stalled = 0, 0, 0
         left_over: list[Frame] = []
         last_state, last_present = int(State.STARTING), 0
+        phase, start_ns = (None if self.inbox.sync else Phase(self._period_ns)), START_NS
         while idle < END_TICKS:
-            skipped = machine.skip(START_NS + (count + stalled) * self._period_ns)
+            skipped = machine.skip(start_ns + (count + stalled) * self._period_ns)
             stalled += skipped
-            t_ns = START_NS + (count + stalled) * self._period_ns
+            t_ns = start_ns + (count + stalled) * self._period_ns
             link = machine.link(t_ns)
             left_over += node.poll(t_ns)
             turn.open([] if link == DOWN or machine.plant_stands(t_ns) else left_over)
@@ -117,10 +120,10 @@ class Simulation:
                 turn.before += 1
             turn.begin(t_ns)
             early = self._conditions.early(t_ns, 0)
-            answers = node.poll(t_ns + self._wait_ns)
-            if link == DOWN or machine.plant_stands(t_ns):  # it may have come to a stand since SYNC
-                answers = []
-            left_over = self._feed(answers)
+            silent = link == DOWN or machine.plant_stands(t_ns)  # it may have come to a stand since SYNC
+            left_over = self._hear(node, t_ns, silent=silent)
+            if phase is not None and turn.frames:
+                start_ns += phase.shift_ns(turn.frames[-1].stamp_ns - t_ns)
             done_ns = max(t_ns, turn.newest_ns) if self.inbox.complete else t_ns + self._wait_ns
             request = self._request(count, last_state, last_present)
             tick = turn.decide(skipped, self._conditions.host(early), request)
@@ -140,6 +143,21 @@ class Simulation:
             count += 1
             over = self.shut or (tick.state == State.FAULT and self._operator is None)
             idle = idle + 1 if over and not is_engaged(tick.state) else 0
+
+    def _hear(self, node: Plant, t_ns: int, *, silent: bool) -> list[Frame]:
+        """Take what comes in this tick; what is left for the next one."""
+        until_ns = t_ns + self._wait_ns
+        if silent or self.inbox.sync:
+            answers = node.poll(until_ns)
+            return [] if silent else self._feed(answers)
+        # nodes that go on by themselves have to find the command on the wire when it is sent
+        left: list[Frame] = []
+        at_ns = t_ns
+        while not self.inbox.complete and at_ns < until_ns:
+            due_ns = node.due()
+            at_ns = until_ns if due_ns is None else min(until_ns, max(at_ns + _STEP_NS, due_ns))
+            left += self._feed(node.poll(at_ns))
+        return left
 
     def _feed(self, answers: list[Frame]) -> list[Frame]:
         """One after another until the set is complete, as the loop does; what is left for the next tick."""

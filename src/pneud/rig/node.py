@@ -84,7 +84,9 @@ class PlantNode:
         self.p = p
         self.force_ext_n = 0.0
         self.hook = hook
-        self.on_truth: Callable[[int, float], None] | None = None  # told of every SYNC: its stamp, position
+        self.on_truth: Callable[[int, float, float, float], None] | None = None
+        """Told of every SYNC, and whenever the nodes sample by themselves: instant, position, velocity,
+        acceleration."""
         self.valve = ValveNode(codecs.valve_command, p.valve_timeout_s, p.dac_bits, p.valve.u_max_v)
         self.beam: Beam | None = None  # to another rig's piston
         self.unsendable = 0  # answers with a value that their frame cannot carry
@@ -106,6 +108,7 @@ class PlantNode:
         self._counters = dict.fromkeys(self._answer_ids, 0)
         self._counts = {answer.codec.can_id: answer.codec.counter_values for answer in codecs.answers}
         self._free_ns = round(p.free_s * 1e9)
+        self._jitter_ns = p.free_jitter_s * 1e9
         self.next_ns = _NEVER_NS
         """When the nodes sample by themselves."""
         self._segment = segment if segment is not None else Segment()
@@ -171,8 +174,7 @@ class PlantNode:
             self._integrate(sent_ns)
             self._truth = Truth(frame.stamp_ns, stroke_position(self._state, self.p), self._state)
             self._current_ns = frame.stamp_ns
-            if self.on_truth is not None:
-                self.on_truth(frame.stamp_ns, self._truth.position_m)
+            self._tell_truth(frame.stamp_ns)
         return sent_ns
 
     def put(self, frame: Frame) -> None:
@@ -295,7 +297,13 @@ class PlantNode:
         self.next_ns += self._free_ns
         self._integrate(t_ns)
         self._current_ns = t_ns
+        self._tell_truth(t_ns)
         self._sample(t_ns, t_ns)
+
+    def _tell_truth(self, t_ns: int) -> None:
+        if self.on_truth is not None:
+            s = self._state
+            self.on_truth(t_ns, stroke_position(s, self.p), s.v, s.a)
 
     def _sample(self, t_ns: int, sync_ns: int) -> None:
         p, state, codecs, valve = self.p, self._state, self._codecs, self.valve
@@ -323,7 +331,10 @@ class PlantNode:
         valve.booted()
         for i, (_, codec, keys, _, _) in enumerate(codecs.answers):
             answer = _Answer(codec, sync_ns, tuple([values[key] for key in keys]))
-            self._wire.replace(Item(t_ns + self._delay_ns, codec.can_id, self._durations[i], answer, i))
+            ready_ns = t_ns + self._delay_ns
+            if self._jitter_ns and self._free_ns:
+                ready_ns += round(abs(self._noise.draw()) * self._jitter_ns)
+            self._wire.replace(Item(ready_ns, codec.can_id, self._durations[i], answer, i))
 
     def _sent(self, end_ns: int, answer: _Answer) -> Sequence[Frame]:
         codec = answer.codec
