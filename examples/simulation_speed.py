@@ -1,23 +1,35 @@
-"""How fast simulation is here: in plain Python, compiled, and with scipy's solve_ivp on the same plant.
+"""How fast simulation is here, and logs are read: in plain Python, compiled, beside other people's solvers.
 
 Needs numba and scipy. solve_ivp gets the commands of the compiled run and integrates the plant alone, from
-one change of the command to the next, with the loosest tolerance that is as accurate as the fixed step.
+one change of the command to the next, with the loosest tolerance that is as accurate as the fixed step. Where
+MuJoCo is there, too, it moves the same mass along the same way, without air, in the plant's own steps.
 """
 
+import importlib.util
 import platform
+import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from pneud.loading import load
+from pneud import read_log
+from pneud.config.conversions import axis_of, plant_of
+from pneud.control.reference import rest, sine, transfer
+from pneud.loading import Loaded, load
+from pneud.log.files.naming import create_log
+from pneud.log.files.writer import LogWriter
 from pneud.physics.friction import friction_force, relaxation_rate
 from pneud.physics.gas import signed_flow
 from pneud.physics.plant import PlantParameters
 from pneud.physics.valve import opening
-from pneud.replay.lockstep import Simulation
+from pneud.replay.lockstep import Simulation, backend_of, header_of
+from pneud.replay.replaying import replay
+from pneud.replay.running import through
 from pneud.rig.dynamics import PlantState, advance, initial_state
+from pneud.study import trial
 from pneud.study.cases import bench_of, case, sine_of, trace_of
 from pneud.study.tuned import EXTENDED, setting
 
@@ -75,16 +87,76 @@ def processor() -> str:
     return next((x.split(":")[1].strip() for x in lines if x.startswith("model name")), platform.processor())
 
 
+def told(what: str, simulated_s: float, work: Callable[[], object], times: int = 3) -> None:
+    """Do it some times, and say how fast it was at best."""
+    took_s = []
+    for _ in range(times):
+        begun_s = time.process_time()
+        work()
+        took_s.append(time.process_time() - begun_s)
+    print(f"{what + ':':52}{simulated_s / min(took_s):8.1f} times real time")
+
+
+def with_frames(loaded: Loaded, folder: Path) -> None:
+    """The whole axis: frames, checks, supervisor; then its log again."""
+    rate_hz, how = loaded.config.loop.rate_hz, backend_of(loaded)
+
+    def simulated(backend: bool, path: Path | None) -> None:
+        law = (how,) if backend else ()
+        writer = LogWriter(create_log(path), header_of(loaded)) if path is not None else None
+        through(Simulation(loaded, SIM_S, 1, *law), rate_hz, writer)
+        if writer is not None:
+            writer.close()
+
+    told("sim, frames and all, interpreted", SIM_S, lambda: simulated(False, None), 1)
+    told(f"sim, frames and all, {how.name}", SIM_S, lambda: simulated(True, None))
+    logs = iter([folder / f"{i}.mcap" for i in range(3)])
+    told(f"sim, frames and all, {how.name}, with a log", SIM_S, lambda: simulated(True, next(logs)))
+    told("replay of that log", SIM_S, lambda: replay(read_log(folder / "0.mcap")))
+    told("summary of that log", SIM_S, lambda: read_log(folder / "0.mcap").summary)
+
+
+def law_and_plant(loaded: Loaded) -> None:
+    """What campaigns and design run: law, observer, sensors and plant as one compiled function."""
+    axis, plant = axis_of(loaded.config, loaded.codecs.command_lsb_v), plant_of(loaded.config)
+    p, centre_m = axis.controller, axis.reference.centre_m
+    way = transfer(rest(centre_m), sine(0.0, axis.reference), axis.transfer)
+    begin, errand = trial.begin(centre_m, p, plant), trial.Errand(way, axis.reference)
+    run, why = trial.compiled()
+    ticks = round(10.0 * SIM_S / p.h)
+    step_v = trial.step_v(p, plant)
+    run(begin, True, 1, 0, 1e-5, errand, p, plant, step_v)
+    what = f"law and plant as one function{', interpreted' if why else ''}, with figures"
+    told(what, ticks * p.h, lambda: run(begin, True, ticks, 0, 1e-5, errand, p, plant, step_v))
+
+
+def by_mujoco(plant: PlantParameters) -> None:
+    """A mass on a slide with damping under a force: what a general solver takes for a step."""
+    if importlib.util.find_spec("mujoco") is None:
+        print("MuJoCo is not there: pip install mujoco")
+        return
+    import mujoco  # noqa: PLC0415
+
+    c, f = plant.cylinder, plant.friction
+    model = mujoco.MjModel.from_xml_string(f"""<mujoco><option timestep="{plant.step_s}" gravity="0 0 0"/>
+      <worldbody><body><joint name="x" type="slide" axis="1 0 0" damping="{f.viscous_n_s_m}"
+        frictionloss="{f.coulomb_n}" range="0 {c.stroke_m}" limited="true"/>
+        <geom type="sphere" size="0.01" mass="{c.M}"/></body></worldbody>
+      <actuator><motor joint="x"/></actuator></mujoco>""")
+    data = mujoco.MjData(model)
+    data.qpos[0], data.ctrl[0] = 0.5 * c.stroke_m, 50.0
+    steps = round(SIM_S / plant.step_s)
+    told("MuJoCo, the mass alone, the same steps", SIM_S, lambda: mujoco.mj_step(model, data, steps))
+
+
 def main() -> None:
     """Measure and print."""
     loaded = load("virtual.toml")
     print(f"{processor()}, Python {platform.python_version()}, one core")
-
-    t = time.process_time()
-    ticks = sum(1 for _ in Simulation(loaded, SIM_S).records())
     h = 1.0 / loaded.config.loop.rate_hz
-    rate = ticks * h / (time.process_time() - t)
-    print(f"sim, frames and all, interpreted:     {rate:8.1f} times real time")
+    with tempfile.TemporaryDirectory() as folder:
+        with_frames(loaded, Path(folder))
+    law_and_plant(loaded)
 
     for compiled, name in ((False, "interpreted"), (True, "compiled")):
         bench = bench_of(loaded, compiled)
@@ -95,7 +167,8 @@ def main() -> None:
         t = time.process_time()
         commands, _ = trace_of(bench, law, run)
         rate = SIM_S / (time.process_time() - t)
-        print(f"closed loop, without frames, {name + ':':13}{rate:7.1f} times real time")
+        what = f"closed loop, without frames, {'numba' if compiled else name}:"
+        print(f"{what:52}{rate:8.1f} times real time")
 
     commands = commands[: round(SCIPY_S / h)]
     plant = bench.rig.plant._replace(initial_x1=run.start_m + bench.rig.plant.cylinder.x_e1)
@@ -104,17 +177,17 @@ def main() -> None:
     t = time.process_time()
     ours = np.abs(fixed_step(begin, commands, h, plant) - exact).max()
     rate = SCIPY_S / (time.process_time() - t)
-    print(f"plant alone, fixed step, interpreted: {rate:8.1f} times real time, within {1e9 * ours:.0f} nm")
+    what = "plant alone, fixed step, interpreted:"
+    print(f"{what:52}{rate:8.1f} times real time, within {1e9 * ours:.0f} nm")
     for rtol in (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8):
         t = time.process_time()
         error = np.abs(by_scipy(begin, commands, h, plant, rtol) - exact).max()
         if error <= ours:
             rate = SCIPY_S / (time.process_time() - t)
-            print(
-                f"plant alone, solve_ivp, rtol {rtol:g}:     "
-                f"{rate:8.1f} times real time, within {1e9 * error:.0f} nm"
-            )
+            what = f"plant alone, solve_ivp, rtol {rtol:g}:"
+            print(f"{what:52}{rate:8.1f} times real time, within {1e9 * error:.0f} nm")
             break
+    by_mujoco(plant)
 
 
 if __name__ == "__main__":
