@@ -64,6 +64,7 @@ GIVEN = {
         f"pneud export run.mcap -o bus.log && cp {ROOT}/configs/pneud.dbc .",
         "mkdir logs && cp run.mcap logs/",
     ],
+    "inputs-outputs.md": [f"cp {ROOT}/configs/virtual.toml machine.toml"],
     "programs.md": [f"cp {ROOT}/examples/programs/two-axes-pick-and-place.toml ."],
     "log.md": [
         "pneud sim -o run.mcap --duration 6",

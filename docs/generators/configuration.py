@@ -59,6 +59,7 @@ UNITS = (
     ),
     *(("_us", "µs"), ("_s", "s"), ("_n", "N"), ("_v", "V"), ("_k", "K"), ("_mb", "MB")),
 )
+_DICTS = {int: "whole numbers", bool: "`true`, `false`", str: "texts"}
 APART = (SignalsConfig | None, dict[str, MessageConfig])  # in sections of their own
 SIGNS = {Gt: ">", Ge: "≥", Lt: "<", Le: "≤"}
 KEY = re.compile(r"    (\w+): .*?(?:  # (.+))?$")
@@ -104,6 +105,8 @@ def kind(annotation: Any, metadata: Any = ()) -> str:
         return ", ".join(
             f'`"{value}"`' if isinstance(value, str) else f"`{value}`" for value in get_args(annotation)
         )
+    if origin in (Union, UnionType) and optional(annotation) is not None:
+        return "table"
     if origin in (Union, UnionType):
         return " or ".join(kind(one, metadata) for one in get_args(annotation) if one is not NoneType)
     if (
@@ -115,7 +118,7 @@ def kind(annotation: Any, metadata: Any = ()) -> str:
     if origin is tuple:
         return f"list of: {kind(get_args(annotation)[0])}"
     if origin is dict:
-        return "table of whole numbers" if get_args(annotation)[1] is int else "table of texts"
+        return f"table of {_DICTS.get(get_args(annotation)[1], 'signals')}"
     if annotation is SignalConfig:
         return "text, table or number"
     if annotation is bool:
@@ -169,6 +172,8 @@ def tables(model: type[BaseModel], path: str = "") -> Iterator[str]:
                 yield from tables(SignalsConfig, "bus.signals")
                 yield from tables(SignalConfig, "bus.signals.VALUE")
                 yield from tables(MessageConfig, "bus.messages.MESSAGE")
+        elif field.annotation not in APART and (inner := optional(field.annotation)) is not None:
+            yield from tables(inner, f"{path}.{name}" if path else name)
         elif (inner := listed(field)) is not None:
             yield from tables(inner, f"[{path}.{name}]" if path else f"[{name}]")
 
@@ -187,6 +192,13 @@ def listed(field: FieldInfo) -> type[BaseModel] | None:
     of = get_args(field.annotation)
     found = of[0] if get_origin(field.annotation) is tuple and of else None
     return found if isinstance(found, type) and issubclass(found, BaseModel) else None
+
+
+def optional(annotation: Any) -> type[BaseModel] | None:
+    """The model of a table that may be left out."""
+    models = [of for of in get_args(annotation) if isinstance(of, type) and issubclass(of, BaseModel)]
+    one = len(get_args(annotation)) == 2 and NoneType in get_args(annotation)
+    return models[0] if one and models and models[0] is not SignalConfig else None
 
 
 def is_table(field: FieldInfo) -> bool:

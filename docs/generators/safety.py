@@ -78,6 +78,16 @@ _TIMEOUTS = (
         "the axis: engaged for longer, and the valve node is not enabled",
         "centre at once; `valve_rebooted`",
     ),
+    (
+        "`bus.input_timeout_ms`",
+        "the axis: age of the last valid frame of each message with inputs",
+        "controlled stop; `input_lost`",
+    ),
+    (
+        "the node's own",
+        "the node of the outputs: time without a message; it has to have such a time-out",
+        "all outputs off: a brake holds ([inputs-outputs.md](inputs-outputs.md))",
+    ),
 )
 
 _VALVES = {
@@ -108,7 +118,7 @@ pressures balance, may creep, and may jump when something that held it lets go. 
 needs, outside of pneud and independent of it:
 
 * a hardware valve that dumps the air of both chambers or blocks the rod, switched by the emergency stop;
-* an emergency stop that does not pass through this computer or the CAN bus;
+* an emergency stop that does not pass through this computer or the CAN bus: the input `enable` does;
 * a valve node that centres by itself when commands stop. pneud relies on that for its own death: it
   cannot centre a valve when its computer has stopped.
 
@@ -137,7 +147,9 @@ Enable 0.
   holds it then, or centres, as `limits.stop_then` says. While homing and probing each of them centres at
   once: the load is slow, with little force behind it, and no loop is there to stop it. After the end of
   the program was asked for, the axis does not arm again.
-* No request widens a limit.
+* Where there is a brake ([inputs-outputs.md](inputs-outputs.md)), it holds the load of every axis that is not
+  engaged, a controlled stop ends with the valve centred only when it holds, and nothing is led while it does.
+* No request widens a limit, and no input begins anything but the program that is loaded, of an armed axis.
 
 What these sentences say is checked by tests that go through every state with every request, every fault and
 every two faults at once, and by running the safety layer alone over logs.

@@ -222,6 +222,12 @@ def devices_of(config: Config, codecs: Codecs) -> Devices:
         states=states,
         nodes=any(device.node is not None for device in bus.devices),
         heartbeats=any(device.heartbeat_timeout_ms is not None for device in bus.devices),
+        uncounted_inputs=tuple(
+            message.name
+            for message in (codecs.switching.inputs if codecs.switching is not None else ())
+            if message.codec.counter_field is None
+        ),
+        brake_tells=config.brake is None or "brake_released" in bus.inputs,
     )
 
 

@@ -309,6 +309,37 @@ class Progress(NamedTuple):
 NO_PROGRESS = Progress(0, 0, 0, 0)
 
 
+class Heard(NamedTuple):
+    """What the inputs say in a tick."""
+
+    inputs: int  # bits, in the order in which the configuration names them
+    age_ns: int  # of the message that was heard longest ago
+
+
+class Hold(IntEnum):
+    """What a brake, or a clamp, does with the load."""
+
+    NONE = 0  # there is none
+    ENGAGED = 1  # it holds the load
+    BALANCING = 2  # it does, while the piston's force comes to what the load takes
+    RELEASING = 3  # it is told to let go
+    RELEASED = 4
+    ENGAGING = 5  # it is told to hold
+
+    @property
+    def label(self) -> str:
+        """As written in logs, JSON and on the screen."""
+        return self.name.lower()
+
+
+class Station(NamedTuple):
+    """What an axis hears and says beside encoder, pressures and valve; bits as the configuration has them."""
+
+    inputs: int
+    outputs: int
+    brake: int  # a `Hold`
+
+
 class Tick(NamedTuple):
     """Everything one cycle read and decided."""
 
@@ -326,6 +357,7 @@ class Tick(NamedTuple):
     hunting: int = 0  # a `Hunting`: why it does not
     told: Told | None = None  # by another axis, to one that is led by it
     program: Progress | None = None  # where there is one
+    station: Station | None = None  # where there are inputs or outputs
 
     @property
     def error_m(self) -> float:

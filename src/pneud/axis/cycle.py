@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from pneud.axis.doubt import listen
 from pneud.axis.guidance import NO_REFERENCE, Course, guide, redirect
+from pneud.axis.interlock import attend, carried, is_held, may_let_go, settled, stationed, taken_over
 from pneud.axis.mileage import LOOK_NS, SETTLED_NS, Odometer, count
-from pneud.axis.programs import ENDS, FIRST_KIND, asked_of, proceed, put
+from pneud.axis.programs import ENDS, FIRST_KIND, asked_of, proceed, put, started
 from pneud.axis.requests import ARM, BLOCKED, HOME, NOTHING, PROBE, TAKEN, Asked
 from pneud.axis.sensing import NAN, NO_ESTIMATE, Belief, Driven, drive, sense
 from pneud.axis.standing import AT_WORK, Standing, judge
@@ -19,10 +20,13 @@ from pneud.control import force, homing, probe
 from pneud.control.leading import ALONE, NOT_LED, aim, is_at_rest
 from pneud.control.plan import FOLLOWING, IDLE, LED, NONE, Plan
 from pneud.control.program import DUE, UNDER_WAY, Run, halted, look, progress, stopped
+from pneud.control.reference import rest
 from pneud.control.step import Controller, forget, unlearnt
 from pneud.safety import checks
+from pneud.safety.brake import ENGAGING, Brake
 from pneud.safety.faults import F
 from pneud.safety.output import emit
+from pneud.safety.station import Inputs, Judged
 from pneud.safety.supervisor import (
     DISARMED,
     HOLDING,
@@ -39,6 +43,7 @@ from pneud.safety.watch import Watch, forget_position, remember
 from pneud.signals import (
     Command,
     Estimate,
+    Heard,
     Measurement,
     Mileage,
     Reference,
@@ -50,14 +55,20 @@ from pneud.signals import (
 
 __all__ = ["FOLLOWING", "Axis", "AxisParameters", "AxisState"]
 
-NO_INPUTS = 0  # no frame tells of any
 SATURATED, NOT_FINITE = 1 << F.SATURATED, 1 << F.NOT_FINITE
 CENTRED_COMMAND = Command(voltage_v=0.0, enable=0, saturated=0, law_v=NAN, s=NAN, ustar=NAN)
 REACHED = AT_WORK._replace(in_position=1)  # the force that is asked for
+NOT_ASKED = Judged(Inputs(), False, 0)  # of inputs that there are none
 
 
 def cycle(
-    state: AxisState, m: Measurement, request: Request | None, t_ns: int, p: AxisParameters, told: Told | None
+    state: AxisState,
+    m: Measurement,
+    request: Request | None,
+    t_ns: int,
+    p: AxisParameters,
+    told: Told | None,
+    heard: Heard | None,
 ) -> tuple[AxisState, Tick]:
     """One tick: the state after it, and what it came to.
 
@@ -68,6 +79,7 @@ def cycle(
         t_ns: instant of this tick's SYNC.
         p: parameters.
         told: by the axis that leads this one, or is beside it; None where there is none.
+        heard: from the inputs; None where there are none.
     """
     before = state.supervisor
     if p.homing.incremental:
@@ -77,19 +89,26 @@ def cycle(
     belief, seen, lasting, present = sense(state, m, arming, t_ns, p)
     outside_m = outside(state.outside_m, m.position_m, is_engaged(before.state), p.limits)
     spared = excused(outside_m, m.position_m, belief.estimate, p.limits)
-    if spared or state.pressed:
+    judged = NOT_ASKED
+    if p.roles.used or p.brake.used:
+        state, judged = attend(state, belief, heard, t_ns, p)
+        present |= judged.faults
+    if spared or state.pressed or is_held(state.brake, p):
         lasting &= UNHELD
     watch, lasted = remember(state.watch, seen, lasting, m.t_ns, p.limits)
     present -= present & spared
     present |= lasted | doubtful | checks.of_host(m.host)
     course = guide(state, belief, m, present, p, told)
+    if before.state == PRESSING and is_held(state.brake, p):
+        course = course._replace(reference=rest(belief.estimate.position_m))  # whatever is estimated
     if course.found:
         watch = forget_position(watch)
-    asked, run = heed(state, request, course, belief, t_ns, p)
+    asked, run, inputs = heed(state, request, course, belief, judged, t_ns, p)
     law = state.law
     if asked.law is not None:
         law = asked.law
-    after = advance(before, course.present | asked.faults, asked.kind, course.at_rest)
+    at_rest = course.at_rest and may_let_go(state.brake, before, course.present | asked.faults, asked.kind, p)
+    after = advance(before, course.present | asked.faults, asked.kind, at_rest)
     course, driven = lead(course, asked, after.state, state, belief, m, law, outside_m, p)
     if driven.faults:
         after = trip(after, driven.faults)
@@ -99,12 +118,16 @@ def cycle(
     if present & NOT_FINITE:
         driven = driven._replace(controller=None)  # it would remember
     if run.stage >= UNDER_WAY:
-        run = observed(run, t_ns, after.state, course, belief.estimate, state.standing.in_position, law)
+        run = observed(
+            run, t_ns, after.state, course, belief.estimate, state.standing.in_position, inputs, law
+        )
     reference = aim(course.reference, course.led, p.leading)
     stood = stand(state, after.state, belief, reference, course, driven.command, t_ns, p)
     done = state.odometer
     if t_ns - done.looked_ns >= LOOK_NS:
         done = counted(state, belief, m, course.found, is_engaged(after.state), t_ns)
+    if p.roles.used or p.brake.used:
+        state = settled(state, inputs, m, belief, course, after.state, stood, t_ns, p)
     tick = Tick(
         t_ns=t_ns,
         measurement=m,
@@ -120,6 +143,7 @@ def cycle(
         hunting=stood.hunting,
         told=told,
         program=progress(run),
+        station=stationed(state, after, present, stood, run, p),
     )
     state = put_away(
         state, t_ns, belief, watch, course, asked, law, after, driven, doubt, outside_m, stood, done, run, p
@@ -128,8 +152,14 @@ def cycle(
 
 
 def heed(
-    state: AxisState, request: Request | None, course: Course, belief: Belief, t_ns: int, p: AxisParameters
-) -> tuple[Asked, Run]:
+    state: AxisState,
+    request: Request | None,
+    course: Course,
+    belief: Belief,
+    judged: Judged,
+    t_ns: int,
+    p: AxisParameters,
+) -> tuple[Asked, Run, Inputs]:
     """What becomes of a request, or of what the program asks where there is none; and the program with that.
 
     Args:
@@ -137,10 +167,11 @@ def heed(
         request: of the operator.
         course: where the axis is led.
         belief: what is known of the load.
+        judged: what the inputs come to.
         t_ns: instant of this tick's SYNC.
         p: parameters.
     """
-    asked, run, e = NOTHING, state.run, belief.estimate
+    asked, run, inputs, e = NOTHING, state.run, judged.inputs, belief.estimate
     if request is not None:
         if request.kind >= FIRST_KIND:
             asked = asked_of(request, state, course.present, p)
@@ -150,9 +181,13 @@ def heed(
                 run = stopped(run)
     elif run.stage >= DUE:
         asked = proceed(state, course, e, belief.sampled_ns, t_ns, p)
+    elif judged.starts and run.stage < UNDER_WAY:
+        asked = started(state, course.present, p)
+    if judged.starts and run.stage < UNDER_WAY and asked.run is None:
+        inputs = inputs._replace(refused_ns=t_ns)
     if asked.run is not None:
         run = asked.run
-    return asked, run
+    return asked, run, inputs
 
 
 def lead(
@@ -183,6 +218,10 @@ def lead(
     if is_engaged(now):
         course = redirect(course, asked, now, state, belief, p)
         bounded = p if outside_m == INSIDE else gentle(p)
+        if is_held(state.brake, p) and state.brake.hold != ENGAGING:
+            return course, carried(state, course, m, belief, law, bounded)
+        if state.brake.fresh != 0:
+            course = taken_over(course, belief.estimate, law, p)
         driven = actuate(course, now, m, belief, state.last_v, law, bounded)
         if state.pressed and driven.controller is not None and course.controller is not None:
             # what a load is pressed against is neither friction nor load
@@ -211,7 +250,14 @@ def counted(
 
 
 def observed(
-    run: Run, t_ns: int, now: int, course: Course, e: Estimate, in_position: int, law: Controller
+    run: Run,
+    t_ns: int,
+    now: int,
+    course: Course,
+    e: Estimate,
+    in_position: int,
+    inputs: Inputs,
+    law: Controller,
 ) -> Run:
     """How far the program is, by what is seen in this tick.
 
@@ -222,10 +268,11 @@ def observed(
         course: where the axis is led.
         e: the estimate.
         in_position: as of the last tick.
+        inputs: as they are.
         law: with its cylinder.
     """
     rod_force_n = law.cylinder.rod_force_n
-    return look(run, t_ns, now, course.plan.phase, in_position, e, course.reference, NO_INPUTS, rod_force_n)
+    return look(run, t_ns, now, course.plan.phase, in_position, e, course.reference, inputs.bits, rod_force_n)
 
 
 def stand(
@@ -384,6 +431,9 @@ def put_away(
         run=run,
         press=course.press,
         pressed=pressed,
+        inputs=state.inputs,
+        brake=state.brake,
+        balance=state.balance,
     )
 
 
@@ -439,7 +489,14 @@ class Axis:
             t_ns: instant of this tick's SYNC.
         """
 
-    def cycle(self, m: Measurement, request: Request | None, t_ns: int, told: Told | None = None) -> Tick:
+    def cycle(
+        self,
+        m: Measurement,
+        request: Request | None,
+        t_ns: int,
+        told: Told | None = None,
+        heard: Heard | None = None,
+    ) -> Tick:
         """One tick.
 
         An exception in it centres the valve, latches the fault `internal` and is kept in `failure`.
@@ -449,9 +506,10 @@ class Axis:
             request: at most one request of the operator.
             t_ns: instant of this tick's SYNC.
             told: by the axis that leads this one, or is beside it.
+            heard: from the inputs, where there are any.
         """
         try:
-            self._state, tick = self._cycle(self._state, m, request, t_ns, self.parameters, told)
+            self._state, tick = self._cycle(self._state, m, request, t_ns, self.parameters, told, heard)
             return tick
         except Exception as e:
             if self.failure is None:
@@ -468,6 +526,7 @@ class Axis:
                 led=NOT_LED,
                 learnt=learnt_so_far(self.state),
                 run=halted(self.state.run),
+                brake=Brake(since_ns=t_ns),
             )
             return Tick(
                 t_ns=t_ns,
@@ -482,4 +541,5 @@ class Axis:
                 answer=0 if kind == 0 else TAKEN if kind == RequestKind.SHUTDOWN else BLOCKED,
                 told=told,
                 program=progress(self.state.run),
+                station=stationed(self.state, after, bits, AT_WORK, self.state.run, self.parameters),
             )

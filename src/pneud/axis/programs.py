@@ -83,6 +83,20 @@ def asked_of(request: Request, state: AxisState, present: int, p: AxisParameters
     return Asked(TAKEN, run=begun)
 
 
+def started(state: AxisState, present: int, p: AxisParameters) -> Asked:
+    """What becomes of the program where the input start comes on: it begins anew, where one is loaded.
+
+    Args:
+        state: after the last tick, of an axis without a program under way.
+        present: bits of the faults that hold now.
+        p: parameters.
+    """
+    if state.run.stage == STOPPED:
+        return NOTHING
+    asked = asked_of(Request(RUN, (1.0, float(p.roles.laps), 0.0)), state, present, p)
+    return NOTHING._replace(run=asked.run)
+
+
 def _add(values: tuple[float, ...], state: AxisState, p: AxisParameters) -> Asked:
     """One more step, or none at all."""
     if state.run.stage >= UNDER_WAY:

@@ -17,8 +17,10 @@ from pneud.control.program import NO_RUN, Program, Run
 from pneud.control.reference import Bounds, Shunned, Sine, Way
 from pneud.control.step import Controller, ControllerState
 from pneud.safety import supervisor, watch
+from pneud.safety.brake import Brake, BrakeRules
 from pneud.safety.checks import Limits
 from pneud.safety.output import OutputLimits
+from pneud.safety.station import Inputs, Roles
 
 NAN = float("nan")
 INSIDE = -1.0  # stands for no position outside: no load is ever so far out [m]
@@ -69,6 +71,8 @@ class AxisParameters(NamedTuple):
     shunned: Shunned = Shunned()  # speeds at which no short way to a position peaks
     leading: Leading = Leading()  # by another axis
     pressing: Pressing = Pressing()
+    roles: Roles = Roles()  # of inputs and outputs
+    brake: BrakeRules = BrakeRules()
 
 
 class AxisState(NamedTuple):
@@ -101,6 +105,9 @@ class AxisState(NamedTuple):
     run: Run = NO_RUN  # how far the program is
     press: Press = NO_PRESS  # the last one, perhaps under way
     pressed: int = 0  # 1 from then on until the load has come free
+    inputs: Inputs = Inputs()
+    brake: Brake = Brake()
+    balance: Press = NO_PRESS  # by which the piston comes to bear what the brake holds
 
     @property
     def phase(self) -> int:

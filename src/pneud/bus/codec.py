@@ -6,11 +6,11 @@ Values are in SI units, whatever units the database uses.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil, floor, isfinite
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pneud.bus import database
 from pneud.bus.database import MessageSpec, Signal
@@ -21,6 +21,9 @@ from pneud.config.bus_tables import BusConfig, FrameConfig
 from pneud.config.mapping import MessageConfig
 from pneud.config.models import GasConfig
 from pneud.rt.inputs import read_whole
+
+if TYPE_CHECKING:
+    from pneud.bus.switching import Switching
 
 _KILO, _MILLI, _MICRO = Fraction(1000), Fraction(1, 1000), Fraction(1, 1_000_000)
 UNITS: dict[str, dict[str, Fraction]] = {
@@ -136,6 +139,7 @@ class Codecs:
     older_s: float  # an age of this or more means "older than can be told"; infinite without an age
     row: Row | None = None
     fd: Fd | None = None  # what is sent as frames of CAN FD; None on a bus without
+    switching: Switching | None = None  # inputs and outputs, where there are any
 
     def telling(self, *keys: str) -> tuple[Answer, ...]:
         """The answers that tell any of these values."""
@@ -198,6 +202,18 @@ def codecs_from(
         DatabaseError: a message or a signal is missing or cannot be used; names it and the cure.
     """
     messages = _messages(path, dbc, keep)
+    codecs = _of_axis(bus, path, messages, gas)
+    if not bus.inputs and not bus.outputs:
+        return codecs
+    from pneud.bus import switching  # noqa: PLC0415 - for axes with inputs or outputs alone
+
+    found = switching.loaded(bus, path, messages, codecs)
+    fd = codecs.fd and codecs.fd._replace(ids=codecs.fd.ids | found.fd_ids)
+    return replace(codecs, switching=found, fd=fd)
+
+
+def _of_axis(bus: BusConfig, path: Path, messages: list[MessageSpec], gas: GasConfig | None) -> Codecs:
+    """What encoder, pressures and valve send and hear."""
     if bus.signals is not None:
         from pneud.bus import mapping  # noqa: PLC0415 - for axes with a mapping alone
 

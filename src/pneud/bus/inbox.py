@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pneud.bus.cadence import Cadence, CadenceState
 from pneud.bus.codec import Codec, Codecs
@@ -28,6 +28,9 @@ from pneud.bus.wire import (
 )
 from pneud.config.bus_tables import BusConfig
 from pneud.signals import ALL_SOURCES, Defect, Frame, Host, Measurement, Source
+
+if TYPE_CHECKING:
+    from pneud.bus.switching import Hearing
 
 NEVER_NS = 1 << 62  # the age of a source that has not been heard of yet
 UNHEARD_NS = -NEVER_NS  # when it was sampled; also what is older than can be told
@@ -74,6 +77,14 @@ class OriginState(NamedTuple):
     cadence: CadenceState = CadenceState()
 
 
+class InputState(NamedTuple):
+    """What is known of a message with inputs between two ticks."""
+
+    counter: int = -1
+    stamp_ns: int = -NEVER_NS
+    bits: int = 0
+
+
 class InboxState(NamedTuple):
     """All that measurements depend on between two ticks; the counts, which are for people, are not in it."""
 
@@ -89,6 +100,7 @@ class InboxState(NamedTuple):
     awaited: int = 0  # what of its multiplexed messages has come and is not used
     echo: tuple[float, int] = (0.0, 0)  # the last command: voltage [V], enable
     offset_ns: int = 0  # from the last tick's SYNC to its newest position, where sensors run free
+    inputs: tuple[InputState, ...] = ()  # of the messages with inputs
 
 
 class Origin:
@@ -234,6 +246,12 @@ class Inbox:
         }
         self._due_ns: dict[int, int] = {}  # when the next heartbeat of each node is due
         self.conditions = 0  # bits of Host: what nodes and controller report of themselves
+        self.hearing: Hearing | None = None
+        """Of the inputs, where there are any."""
+        if codecs.switching is not None and codecs.switching.inputs:
+            from pneud.bus.switching import Hearing  # noqa: PLC0415 - for axes with inputs alone
+
+            self.hearing = Hearing(codecs.switching.inputs)
 
     def _listened(self, codecs: Codecs, bus: BusConfig) -> Sequence[Origin]:
         """What is listened to, the encoder first."""
@@ -430,7 +448,11 @@ class Inbox:
             self._t_ns,
             self._readings,
             offset_ns=self._known_offset_ns,
+            inputs=self._frozen_inputs(),
         )
+
+    def _frozen_inputs(self) -> tuple[InputState, ...]:
+        return () if self.hearing is None else self.hearing.freeze()
 
     def thaw(self, state: InboxState) -> None:
         """Go on from a frozen state."""
@@ -442,14 +464,17 @@ class Inbox:
         self.commanded_ns = state.commanded_ns
         self._syncs, self._t_ns, self._readings = state.syncs, state.t_ns, state.readings
         self._known_offset_ns = state.offset_ns
+        if self.hearing is not None:
+            self.hearing.thaw(state.inputs)
 
     def counts(self) -> Counts:
         """What has come in since the start."""
+        hearing = self.hearing
         return Counts(
             self._rx,
             sum(o.lost + o.doubted for o in self._sources),
-            self._crc,
-            self._stale,
+            self._crc + (hearing.crc if hearing is not None else 0),
+            self._stale + (hearing.stale if hearing is not None else 0),
             self._late,
             self.foreign,
             self._errors,
@@ -462,7 +487,9 @@ class Inbox:
             self._feed_error(can_id, data)
             return
         self._rx += 1
-        if can_id in self._own:
+        if self.hearing is not None and self.hearing.hears(can_id):
+            self.hearing.take(Frame(stamp_ns, can_id, data))
+        elif can_id in self._own:
             self.foreign += 1
         elif can_id == self._heard_id:
             self._syncs += 1

@@ -64,6 +64,8 @@ def load_of(config: Config, *axes: Codecs) -> Load:
     answers_s = taken_s(axes[0].sync) + NODE_S if config.bus.sync else 0.0
     for codecs in axes:
         answers_s += sum(taken_s(answer.codec) for answer in codecs.answers)
+        if codecs.switching is not None:
+            answers_s += sum(taken_s(message.codec) for message in codecs.switching.messages)
     # the next axis computes while a command is on the wire
     commands = [taken_s(codecs.valve_command) for codecs in axes]
     waits_s = sum(max(command_s, COMPUTING_S) for command_s in commands[:-1])

@@ -183,6 +183,7 @@ class MappedInbox(Inbox):
             self._awaited,
             self.echo,
             self._known_offset_ns,
+            self._frozen_inputs(),
         )
 
     def thaw(self, state: InboxState) -> None:

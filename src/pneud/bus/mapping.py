@@ -66,8 +66,112 @@ class _Place(NamedTuple):
     field: SignalField
 
 
-class _Mapper(Loader):
-    """Takes signals from one database, each for one value only."""
+class SignalLoader(Loader):
+    """Takes signals from one database, each for one purpose only."""
+
+    tables = "[bus.signals]"  # which name them
+
+    def __init__(self, path: Path, messages: list[MessageSpec], bus: BusConfig) -> None:
+        super().__init__(path, messages, bus)
+        self._jobs: dict[tuple[str, str], str] = {}  # (message, signal) → what it is for
+
+    def _named(self, name: str) -> MessageSpec:
+        """The message of a name, which any value may have."""
+        named = [message for message in self.messages if message.name == name]
+        if not named:
+            there = ", ".join(sorted({message.name for message in self.messages})) or "none"
+            raise self._error(name, None, f"not in the database; {self.tables} can name: {there}")
+        if len(named) > 1:
+            which = " and ".join(f"0x{message.can_id:03X}" for message in named)
+            raise self._error(name, None, f"is there {len(named)} times, as {which}; give each its own name")
+        self._data_bit_s(named[0])
+        return named[0]
+
+    def _signal(self, message: MessageSpec, name: str) -> Signal:
+        for signal in message.signals:
+            if signal.name == name:
+                return signal
+        there = ", ".join(signal.name for signal in message.signals) or "none"
+        raise self._error(message.name, name, f"not in the message; it has: {there}")
+
+    def _take(self, message: MessageSpec, signal: Signal, job: str) -> None:
+        other = self._jobs.setdefault((message.name, signal.name), job)
+        if other != job:
+            raise self._error(
+                message.name, signal.name, f"is {other} and {job}; each needs its own under {self.tables}"
+            )
+
+    def _integer(self, message: MessageSpec, signal: Signal) -> SignalField:
+        if signal.floating or signal.scale != 1 or signal.offset != 0:
+            raise self._error(message.name, signal.name, "has to be an integer with factor 1 and offset 0")
+        return self._placed(message, signal, Fraction(1), integer=True)
+
+    def _placed(self, message: MessageSpec, signal: Signal, unit: Fraction, *, integer: bool) -> SignalField:
+        if signal.length > 64:
+            raise self._error(message.name, signal.name, f"is {signal.length} bits wide; 64 are the most")
+        if not signal.floating:
+            return super()._placed(message, signal, unit, integer=integer)
+        if signal.length not in _FLOAT_MOST:
+            raise self._error(message.name, signal.name, f"is no float of {signal.length} bits; 32 or 64")
+        place = super()._placed(message, signal._replace(minimum=None, maximum=None), unit, integer=False)
+        most, scale, offset = _FLOAT_MOST[signal.length], float(signal.scale), float(signal.offset)
+        low, high = -most, most
+        if signal.minimum is not None and signal.maximum is not None and signal.minimum < signal.maximum:
+            first, last = sorted(((signal.minimum - offset) / scale, (signal.maximum - offset) / scale))
+            low, high = max(low, first), min(high, last)
+        return place._replace(floating=True, low=low, high=high)
+
+    def _codec(
+        self,
+        message: MessageSpec,
+        fields: list[SignalField | None],
+        defaults: list[float | None],
+        fixed: tuple[SignalField, int] | None,
+        given: MessageConfig | None = None,
+    ) -> Codec:
+        """The codec of a message with what `[bus.messages]` says of it."""
+        given = given or self._bus.messages.get(message.name, _NONE)
+        counter = None
+        if given.counter is not None:
+            signal = self._signal(message, given.counter)
+            if signal.floating or signal.selected_by:
+                raise self._error(message.name, signal.name, "a counter is an integer in every frame")
+            self._take(message, signal, "the counter")
+            counter = self._counter(message, given.counter)
+        for name, job in ((given.crc, "the checksum"), (given.data_id_nibble, "data_id_nibble")):
+            if name is not None:
+                self._take(message, self._signal(message, name), job)
+        guard = self._guard(f"bus.messages.{message.name}", message, given, counter)
+        if counter is not None:
+            counter = counter._replace(high=min(counter.high, guard.counter_values - 1))
+        made = self._made(can_id_of(message), message.length, fields, defaults, fixed, counter, guard)
+        return replace(made, data_bit_s=self._data_bit_s(message))
+
+    def _made(
+        self,
+        can_id: int,
+        length: int,
+        fields: list[SignalField | None],
+        defaults: list[float | None],
+        fixed: tuple[SignalField, int] | None,
+        counter: SignalField | None,
+        guard: Guard,
+    ) -> Codec:
+        functions = compile_functions(can_id, length, fields, defaults, counter, guard, fixed)
+        age = fields[ROW.index("age_s")] if len(fields) == len(ROW) else None
+        return Codec(
+            can_id,
+            length,
+            guard.counter_values,
+            *functions,
+            counter_field=counter,
+            age_field=age,
+            guard=guard,
+        )
+
+
+class _Mapper(SignalLoader):
+    """Fills each value from one signal."""
 
     def __init__(
         self,
@@ -80,7 +184,6 @@ class _Mapper(Loader):
         super().__init__(path, messages, bus)
         self._signals = signals
         self._gas = gas
-        self._jobs: dict[tuple[str, str], str] = {}  # (message, signal) → what it is for
 
     def codecs(self) -> Codecs:
         """All of them."""
@@ -97,7 +200,7 @@ class _Mapper(Loader):
         sync = self._sync()
         self._check_apart([sync, command, *answers])
         for name in self._bus.messages:
-            if name not in places and name != sync.name:
+            if name not in places and name != sync.name and name not in self._bus.io_messages:
                 raise self._error(
                     name, None, "fills no value; take [bus.messages] for it out, or map a signal"
                 )
@@ -121,32 +224,6 @@ class _Mapper(Loader):
             self._take(message, signal, key)
             places.setdefault(name, []).append(_Place(key, signal, self._told(message, key, signal, told)))
         return places
-
-    def _named(self, name: str) -> MessageSpec:
-        """The message of a name, which any value may have."""
-        named = [message for message in self.messages if message.name == name]
-        if not named:
-            there = ", ".join(sorted({message.name for message in self.messages})) or "none"
-            raise self._error(name, None, f"not in the database; [bus.signals] can name: {there}")
-        if len(named) > 1:
-            which = " and ".join(f"0x{message.can_id:03X}" for message in named)
-            raise self._error(name, None, f"is there {len(named)} times, as {which}; give each its own name")
-        self._data_bit_s(named[0])
-        return named[0]
-
-    def _signal(self, message: MessageSpec, name: str) -> Signal:
-        for signal in message.signals:
-            if signal.name == name:
-                return signal
-        there = ", ".join(signal.name for signal in message.signals) or "none"
-        raise self._error(message.name, name, f"not in the message; it has: {there}")
-
-    def _take(self, message: MessageSpec, signal: Signal, job: str) -> None:
-        other = self._jobs.setdefault((message.name, signal.name), job)
-        if other != job:
-            raise self._error(
-                message.name, signal.name, f"is {other} and {job}; each needs its own under [bus.signals]"
-            )
 
     def _told(self, message: MessageSpec, key: str, signal: Signal, told: SignalConfig) -> SignalField:
         """A value's place, with what makes it the axis's."""
@@ -191,26 +268,6 @@ class _Mapper(Loader):
             well = write.get(1, next(iter(write.values())))
             write = {axis: write.get(axis, well) for axis in _NUMBERS[key]}
         return place._replace(code=Code(told.mask or 0, dict(told.values), _UNKNOWN[key], write))
-
-    def _integer(self, message: MessageSpec, signal: Signal) -> SignalField:
-        if signal.floating or signal.scale != 1 or signal.offset != 0:
-            raise self._error(message.name, signal.name, "has to be an integer with factor 1 and offset 0")
-        return self._placed(message, signal, Fraction(1), integer=True)
-
-    def _placed(self, message: MessageSpec, signal: Signal, unit: Fraction, *, integer: bool) -> SignalField:
-        if signal.length > 64:
-            raise self._error(message.name, signal.name, f"is {signal.length} bits wide; 64 are the most")
-        if not signal.floating:
-            return super()._placed(message, signal, unit, integer=integer)
-        if signal.length not in _FLOAT_MOST:
-            raise self._error(message.name, signal.name, f"is no float of {signal.length} bits; 32 or 64")
-        place = super()._placed(message, signal._replace(minimum=None, maximum=None), unit, integer=False)
-        most, scale, offset = _FLOAT_MOST[signal.length], float(signal.scale), float(signal.offset)
-        low, high = -most, most
-        if signal.minimum is not None and signal.maximum is not None and signal.minimum < signal.maximum:
-            first, last = sorted(((signal.minimum - offset) / scale, (signal.maximum - offset) / scale))
-            low, high = max(low, first), min(high, last)
-        return place._replace(floating=True, low=low, high=high)
 
     def _answers(self, message: MessageSpec, places: list[_Place]) -> list[Answer]:
         """A node's message, once for each of its kinds."""
@@ -279,54 +336,6 @@ class _Mapper(Loader):
             message, [], [], None, given.model_copy(update={"counter": counter or given.counter})
         )
         return Answer(name, codec, (), ())
-
-    def _codec(
-        self,
-        message: MessageSpec,
-        fields: list[SignalField | None],
-        defaults: list[float | None],
-        fixed: tuple[SignalField, int] | None,
-        given: MessageConfig | None = None,
-    ) -> Codec:
-        """The codec of a message with what `[bus.messages]` says of it."""
-        given = given or self._bus.messages.get(message.name, _NONE)
-        counter = None
-        if given.counter is not None:
-            signal = self._signal(message, given.counter)
-            if signal.floating or signal.selected_by:
-                raise self._error(message.name, signal.name, "a counter is an integer in every frame")
-            self._take(message, signal, "the counter")
-            counter = self._counter(message, given.counter)
-        for name, job in ((given.crc, "the checksum"), (given.data_id_nibble, "data_id_nibble")):
-            if name is not None:
-                self._take(message, self._signal(message, name), job)
-        guard = self._guard(f"bus.messages.{message.name}", message, given, counter)
-        if counter is not None:
-            counter = counter._replace(high=min(counter.high, guard.counter_values - 1))
-        made = self._made(can_id_of(message), message.length, fields, defaults, fixed, counter, guard)
-        return replace(made, data_bit_s=self._data_bit_s(message))
-
-    def _made(
-        self,
-        can_id: int,
-        length: int,
-        fields: list[SignalField | None],
-        defaults: list[float | None],
-        fixed: tuple[SignalField, int] | None,
-        counter: SignalField | None,
-        guard: Guard,
-    ) -> Codec:
-        functions = compile_functions(can_id, length, fields, defaults, counter, guard, fixed)
-        age = fields[ROW.index("age_s")] if len(fields) == len(ROW) else None
-        return Codec(
-            can_id,
-            length,
-            guard.counter_values,
-            *functions,
-            counter_field=counter,
-            age_field=age,
-            guard=guard,
-        )
 
     def _row(self) -> tuple[float, ...]:
         """The values before anything is heard: constants, and what stands for what no device has."""

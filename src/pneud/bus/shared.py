@@ -22,6 +22,8 @@ def identifiers(config: Config, codecs: Codecs) -> dict[int, str]:
     """What each identifier that is an axis's alone is for."""
     found = {answer.codec.can_id: answer.name for answer in codecs.answers}
     found[codecs.valve_command.can_id] = "the command"
+    if codecs.switching is not None:
+        found |= {message.codec.can_id: message.name for message in codecs.switching.messages}
     for device in config.bus.devices:
         if (node := device.node) is not None:
             found |= {_EMCY + node: f"EMCY of node {node}", _HEARTBEAT + node: f"heartbeat of node {node}"}

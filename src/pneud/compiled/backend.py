@@ -119,7 +119,7 @@ def _axis_of(kept: Callable[..., Any], rehearsal: Callable[..., None]) -> type[A
     """The axis with a compiled cycle, which leaves the state in C, and its rehearsal."""
 
     def rehearse(axis: Axis, m: Measurement, t_ns: int) -> None:
-        rehearsal(axis._state, m, None, t_ns, axis.parameters, None)
+        rehearsal(axis._state, m, None, t_ns, axis.parameters, None, None)
 
     methods = {"_cycle": staticmethod(kept), "_whole": staticmethod(whole), "rehearse": rehearse}
     return type("CompiledAxis", (Axis,), methods)

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
-from pneud.config.mapping import MessageConfig, SignalsConfig
+from pneud.config.mapping import Mapped, MessageConfig, SignalsConfig
 from pneud.config.nodes import GENERATED, NodeConfig, check_nodes, messages_of, signals_of
 from pneud.config.sections import MaybeInfinite, Positive, Section, Timeout, check_channel
 
@@ -54,12 +54,16 @@ class BusConfig(Section):
     sensor_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0  # without a valid frame
     valve_timeout_ms: Timeout = 50.0  # likewise
     deadline_timeout_ms: Annotated[float, Field(ge=1, le=1000)] = 50.0  # without a complete set in time
+    input_timeout_ms: Annotated[float, Field(ge=2, le=60_000)] = 200.0  # of inputs, without a valid frame
+    output_period_ms: Annotated[float, Field(ge=1, le=10_000)] = 20.0  # of outputs, and on every change
     overload_timeout_ms: Annotated[float, Field(ge=1, le=10_000)] = 1000.0  # every tick after skipped ones
     command_delay_us: Annotated[float, Field(ge=0, le=10_000)] | None = None  # sampling → command acts
     encoders_apart_m: Positive = 1e-3  # more between two encoders is an error of theirs
     frames: FramesConfig = FramesConfig()
     signals: SignalsConfig | None = None
     messages: dict[str, MessageConfig] = Field(default_factory=dict)
+    inputs: dict[str, Mapped] = Field(default_factory=dict)  # by name, which may be a role
+    outputs: dict[str, Mapped] = Field(default_factory=dict)  # likewise
     nodes: tuple[NodeConfig, ...] = ()  # CANopen nodes, which have to be configured
 
     @model_validator(mode="before")
@@ -111,9 +115,25 @@ class BusConfig(Section):
     def _one_mapping(self) -> BusConfig:
         if self.signals is not None and self.frames != FramesConfig():
             raise ValueError("give either frames or signals")
-        if self.signals is None and self.messages:
+        others = [name for name in self.messages if name not in self.io_messages]
+        if self.signals is None and others:
             raise ValueError("messages goes with signals; with frames, these keys stand in each frame")
+        if self.inputs or self.outputs:
+            from pneud.config.station import check_io  # noqa: PLC0415 - for a few axes only
+
+            check_io(self.inputs, self.outputs)
         return self
+
+    @property
+    def switches(self) -> dict[str, tuple[str, ...]]:
+        """Names of inputs and outputs, by their bits."""
+        return {"inputs": tuple(self.inputs), "outputs": tuple(self.outputs)}
+
+    @property
+    def io_messages(self) -> tuple[str, ...]:
+        """The messages with inputs and outputs."""
+        told = (*self.inputs.values(), *self.outputs.values())
+        return tuple(dict.fromkeys(str(value.signal).partition(".")[0] for value in told))
 
     @property
     def follows(self) -> bool:
@@ -125,5 +145,5 @@ class BusConfig(Section):
         """What is said of the messages that the nodes send."""
         frames = self.frames
         if self.signals is None:
-            return (frames.encoder, frames.pressure, frames.valve_status)
+            return (frames.encoder, frames.pressure, frames.valve_status, *self.messages.values())
         return tuple(self.messages.values())

@@ -15,6 +15,7 @@ from pneud.config.measured import edges_of, with_map
 from pneud.config.models import Config, ControlConfig, CylinderConfig, RealtimeConfig, ValveConfig
 from pneud.config.plant import FrictionConfig, PlantConfig, PlantValveConfig, PlantWiringConfig
 from pneud.config.sections import GRAVITY_M_S2
+from pneud.config.station import board_of, brake_of, roles_of
 from pneud.control import model
 from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED, Observer
 from pneud.control.feedforward import Creep
@@ -176,6 +177,7 @@ def plant_of(c: Config) -> PlantParameters:
         detail=detail_of(c, valve.u_max_v, gas.R, gas.temperature_k),
         wiring=wiring_of(p.wiring),
         free_jitter_s=p.free_jitter_us * 1e-6,
+        board=board_of(c),
     )
 
 
@@ -490,6 +492,8 @@ def axis_of(c: Config, command_lsb_v: float) -> AxisParameters:
         shunned=shunned_of(c),
         leading=leading_of(c),
         pressing=pressing_of(c),
+        roles=roles_of(c),
+        brake=brake_of(c),
     )
 
 

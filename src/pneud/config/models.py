@@ -42,6 +42,7 @@ from pneud.config.sections import (
     Stroke,
     Temperature,
 )
+from pneud.config.station import BrakeConfig, IoConfig, check_station
 from pneud.control.laws import adrc, pid
 from pneud.control.laws.open_loop import OpenLoop
 from pneud.control.model import MOST_PUSH_RATIO
@@ -488,6 +489,8 @@ class Config(Section):
     loop: LoopConfig = LoopConfig()
     realtime: RealtimeConfig = RealtimeConfig()
     bus: BusConfig = BusConfig()
+    io: IoConfig = IoConfig()
+    brake: BrakeConfig | None = None
     encoder: EncoderConfig = EncoderConfig()
     control: ControlConfig
     reference: ReferenceConfig
@@ -540,12 +543,19 @@ class Config(Section):
             raise ValueError(f"limits.motion.margin_m = {limits.motion.margin_m:g} leaves no travel")
         self._plant_can_be()
         period_ms = 1000.0 / self.loop.rate_hz
-        for key in ("sensor_timeout_ms", "valve_timeout_ms", "deadline_timeout_ms", "overload_timeout_ms"):
+        for key in (
+            "sensor_timeout_ms",
+            "valve_timeout_ms",
+            "deadline_timeout_ms",
+            "overload_timeout_ms",
+            "input_timeout_ms",
+        ):
             if getattr(self.bus, key) < 2.0 * period_ms:
                 raise ValueError(
                     f"bus.{key} = {getattr(self.bus, key):g} is shorter than two ticks ({2 * period_ms:g} ms)"
                 )
         start_of(self)
+        check_station(self)
         both = self.control.compensate_dead_zone and any(n.dead_band == "valve" for n in self.bus.nodes)
         if both:
             raise ValueError(

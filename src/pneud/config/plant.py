@@ -236,6 +236,9 @@ class PlantConfig(Section):
     free_jitter_us: Annotated[float, Field(ge=0, le=10_000)] = 0.0  # about as late as their frames leave
     devices: Literal["frames", "canopen"] | None = None  # what its nodes are; none: as bus.nodes
     odd_nodes: Annotated[int, Field(ge=0)] | None = None  # seed of one that misbehaves while it is configured
+    inputs: dict[str, bool] = Field(default_factory=dict)  # that are on at first; enable is by itself
+    input_period_ms: Annotated[float, Field(ge=1, le=10_000)] = 10.0  # they are sent so often
+    output_timeout_ms: Annotated[float, Field(ge=1, le=10_000)] = 100.0  # without a message outputs are off
     cylinder: PlantCylinderConfig = PlantCylinderConfig()
     gas: PlantGasConfig = PlantGasConfig()
     valve: PlantValveConfig = PlantValveConfig()

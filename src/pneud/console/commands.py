@@ -22,7 +22,7 @@ from pneud.log.live.ring import Ring
 from pneud.rt.processes import counters_of
 from pneud.safety.faults import CENTRES, STOPS, F
 from pneud.safety.supervisor import BLOCKS
-from pneud.signals import Answer, Request, RequestKind, State
+from pneud.signals import Answer, Hold, Request, RequestKind, State
 
 _MM = 1e-3
 _UNPROVEN = "arm --unproven"
@@ -85,6 +85,7 @@ class AxisDesk:
             "name": r.config.name,
             **(told := self._watch.fields(self._rod_force_n)),
             "program": self._of_program(told["program"]),
+            "station": self._of_station(told["station"]),
             "learnt": values_learnt(self._watch.learnt or start_of(r.config), r.config) or None,
             "learnt_from": r.config.control.adaptation.start.log or None,
             "rate_hz": r.config.loop.rate_hz,
@@ -243,6 +244,8 @@ class AxisDesk:
             raise ProtocolError(Error.PROGRAM, f"run: {e}") from None
         asked = (*programs.requests(found.steps[0]), begun)
         words = programs.run_in_words(found, m.record, m.cycles)
+        if m.load:
+            return Orders(f"load {found.name}", asked[:-1], done=lambda: self.taken(found))
         return Orders(words, asked, attended=m.attended, done=lambda: self.taken(found))
 
     def _of_program(self, told: dict[str, Any] | None) -> dict[str, Any] | None:
@@ -260,6 +263,18 @@ class AxisDesk:
             "of": len(found.records),
             "label": one.get("label"),
             "words": words,
+        }
+
+    def _of_station(self, told: dict[str, int] | None) -> dict[str, Any] | None:
+        """What `status` says of inputs, outputs and the brake, by their names."""
+        if told is None:
+            return None
+        bus = self._run.config.bus
+        brake = Hold(told["brake"])
+        return {
+            "inputs": {name: bool(told["inputs"] >> bit & 1) for bit, name in enumerate(bus.inputs)},
+            "outputs": {name: bool(told["outputs"] >> bit & 1) for bit, name in enumerate(bus.outputs)},
+            "brake": brake.label if brake else None,
         }
 
     def _goto(self, m: protocol.Goto) -> Orders:

@@ -42,6 +42,8 @@ class RunFacts(NamedTuple):
             "blocks_arm": BLOCKS_ARM,
             "log": self.log_path,
             "sync": bool(c.bus.sync),
+            "inputs": list(c.bus.inputs),
+            "outputs": list(c.bus.outputs),
             "limits": {
                 "speed_m_s": limits.speed_m_s,
                 "supply_min_pa": limits.supply_min_pa,

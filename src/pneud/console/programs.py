@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from pneud.config.conversions import expected_of, pressing_of
 from pneud.config.models import Config
+from pneud.config.station import OUTPUT_ROLES
 from pneud.config.toml import TomlError, tables_of
 from pneud.console import records
 from pneud.console.records import CLASSES, CODES, DEFAULTS, EXACT, FAST, START, TOP, ProgramError, told
@@ -70,6 +71,8 @@ def facts_of(c: Config) -> AxisFacts:
         expected.tolerance_m,
         expected.velocity_m_s,
         c.in_position.time_s,
+        tuple(c.bus.inputs),
+        tuple(c.bus.outputs),
         out_n=pressing.out_n if alone else 0.0,
         in_n=pressing.in_n if alone else 0.0,
     )
@@ -234,6 +237,8 @@ def _step(place: int, record: dict[str, Any], labels: Mapping[str, int], axis: A
     if do in ("jump", "repeat"):
         return step._replace(to=_goal(place, record, "to", labels), times=int(record.get("times", 0)))
     if do == "output":
+        if record["output"] in OUTPUT_ROLES and record["output"] in axis.outputs:
+            raise ProgramError(f"{where}: pneud itself puts out {record['output']!r}; take another output")
         bit = _bit(where, "output", record["output"], axis.outputs)
         return step._replace(bit=bit, on=int(record["on"]))
     if do == "until":
@@ -316,7 +321,11 @@ def _press(where: str, record: Mapping[str, Any], step: Step, axis: AxisFacts) -
 
 def _bit(where: str, what: str, name: str, known: tuple[str, ...]) -> int:
     if name not in known:
-        there = f"there is {', '.join(known)}" if known else f"this axis has no {what}s"
+        there = (
+            f"there is {', '.join(known)}"
+            if known
+            else f'this axis has no {what}s: bus.{what}s.{name} = "MESSAGE.SIGNAL" makes it one'
+        )
         raise ProgramError(f"{where}: no {what} {name!r}; {there}")
     return known.index(name)
 

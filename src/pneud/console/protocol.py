@@ -156,6 +156,7 @@ class Run(RequestBase):
     program: dict[str, Any] | None = None  # as its file has it, points in a table; the one that was stopped
     record: Annotated[int, Field(ge=1, le=256)] = 1  # to begin with, where there is a program
     cycles: Annotated[int, Field(ge=0, le=1_000_000_000)] = 1  # 0: without end
+    load: bool = False  # hand it over, and begin nothing: the input start does
     attended: bool = False  # ends, held, where its client goes
 
 

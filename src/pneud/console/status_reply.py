@@ -83,6 +83,7 @@ class StatusWatch:
             "in_position": False,
             "hunting": None,
             "program": None,
+            "station": None,
             "pressures_bar": None,
             "command_v": None,
             "silent_s": None,
@@ -123,6 +124,8 @@ class StatusWatch:
         if tick.progress.stage:
             stage = _STAGES.get(tick.progress.stage, Stage.UNDER_WAY.label)
             fields["program"] = {"stage": stage, "record": tick.progress.step, "cycle": tick.progress.lap}
+        if tick.station is not None:
+            fields["station"] = tick.station._asdict()
         pressures = (("p1", m.p1_pa), ("p2", m.p2_pa), ("supply", m.supply_pa))
         fields["pressures_bar"] = {name: _scaled(pa, 1e-5) for name, pa in pressures}
         fields["command_v"] = _scaled(tick.command.voltage_v, 1.0)

@@ -353,6 +353,7 @@ def _header(ready: Ready, axis: AxisReady) -> LogHeader:
         extra={
             "law": axis.how.name,
             "unnoticed": " ".join(one.name for one in unnoticed(devices_of(config, axis.loaded.codecs))),
+            **{what: " ".join(names) for what, names in config.bus.switches.items() if names},
             **({"seed": str(o.seed)} if o.virtual else {}),
             **({"scenario": ready.scenario.name} if ready.scenario is not None else {}),
             **({"movement_test": "not asked for: --unproven"} if o.unproven else {}),

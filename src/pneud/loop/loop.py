@@ -159,6 +159,8 @@ class Loop:
             lane.decided_ns = clock()
             turn.sent(link.send(turn.command_id, turn.command(index + 1, count)))
             lane.done_ns = clock()
+            if turn.speaks:
+                turn.speak(link.send)
         # record
         lateness_ns = late_ns + skipped * self._period_ns  # since the first of the grid points missed
         freeze = count % self._snapshot_ticks == self._snapshot_ticks - 1

@@ -7,13 +7,16 @@ the frames come from and in who tells the time: `open`, `begin`, `feed` as often
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 from pneud.axis.cycle import Axis, AxisState
 from pneud.bus.codec import Codecs
 from pneud.bus.inbox import Inbox, InboxState
 from pneud.signals import Frame, Record, Request, Tick, Timing, Told
+
+if TYPE_CHECKING:
+    from pneud.bus.switching import Saying, SwitchMessage
 
 END_TICKS = 20  # times that the valve is told to centre before a run ends
 
@@ -31,12 +34,13 @@ class Turn:
         tick: what has been decided; there is none before the first `decide`.
         data: of the command.
         sent_ns: when it was sent; −1 where it could not be.
+        speaks: there are outputs, which `speak` sends.
     """
 
     __slots__ = (
         *("_counts", "_cycle", "_echoes", "_encode", "_take", "axis", "before", "command_id", "data"),
-        *("frames", "inbox"),
-        *("sent_ns", "t_ns", "tick"),
+        *("_hearing", "_outputs", "_said", "_saying", "frames", "inbox"),
+        *("sent_ns", "speaks", "t_ns", "tick"),
     )
     tick: Tick
 
@@ -54,6 +58,21 @@ class Turn:
         self._echoes = codecs.row is not None  # no valve may tell what it puts out
         self._take = inbox.feed
         self._cycle = axis.cycle
+        self._hearing = inbox.hearing
+        self._said: list[Frame] = []
+        self._saying: Saying | None = None
+        self._outputs: tuple[SwitchMessage, ...] = ()
+        if codecs.switching is not None and codecs.switching.outputs:
+            from pneud.bus.switching import Saying  # noqa: PLC0415 - for axes with outputs alone
+
+            self._outputs = codecs.switching.outputs
+            self._saying = Saying(self._outputs, codecs.switching.period_ns)
+        self.speaks = bool(self._outputs)
+
+    @property
+    def outputs(self) -> tuple[SwitchMessage, ...]:
+        """The messages that say what the outputs do."""
+        return self._outputs
 
     @property
     def newest_ns(self) -> int:
@@ -87,7 +106,8 @@ class Turn:
             request: at most one request of the operator.
             told: by the axis that leads this one, or is beside it.
         """
-        self.tick = tick = self._cycle(self.inbox.measurement(skipped, host), request, self.t_ns, told)
+        heard = None if self._hearing is None else self._hearing.heard(self.t_ns)
+        self.tick = tick = self._cycle(self.inbox.measurement(skipped, host), request, self.t_ns, told, heard)
         return tick
 
     def rehearse(self) -> None:
@@ -114,10 +134,23 @@ class Turn:
         if self._echoes and stamp_ns >= 0:
             self.inbox.echo = (self.tick.command.voltage_v, self.tick.command.enable)
 
+    def speak(self, send: Callable[[int, bytes], int]) -> None:
+        """Send what the outputs say, where that is due.
+
+        Args:
+            send: identifier and bytes → when it was sent; −1 where it could not be.
+        """
+        self._said.clear()
+        if self._saying is not None and self.tick.station is not None:
+            for can_id, data in self._saying.due(self.tick.station.outputs, self.t_ns):
+                self._said.append(Frame(send(can_id, data), can_id, data))
+
     def record(self, timing: Timing, sync: Frame, truth_m: float) -> Record:
         """The tick as it is recorded, with its SYNC if it was sent; another's is among the frames."""
         command = Frame(self.sent_ns, self.command_id, self.data)
         sent = (sync, command) if self.inbox.makes_sync else (command,)
+        if self.speaks:
+            sent = (*sent, *self._said)
         return Record(self.tick, timing, tuple(self.frames), self.before, sent, truth_m)
 
     def freeze(self) -> dict[str, Any]:

@@ -46,7 +46,12 @@ class _Events:
     def __init__(self, connection: Connection) -> None:
         fields, ring = attached(connection)
         self._reader: RingReader = ring.reader()
-        self._source = EventSource(tuple(fields["faults"]), time.time_ns() - time.monotonic_ns())
+        self._source = EventSource(
+            tuple(fields["faults"]),
+            time.time_ns() - time.monotonic_ns(),
+            fields.get("inputs", ()),
+            fields.get("outputs", ()),
+        )
 
     def take(self) -> list[LoggedEvent]:
         records = self._reader.poll()

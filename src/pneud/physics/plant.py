@@ -55,6 +55,19 @@ class BeamParameters(NamedTuple):
     damping_n_s_m: float
 
 
+class Board(NamedTuple):
+    """The nodes of inputs and outputs; bits as the configuration names these."""
+
+    inputs: int = 0  # that are on at first
+    period_s: float = 0.01  # inputs are sent so often
+    timeout_s: float = 0.1  # outputs are off after so long without a message
+    brake: int = 0  # output of the brake, 0 for none
+    feedback: int = 0  # input that says that it has let go
+    frees: bool = True  # the output lets go of the load; else it holds the load
+    release_s: float = 0.0
+    engage_s: float = 0.0
+
+
 FRICTION_AT_PA = 3e5  # mean pressure of the chambers at which friction is as its parameters say
 
 
@@ -85,3 +98,4 @@ class PlantParameters(NamedTuple):
     detail: Detail = Detail()
     wiring: Wiring = Wiring()
     free_jitter_s: float = 0.0  # by about so much what they have sampled by themselves leaves late
+    board: Board = Board()

@@ -55,7 +55,9 @@ class Fed(NamedTuple):
 def states_of(t: Tick | LoggedTick) -> tuple[int, ...]:
     """What of a tick may not differ at all; the sixth and seventh say how the load stands at its target."""
     states = t.state, t.present, t.latched, t.answer, t.command.enable, t.in_position, t.hunting
-    return states if t.program is None else (*states, *t.program)
+    if t.program is None and t.station is None:
+        return states
+    return (*states, *(t.program or ()), *(t.station or ()))
 
 
 def without_standing(states: tuple[int, ...]) -> tuple[int, ...]:

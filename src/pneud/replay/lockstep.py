@@ -135,6 +135,8 @@ class Simulation:
             if link == HEALTHY:
                 node.on_frame(Frame(sent_ns, turn.command_id, data))
                 self.tx += 1 + self.inbox.makes_sync
+            if turn.speaks:
+                turn.speak(self._sender(sent_ns, link == HEALTHY))
             yield turn.record(
                 Timing(0, done_ns - t_ns, 0, COMPUTING_NS, COMPUTING_NS, -1),
                 sync if link == HEALTHY else sync._replace(stamp_ns=-1),
@@ -158,6 +160,18 @@ class Simulation:
             at_ns = until_ns if due_ns is None else min(until_ns, max(at_ns + _STEP_NS, due_ns))
             left += self._feed(node.poll(at_ns))
         return left
+
+    def _sender(self, sent_ns: int, healthy: bool) -> Callable[[int, bytes], int]:
+        """What sends a frame behind a command."""
+
+        def send(can_id: int, data: bytes) -> int:
+            if not healthy:
+                return -1
+            (self._slaves or self.node).on_frame(Frame(sent_ns, can_id, data))
+            self.tx += 1
+            return sent_ns
+
+        return send
 
     def _feed(self, answers: list[Frame]) -> list[Frame]:
         """One after another until the set is complete, as the loop does; what is left for the next tick."""
@@ -202,7 +216,7 @@ def header_of(loaded: Loaded, **extra: str) -> LogHeader:
         dbc=loaded.dbc.read_bytes(),
         fault_names=FAULT_NAMES,
         realtime_offset_ns=0,
-        extra=extra,
+        extra={what: " ".join(names) for what, names in loaded.config.bus.switches.items() if names} | extra,
     )
 
 

@@ -209,8 +209,9 @@ class _Compared:
     def _sent_otherwise(self, sent: tuple[Frame, ...], turn: Turn) -> tuple[bool, bool]:
         sync, command = self._sync, self._command
         frames = {f.can_id: f.data for f in sent}
+        said = _said(turn, frames)
         beat, data = frames.get(sync.can_id), frames.get(command.can_id, b"")
-        whole = len(sent) == 1 + (beat is not None) and command.valid(data)
+        whole = len(sent) == 1 + len(said) + (beat is not None) and command.valid(data)
         if not whole or not (sync.valid(beat) if beat is not None else not self._makes_sync):
             return False, False
         told = beat if self._counted else None
@@ -219,7 +220,7 @@ class _Compared:
         if again != data:
             apart_v = abs(command.decode(data)[0] - command.decode(again)[0])
             self.worst_lsb = max(self.worst_lsb, round(apart_v / self._lsb_v))
-        return True, again == data
+        return True, again == data and all(said.values())
 
 
 class _Known(NamedTuple):
@@ -271,6 +272,18 @@ class _Tuned:
         return Request(request.kind, (*gains, *more[:rest], *mixed))
 
 
+def _said(turn: Turn, sent: dict[int, bytes]) -> dict[int, bool]:
+    """Which output messages a log has in a tick, and whether each says what it does here."""
+    station = turn.tick.station
+    return {
+        message.codec.can_id: station is not None
+        and message.codec.valid(data := sent[message.codec.can_id])
+        and message.encode(station.outputs & message.mask(), message.codec.counter(data)) == data
+        for message in turn.outputs
+        if message.codec.can_id in sent
+    }
+
+
 def _thawed(log: LogReader, state: LoggedState) -> Snapshot:
     try:
         found: Snapshot = from_json(Snapshot, state.data)
@@ -296,6 +309,8 @@ def _difference(
             return Difference(number, name, f"{getattr(logged, name)}", f"{getattr(tick, name)}")
     if logged.program != tick.program:
         return Difference(number, "program", f"{logged.program}", f"{tick.program}")
+    if logged.station != tick.station:
+        return Difference(number, "station", f"{logged.station}", f"{tick.station}")
     return Difference(number, "the checksum of the states", f"{logged.check:08x}", f"{crc_of(tick):08x}")
 
 

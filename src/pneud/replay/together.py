@@ -163,12 +163,22 @@ class Together:
                 now_ns += COMPUTING_NS
                 rigs.on_frame(Frame(now_ns, turn.command_id, turn.command(sequence, count)))
                 turn.sent(now_ns)
+                turn.speak(self._sender(now_ns))
             timing = Timing(0, set_ns - t_ns, 0, COMPUTING_NS, COMPUTING_NS, -1)
             yield tuple(lane.turn.record(timing, sync, lane.node.truth().position_m) for lane in lanes)
             self._company.after()
             count += 1
             over = all(lane.shut and not is_engaged(lane.turn.tick.state) for lane in lanes)
             idle = idle + 1 if over else 0
+
+    def _sender(self, sent_ns: int) -> Callable[[int, bytes], int]:
+        """What sends a frame behind a command."""
+
+        def send(can_id: int, data: bytes) -> int:
+            self._rigs.on_frame(Frame(sent_ns, can_id, data))
+            return sent_ns
+
+        return send
 
     def _hear(self, answers: list[Frame]) -> list[Frame]:
         """One after another until all sets are complete, as the loop does; what is left for the next tick."""

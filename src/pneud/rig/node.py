@@ -12,6 +12,7 @@ from pneud.bus.codec import SOURCES, Codec, Codecs
 from pneud.bus.wire import CAN_ERR_FLAG, wire_time_ns
 from pneud.physics.plant import PlantParameters
 from pneud.rig import dynamics
+from pneud.rig.damage import SEIZED_KG
 from pneud.rig.dynamics import PlantState, initial_state, stroke_position
 from pneud.rig.segment import Segment
 from pneud.rig.sensors import Noise, PressureSensor, quantised, sensed
@@ -21,6 +22,7 @@ from pneud.signals import EncoderStatus, Frame
 
 if TYPE_CHECKING:
     from pneud.rig.beam import Beam
+    from pneud.rig.station import StationNode
 
 ENCODER_NODE, PRESSURE_NODE, VALVE_NODE = 0, 1, 2  # indices of the nodes
 PRESSURE_RANGE_PA = 1_310_700.0  # full scale of the pressure sensors, and of PRESSURE in pneud.dbc
@@ -89,6 +91,7 @@ class PlantNode:
         acceleration."""
         self.valve = ValveNode(codecs.valve_command, p.valve_timeout_s, p.dac_bits, p.valve.u_max_v)
         self.beam: Beam | None = None  # to another rig's piston
+        self.station: StationNode | None = None  # of inputs and outputs
         self.unsendable = 0  # answers with a value that their frame cannot carry
         self._codecs = codecs
         self._advance = advance
@@ -99,7 +102,14 @@ class PlantNode:
         self._delay_ns = round(p.node_delay_s * 1e9)
         self._age_s = min(p.node_delay_s, codecs.older_s)
         self._sync_id, self._command_id = codecs.sync.can_id, codecs.valve_command.can_id
-        told = (codecs.sync, codecs.valve_command, *(answer.codec for answer in codecs.answers))
+        told = [codecs.sync, codecs.valve_command, *(answer.codec for answer in codecs.answers)]
+        self._taken = frozenset((self._sync_id, self._command_id))
+        if codecs.switching is not None:
+            from pneud.rig.station import StationNode  # noqa: PLC0415 - for axes with inputs or outputs alone
+
+            self.station = StationNode(codecs.switching, p.board)
+            self._taken |= self.station.ids
+            told += [message.codec for message in codecs.switching.messages]
         self._data_bit_s = {codec.can_id: codec.data_bit_s for codec in told}
         self._durations = tuple(self._duration_ns(a.codec.length, a.codec.can_id) for a in codecs.answers)
         self._ids = ids_of_nodes(codecs)
@@ -159,7 +169,7 @@ class PlantNode:
 
     def takes(self, can_id: int) -> bool:
         """Whether a frame with this identifier is for this rig."""
-        return can_id in (self._sync_id, self._command_id)
+        return can_id in self._taken
 
     def note(self, frame: Frame) -> int:
         """A frame for this rig was sent, and another one's `on_frame` has the bus carry it.
@@ -282,12 +292,14 @@ class PlantNode:
         if isinstance(load, _Foreign):
             if load.sender is self:
                 self._held.append(load.frame._replace(stamp_ns=end_ns))
-        elif item.can_id not in (self._sync_id, self._command_id):
+        elif item.can_id not in self._taken:
             return  # another axis's command
         frame: Frame = load.frame if isinstance(load, _Foreign) else load
         self._integrate(end_ns)
         if item.can_id == self._command_id:
             self.valve.command(frame.data, end_ns)
+        elif self.station is not None and item.can_id in self.station.ids:
+            self.station.hear(frame._replace(stamp_ns=end_ns))
         elif item.can_id == self._sync_id and not self._free_ns and self._codecs.sync.valid(frame.data):
             self._sample(end_ns, frame.stamp_ns)
 
@@ -335,6 +347,9 @@ class PlantNode:
             if self._jitter_ns and self._free_ns:
                 ready_ns += round(abs(self._noise.draw()) * self._jitter_ns)
             self._wire.replace(Item(ready_ns, codec.can_id, self._durations[i], answer, i))
+        if self.station is not None:
+            for frame in self.station.due(t_ns):
+                self.put(frame._replace(stamp_ns=t_ns + self._delay_ns))
 
     def _sent(self, end_ns: int, answer: _Answer) -> Sequence[Frame]:
         codec = answer.codec
@@ -364,7 +379,11 @@ class PlantNode:
                 command_v = -command_v
             if w.valve_unplugged:
                 command_v = 0.0
-            self._state = self._advance(self._state, command_v, self.force_ext_n + beam_n, t0_s, t1_s, self.p)
+            p = self.p
+            if self.station is not None and self.station.is_clamped(t_ns):  # a mass that no force moves
+                self._state = self._state._replace(v=0.0, a=0.0)
+                p = p._replace(cylinder=p.cylinder._replace(M=SEIZED_KG))
+            self._state = self._advance(self._state, command_v, self.force_ext_n + beam_n, t0_s, t1_s, p)
             self._plant_ns = t_ns
 
 

@@ -6,87 +6,8 @@ its names.
 
 from __future__ import annotations
 
-from enum import IntEnum
-
+from pneud.safety.fault_row import F as F  # noqa: PLC0414 - everybody takes the bits from here
 from pneud.safety.fault_row import Fault, Reaction
-
-
-class F(IntEnum):
-    """Bit numbers of the fault table; they are part of the log format and never change their meaning."""
-
-    ENCODER_MISSING = 0
-    ENCODER_CORRUPT = 1
-    ENCODER_FROZEN = 2
-    ENCODER_LATE = 3
-    ENCODER_ERROR = 4
-    ENCODER_UNREFERENCED = 5
-    PRESSURE_MISSING = 6
-    PRESSURE_CORRUPT = 7
-    PRESSURE_FROZEN = 8
-    PRESSURE_LATE = 9
-    CHAMBER_PRESSURE = 10
-    SUPPLY_PRESSURE = 11
-    VALVE_MISSING = 12
-    VALVE_CORRUPT = 13
-    VALVE_FROZEN = 14
-    VALVE_LATE = 15
-    VALVE_TIMED_OUT = 16
-    VALVE_FAULT = 17
-    VALVE_REBOOTED = 18
-    TRAVEL = 19
-    OVERSPEED = 20
-    TRACKING_ERROR = 21
-    NOT_FINITE = 22
-    COMMAND_RANGE = 23
-    DEADLINE = 24
-    LINK_DOWN = 25
-    NO_REALTIME = 26
-    RECORDER_LOST = 27
-    INTERNAL = 28
-    MOVING = 29
-    CLOCK_STEP = 30
-    SEND_FAILED = 31
-    ENCODER_JUMP = 32
-    ENCODER_LOST_REFERENCE = 33
-    UNSETTLED = 34
-    UNREACHABLE = 35
-    VALVE_ACTIVE = 36
-    OTHER_CONTROLLER = 37
-    SATURATED = 38
-    SATURATED_LONG = 39
-    BRAKING_DISTANCE = 40
-    SUPPLY_FALLING = 41
-    FORCE_DISAGREES = 42
-    VALVE_DISAGREES = 43
-    ENCODER_STUCK = 44
-    PRESSURE_STUCK = 45
-    PRESSURE_JUMP = 46
-    SEND_BLOCKED = 47
-    OVERLOADED = 48
-    EMERGENCY = 49
-    HEARTBEAT_LOST = 50
-    BUS_PASSIVE = 51
-    BUS_OFF = 52
-    IDENTIFIER_CLASH = 53
-    DISK_FULL = 54
-    CONFIG_CHANGED = 55
-    RECEIVE_OVERFLOW = 56
-    OPERATOR_LOST = 57
-    HOMING_FAILED = 58
-    CONSOLE_LOST = 59
-    ENCODER_DOUBTFUL = 60
-    PRESSURE_DOUBTFUL = 61
-    UNPROVEN = 62
-    SKEW = 63
-    LED_BEYOND = 64
-    PROGRAM = 65
-    PROGRAM_LATE = 66
-    FORCE_WINDOW = 67
-    FORCE_SPEED = 68
-    FORCE_TIMEOUT = 69
-    FORCE_DIRECTION = 70
-    SYNC_LOST = 71
-
 
 _WIRING = "check the node's power, its wiring and the bus termination"
 _NOISE = "check shielding and termination; check that no other device uses this identifier"
@@ -556,6 +477,45 @@ TABLE: tuple[Fault, ...] = (
         Reaction.CENTRE,
         'no SYNC has come for bus.sensor_timeout_ms from the controller that bus.sync = "follow" waits for',
         "start the daemon that makes SYNC on this bus, and see why it has ended",
+    ),
+    Fault(
+        F.INPUT_LOST,
+        Reaction.STOP,
+        "a message with inputs has not come for bus.input_timeout_ms, or never",
+        "check the power of the node that sends the inputs, its wiring, and how often it sends",
+    ),
+    Fault(
+        F.ENABLE_OFF,
+        Reaction.STOP,
+        'the input enable is off (with io.enable_off = "stop")',
+        "switch it on; then clear, where the axis was engaged, and arm",
+    ),
+    Fault(
+        F.ENABLE_CUT,
+        Reaction.CENTRE,
+        'the input enable is off (with io.enable_off = "centre")',
+        "switch it on; then clear, where the axis was engaged, and arm",
+    ),
+    Fault(
+        F.START_REFUSED,
+        Reaction.WARN,
+        "the input start has come on where no program can begin: not armed, none that is loaded, or one that"
+        " was stopped half way",
+        "arm; pneud run FILE --load loads a program, pneud run --resume goes on with one that was stopped",
+        clears="after 1 s",
+    ),
+    Fault(
+        F.BRAKE_STUCK,
+        Reaction.STOP,
+        "the input brake_released does not say what the brake is told, after its time and brake.feedback_s",
+        "check the brake's air or power, its valve, and the switch that tells of it",
+    ),
+    Fault(
+        F.BRAKE_UNBALANCED,
+        Reaction.STOP,
+        "the piston's force has not come to what the load takes within brake.balance_s; the brake stays"
+        " engaged",
+        "check the supply, cylinder.load_n and inclination_deg, and the mass that is carried",
     ),
 )
 

@@ -37,6 +37,8 @@ class Devices(NamedTuple):
     states: frozenset[int]  # and in which of these states it is
     nodes: bool  # some are known by their CANopen identifiers
     heartbeats: bool  # and have to send heartbeats
+    uncounted_inputs: tuple[str, ...] = ()  # messages with inputs that have no counter
+    brake_tells: bool = True  # an input says whether the brake has let go, or there is none
 
 
 class Unnoticed(NamedTuple):
@@ -55,7 +57,7 @@ class Unnoticed(NamedTuple):
 def unnoticed(d: Devices) -> list[Unnoticed]:
     """The faults that a rig's devices leave unnoticed, in order of the fault table."""
     found: dict[F, Unnoticed] = {}
-    for one in (*_of_frames(d), *_of_values(d), *_of_valve(d), *_of_bus(d)):
+    for one in (*_of_frames(d), *_of_values(d), *_of_valve(d), *_of_bus(d), *_of_station(d)):
         before = found.setdefault(one.fault, one)
         if one.wholly and not before.wholly:
             found[one.fault] = one
@@ -140,6 +142,19 @@ def _of_bus(d: Devices) -> Iterator[Unnoticed]:
         yield Unnoticed(F.EMERGENCY, "no message has a node, whose EMCY could be heard")
     if not d.heartbeats:
         yield Unnoticed(F.HEARTBEAT_LOST, "no message has heartbeat_timeout_ms")
+
+
+def _of_station(d: Devices) -> Iterator[Unnoticed]:
+    """What inputs and a brake would tell."""
+    if d.uncounted_inputs:
+        why = f"{_names(d.uncounted_inputs)} without a counter: a node that repeats itself looks alive"
+        yield Unnoticed(F.INPUT_LOST, why, wholly=False)
+    if not d.brake_tells:
+        why = (
+            "no input brake_released: a brake that does not let go shows as tracking_error, one that does not"
+            " hold in what the load does"
+        )
+        yield Unnoticed(F.BRAKE_STUCK, why)
 
 
 def _names(messages: tuple[str, ...]) -> str:

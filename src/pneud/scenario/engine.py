@@ -130,6 +130,8 @@ class Engine:
         self._roles = {codecs.sync.can_id: "sync", codecs.valve_command.can_id: "valve_command"}
         for role, ids in zip(("encoder", "pressure", "valve_status"), ids_of_nodes(codecs), strict=True):
             self._roles |= dict.fromkeys(ids, role)
+        if self.node.station is not None:
+            self._roles |= dict.fromkeys(self.node.station.ids, "outputs")
         self._last: dict[int, bytes] = {}  # the newest frame of each kind, as it was meant
         self._start_ns = self._armed_ns = self._sync_ns = -1
 
@@ -205,6 +207,8 @@ class Engine:
             node.valve.fail()
         elif isinstance(fault, kinds.BusOff) and fault.of == "controller":
             node.put(_error(t_ns, BUS_OFF))
+        elif isinstance(fault, kinds.STATION):
+            self._switch(playing, began=True)
         elif isinstance(fault, kinds.MACHINE):
             self._machine(playing.number)
         if not isinstance(fault, (*_TOUCHING, *_PHYSICAL)) and self.scenario.expect.evidence is None:
@@ -217,8 +221,22 @@ class Engine:
             node.put(Frame(t_ns, _HEARTBEAT + NODES[fault.node], bytes(1)))
         elif isinstance(fault, kinds.ValveFailure):
             node.reboot(VALVE_NODE)
+        elif isinstance(fault, kinds.STATION):
+            self._switch(playing, began=False)
         elif isinstance(fault, kinds.BusOff) and fault.of == "controller":
             node.put(_error(t_ns, RESTARTED))
+
+    def _switch(self, playing: _Playing, *, began: bool) -> None:
+        """What happens to inputs and brake; files see to it that there are such."""
+        station, fault = self.node.station, playing.fault
+        assert station is not None
+        if isinstance(fault, kinds.InputsLost):
+            station.silent = began
+        elif isinstance(fault, kinds.BrakeFault):
+            station.stuck = int(fault.stuck == "released") if began else -1
+        else:
+            bit = station.bit_of(fault.input)
+            station.inputs = station.inputs | bit if fault.on == began else station.inputs & ~bit
 
     def _disturb(self, playing: _Playing, t_ns: int) -> None:
         """What others put on the bus in this period."""

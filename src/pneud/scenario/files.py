@@ -31,7 +31,9 @@ def load_axis(
     """
     if scenario is None:
         return load(config_file or "virtual.toml", rate_hz, axis=axis)
-    return load(config_file or scenario.config, rate_hz, scenario.change, axis)
+    loaded = load(config_file or scenario.config, rate_hz, scenario.change, axis)
+    _check_station(scenario, loaded)
+    return loaded
 
 
 def load_all(config_file: str | None, rate_hz: float | None, scenario: Scenario | None) -> Together:
@@ -46,7 +48,27 @@ def load_all(config_file: str | None, rate_hz: float | None, scenario: Scenario 
     axes = load_axes(config_file or scenario.config, rate_hz, scenario.change)
     if scenario.axis is not None and scenario.axis not in [axis.config.name for axis in axes]:
         raise ConfigError(f"scenario {scenario.name}: happens to axis {scenario.axis}, which is not there")
+    _check_station(scenario, axes[place_of(scenario, axes)])
     return axes
+
+
+def _check_station(scenario: Scenario, axis: Loaded) -> None:
+    """Make sure that there are the inputs and the brake to which a scenario does something.
+
+    Raises:
+        ConfigError: there are not.
+    """
+    inputs = axis.config.bus.inputs
+    for fault in scenario.fault:
+        name = getattr(fault, "input", "")
+        if name and name not in inputs:
+            there = f"there is {', '.join(inputs)}" if inputs else "it has none"
+            of = f"scenario {scenario.name}: axis {axis.config.name}"
+            raise ConfigError(f"{of} has no input {name!r}; {there} (bus.inputs)")
+        if fault.kind == "inputs_lost" and not inputs:
+            raise ConfigError(f"scenario {scenario.name}: axis {axis.config.name} has no inputs (bus.inputs)")
+        if fault.kind == "brake_stuck" and axis.config.brake is None:
+            raise ConfigError(f"scenario {scenario.name}: axis {axis.config.name} has no [brake]")
 
 
 def place_of(scenario: Scenario | None, axes: Sequence[Loaded]) -> int:

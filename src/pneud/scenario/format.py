@@ -178,6 +178,27 @@ class Value(ChosenFault):
         return self
 
 
+class Switched(InjectedFault):
+    """An input is on, or off, for as long as that lasts; of an axis with inputs."""
+
+    kind: Literal["input"]
+    input: str
+    on: bool
+
+
+class InputsLost(InjectedFault):
+    """The node of the inputs sends nothing."""
+
+    kind: Literal["inputs_lost"]
+
+
+class BrakeFault(InjectedFault):
+    """The brake stays as it is named, whatever it is told."""
+
+    kind: Literal["brake_stuck"]
+    stuck: Literal["engaged", "released"]
+
+
 class Supply(InjectedFault):
     """The supply pressure changes [Pa, absolute]."""
 
@@ -295,9 +316,10 @@ class InterfaceFault(InjectedFault):
 
 BUS = Mishandled | Delay | Babble | BusOff | ErrorFrames
 NODES = Silence | Skip | Reboot | Emcy | Heartbeat | ValveFailure | Value
+STATION = Switched | InputsLost | BrakeFault
 PLANT = Supply | Leak | ValveStuck | Seized | Mass | FrictionFault | Force
 MACHINE = StopProcess | Overload | Kill | Operator | Hog | ClockStep | LogFull | Descriptors | InterfaceFault
-AnyFault = Annotated[BUS | NODES | PLANT | MACHINE, Field(discriminator="kind")]
+AnyFault = Annotated[BUS | NODES | STATION | PLANT | MACHINE, Field(discriminator="kind")]
 
 
 class Evidence(Section):

@@ -270,6 +270,13 @@ def _nodes(c: Config) -> Iterator[Doubt]:
             yield Doubt(key, words, False)
 
 
+def _brake(c: Config) -> Iterator[Doubt]:
+    """What a brake, or want of one, leaves to chance."""
+    if c.brake is not None and c.brake.power == "holds":
+        words = "the load is free wherever the brake gets no power: with the daemon gone, or the bus cut"
+        yield Doubt("brake.power", words, is_error=False)
+
+
 def findings(c: Config, command_lsb_v: float, bandwidth_rad_s: float) -> list[Doubt]:
     """All that is implausible, errors first.
 
@@ -283,7 +290,7 @@ def findings(c: Config, command_lsb_v: float, bandwidth_rad_s: float) -> list[Do
     believed = plant_of(knowing)._replace(
         friction=friction_of(c.control.friction), valve=axis.controller.valve
     )
-    found = [*_rig(c, believed), *_chambers(c), *_homing(c, believed), *_nodes(c)]
+    found = [*_rig(c, believed), *_chambers(c), *_homing(c, believed), *_nodes(c), *_brake(c)]
     found += [*_law(c, believed, bandwidth_rad_s), *_motion(c, axis, believed)]
     said = {finding.words for finding in found}
     true, there = truth_of(c), plant_of(c)

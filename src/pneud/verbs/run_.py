@@ -37,6 +37,9 @@ def run_(
     detach: Annotated[
         bool, typer.Option("--detach", help="Do not wait for the end; it goes on without this terminal.")
     ] = False,
+    load: Annotated[
+        bool, typer.Option("--load", help="Hand it over, for the input start to begin it.")
+    ] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Simulate it, and tell what each record comes to.")
     ] = False,
@@ -58,7 +61,7 @@ def run_(
     Raises:
         ProgramError: the program cannot be used.
     """
-    _check_options(program, record, cycles, resume=resume, dry_run=dry_run)
+    _check_options(program, record, cycles, resume=resume, dry_run=dry_run, load=load)
     if cycles is not None and not 0 <= cycles <= 1_000_000_000:
         raise VerbError(f"run: --cycles {cycles}: is a number from 0 (until it is stopped) to 1,000,000,000")
     tree = programs.tree_of(program) if program is not None else {}
@@ -74,6 +77,10 @@ def run_(
         fields |= {"program": tree, "record": first, "cycles": 1 if cycles is None else cycles}
     with Client(socket, axis) as client:
         try:
+            if load:
+                reply = client.ask("run", program=tree, load=True)
+                show(reply, json, f"{reply['state']}: loaded; the input start begins it")
+                return 0
             reply = client.ask("run", **fields)
             if detach:
                 show(reply, json, f"{reply['state']}: runs on; pneud status tells where it is")
@@ -89,9 +96,11 @@ def run_(
 
 
 def _check_options(
-    program: Path | None, record: str | None, cycles: int | None, *, resume: bool, dry_run: bool
+    program: Path | None, record: str | None, cycles: int | None, *, resume: bool, dry_run: bool, load: bool
 ) -> None:
-    if resume and (program is not None or record is not None or cycles is not None or dry_run):
+    if load and (record is not None or cycles is not None or dry_run):
+        raise VerbError("run: --load begins nothing; io.start_cycles says how often the input has it done")
+    if resume and (program is not None or record is not None or cycles is not None or dry_run or load):
         raise VerbError("run: --resume goes on with the program that was stopped, as it was begun")
     if program is None and not resume:
         raise VerbError("run: give PROGRAM, a file, or --resume")

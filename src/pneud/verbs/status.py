@@ -66,6 +66,8 @@ def in_words(s: dict[str, Any]) -> list[str]:
         )
     if s["program"]:
         lines.append(_program(s["program"]))
+    if s["station"]:
+        lines.append(_station(s["station"]))
     if s["hunting"]:
         lines.append(f"hunting ({s['hunting']['cause']}): check {s['hunting']['cure']}")
     bar = s["pressures_bar"] or dict.fromkeys(("p1", "p2", "supply"))
@@ -99,6 +101,16 @@ def _program(p: dict[str, Any]) -> str:
     """How far a program is."""
     name, stage = p["name"] or "", str(p["stage"]).replace("_", " ")
     return f"program {name}: {stage}, {where(p)}, {p['cycle']} cycles done".replace(" :", ":")
+
+
+def _station(s: dict[str, Any]) -> str:
+    """What is on of inputs and outputs, and what the brake does."""
+    on = [
+        f"{what}: {', '.join(name for name, is_on in s[what].items() if is_on) or 'none'} on"
+        for what in ("inputs", "outputs")
+        if s[what]
+    ]
+    return "; ".join([*on, *([f"brake {s['brake']}"] if s["brake"] else [])])
 
 
 def _readings(s: dict[str, Any]) -> list[str]:

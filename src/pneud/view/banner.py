@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import Enum
 from typing import NamedTuple
 
-from pneud.signals import HUNTING_CURES, Host, Record, Stage, State
+from pneud.signals import HUNTING_CURES, Hold, Host, Record, Stage, State, Station
 from pneud.view.info import Cause, ScreenInfo
 from pneud.view.text import bit_names, clean, length
 
@@ -38,7 +38,34 @@ def _keys(*own: str) -> tuple[str, ...]:
 
 
 def banner_of(record: Record | None, info: ScreenInfo, silent_s: float) -> Banner:
-    """What to say first."""
+    """What to say first; behind it what inputs and outputs say, where there are any."""
+    found = _banner_of(record, info, silent_s)
+    if record is None or record.tick.station is None:
+        return found
+    return found._replace(words=f"{found.words} ({switched(record.tick.station, info)})")
+
+
+def switched(station: Station, info: ScreenInfo) -> str:
+    """What inputs, outputs and a brake say."""
+    parts = []
+    for what, bits, names in (("in", station.inputs, info.inputs), ("out", station.outputs, info.outputs)):
+        if names:
+            parts.append(f"{what}: {', '.join(bit_names(bits, names)) or 'none'}")
+    if station.brake in _BRAKE:
+        parts.append(_BRAKE[station.brake])
+    return "; ".join(parts)
+
+
+_BRAKE: dict[int, str] = {
+    Hold.ENGAGED: "the brake holds",
+    Hold.BALANCING: "the brake holds until the piston bears the load",
+    Hold.RELEASING: "the brake lets go",
+    Hold.RELEASED: "the brake has let go",
+    Hold.ENGAGING: "the brake engages",
+}
+
+
+def _banner_of(record: Record | None, info: ScreenInfo, silent_s: float) -> Banner:
     if record is None:
         if silent_s > SILENT_S:
             words = f"no ticks for {silent_s:.1f} s: the loop does not run, or not yet"

@@ -51,6 +51,8 @@ class ScreenInfo(NamedTuple):
     quota_bytes: float = 0.0  # of the logs; 0 for no bound
     elsewhere: str = ""  # the command that shows the same in another terminal
     others: str = ""  # the other axes of the daemon, and how they are
+    inputs: tuple[str, ...] = ()  # names, by bits
+    outputs: tuple[str, ...] = ()
 
 
 def info_of(
@@ -75,6 +77,8 @@ def info_of(
         fault_names=tuple(f["faults"]),
         log_path=f["log"],
         sync=f["sync"],
+        inputs=tuple(f.get("inputs", ())),
+        outputs=tuple(f.get("outputs", ())),
         blocks_arm=int(f.get("blocks_arm", 0)),
         first_cause=first_cause,
         speed_m_s=known("speed_m_s"),

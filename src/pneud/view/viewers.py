@@ -88,7 +88,7 @@ class _Publisher:
         self._packer = Packer(header.detail)
         self._deriver = Deriver(header.fault_names)
         self._frames = FramesPacker()
-        self._events = EventSource(header.fault_names, header.realtime_offset_ns)
+        self._events = EventSource(header.fault_names, header.realtime_offset_ns, *header.switches)
         self._offset_ns = header.realtime_offset_ns
         self._channels = {
             above + topic: foxglove.Channel(

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from pneud import __version__
 from pneud.safety.faults import FAULT_NAMES
-from pneud.signals import Hunting, State
+from pneud.signals import Hold, Hunting, State
 
 TEXT = "text/plain; version=0.0.4; charset=utf-8"
 OPENMETRICS = "application/openmetrics-text; version=1.0.0; charset=utf-8"
@@ -114,6 +114,14 @@ def _state(s: Mapping[str, Any]) -> Iterator[Family]:
     cause = (s["hunting"] or {}).get("cause")
     hunting = [({"cause": one.label}, float(one.label == cause)) for one in Hunting if one]
     yield _gauge("hunting", "1 where the load swings at its target, by cause", hunting)
+    station = s.get("station")
+    if station is not None:
+        for what in ("input", "output"):
+            samples = [({what: name}, float(on)) for name, on in station[f"{what}s"].items()]
+            yield _gauge(what, f"1 for {what}s that are on", samples)
+        if station["brake"]:
+            brake = [({"hold": one.label}, float(station["brake"] == one.label)) for one in Hold if one]
+            yield _gauge("brake", "1 for what the brake does", brake)
     yield _gauge("commanded", "1 while somebody holds the lease", _value(s["lease"] is not None))
     yield _gauge(
         "config_changed", "1 where the file is no longer what was loaded", _value(s["config_changed"])

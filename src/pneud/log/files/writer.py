@@ -55,7 +55,7 @@ class LogWriter:
         self._frames = FramesPacker()
         self._batch_ns = 0  # log time of its last record
         self._batch_number = 0  # of the record whose frames are the first in `_frames`
-        self._events = EventSource(header.fault_names, header.realtime_offset_ns)
+        self._events = EventSource(header.fault_names, header.realtime_offset_ns, *header.switches)
         self._number = 0
         self._flushed_ns = self._synced_ns = time.monotonic_ns()
         self._blocked_ns = 0

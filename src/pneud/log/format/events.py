@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from pneud.log.format.records import LoggedEvent
 from pneud.log.format.schema import Level
-from pneud.signals import HUNTING_CURES, Answer, Defect, Hunting, Record, RequestKind, State
+from pneud.signals import HUNTING_CURES, Answer, Defect, Hold, Hunting, Record, RequestKind, State, Station
 
 _QUIET_NS = 1_000_000_000
 _ODD, _CONFIRMED = int(Defect.ODD), int(Defect.CONFIRMED)
@@ -33,8 +33,16 @@ class _Limiter:
 class EventSource:
     """Watches the records of one run."""
 
-    def __init__(self, fault_names: tuple[str, ...], offset_ns: int) -> None:
+    def __init__(
+        self,
+        fault_names: tuple[str, ...],
+        offset_ns: int,
+        inputs: Sequence[str] = (),
+        outputs: Sequence[str] = (),
+    ) -> None:
         self._names = fault_names
+        self._switches = (("inputs", tuple(inputs)), ("outputs", tuple(outputs)))
+        self._station: Station | None = None
         self._offset_ns = offset_ns
         self._limiter = _Limiter()
         self._state = -1
@@ -62,6 +70,8 @@ class EventSource:
             yield self._state_change(t_ns, tick.state)
         if tick.latched != self._latched or tick.present != self._present:
             yield from self._fault_changes(t_ns, tick.present, tick.latched)
+        if tick.station is not None and tick.station != self._station:
+            yield from self._switched(t_ns, tick.station)
         if tick.measurement.skipped:
             yield from self.message(t_ns, Level.WARNING, "loop", f"skipped {tick.measurement.skipped} ticks")
         if tick.hunting != self._hunting:
@@ -91,6 +101,16 @@ class EventSource:
         words = label if old < 0 else f"{_label(State, old)} → {label}"
         return self._event(t_ns, Level.ERROR if state == State.FAULT else Level.INFO, "state", words)
 
+    def _switched(self, t_ns: int, station: Station) -> Iterator[LoggedEvent]:
+        before, self._station = self._station or Station(0, 0, int(Hold.NONE)), station
+        for (what, names), was, now in zip(self._switches, before, station, strict=False):
+            for bit in _bits(was ^ now):
+                name = names[bit] if bit < len(names) else str(bit)
+                words = f"{name} {'on' if now >> bit & 1 else 'off'}"
+                yield from self.message(t_ns, Level.INFO, what, words)
+        if before.brake != station.brake:
+            yield self._event(t_ns, Level.INFO, "brake", _label(Hold, station.brake))
+
     def _fault_changes(self, t_ns: int, present: int, latched: int) -> Iterator[LoggedEvent]:
         for bit in _bits(latched & ~self._latched):
             yield self._event(t_ns, Level.ERROR, "fault", f"{self._fault(bit)} latched")
@@ -116,7 +136,7 @@ class EventSource:
         return LoggedEvent(t_ns + self._offset_ns, level, name, words)
 
 
-def _label(names: type[Answer | Hunting | RequestKind | State], value: int) -> str:
+def _label(names: type[Answer | Hold | Hunting | RequestKind | State], value: int) -> str:
     try:
         return names(value).name.lower()
     except ValueError:

@@ -27,6 +27,11 @@ class LogHeader(NamedTuple):
     realtime_offset_ns: int  # Unix time minus monotonic time, constant within a log; 0 for simulated time
     extra: dict[str, str]  # further metadata: the seed, the scenario, …
 
+    @property
+    def switches(self) -> tuple[list[str], list[str]]:
+        """Names of inputs and outputs, by their bits."""
+        return self.extra.get("inputs", "").split(), self.extra.get("outputs", "").split()
+
 
 class Rotation(NamedTuple):
     """How a log is split into parts, and what is kept of them."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-SCHEMA = 6  # number of the fields that there are
-READABLE = frozenset({"2", "3", "4", "5", "6"})  # fields that a message of one of them lacks are read as 0
+SCHEMA = 7  # number of the fields that there are
+READABLE = frozenset(
+    {"2", "3", "4", "5", "6", "7"}
+)  # fields that a message of one of them lacks are read as 0
 
 MEANINGS: dict[str, str] = {
     "t_ns": "this tick's SYNC, CLOCK_MONOTONIC",
@@ -78,6 +80,11 @@ MEANINGS: dict[str, str] = {
     "program.stage": "of the program: 1 stopped, 2 ended, 3 under way, 4 done and waiting for other axes,"
     " 5 the next record is due, 6 late",
     "program.outputs": "bits of what the program puts out",
+    "station.inputs": "bits of the inputs that are on, as bus.inputs names them; only an axis with inputs or"
+    " outputs has these",
+    "station.outputs": "bits of the outputs, as bus.outputs names them",
+    "station.brake": "0 there is none, 1 engaged, 2 engaged while the piston comes to bear the load,"
+    " 3 releasing, 4 released, 5 engaging",
     "request.kind": "what was asked for; only ticks with a request have it",
     "request.values": "its numbers",
 }

@@ -17,6 +17,7 @@ from pneud.signals import (
     Record,
     Reference,
     Request,
+    Station,
     Tick,
     Timing,
     Told,
@@ -106,10 +107,13 @@ def record_of(
     more: tuple[int, int] = (0, 0),
     told: Told | None = None,
     program: Progress | None = None,
+    station: Station | None = None,
 ) -> Record:
     """The record with these numbers and `beyond`; what stands behind those of `NUMBERS` is left out."""
     m, e, r, c, timing = [of._make(numbers[place]) for of, place in _PLACES]
     state, present, latched, answer, truth_m, in_position, hunting = numbers[_STATE : len(NUMBERS)]
     present, latched = present | more[0] << WORD_BITS, latched | more[1] << WORD_BITS
     tick = Tick(numbers[0], m, request, e, r, c, state, present, latched, answer, in_position, hunting)
-    return Record(tick._replace(told=told, program=program), timing, frames, before, sent, truth_m)
+    return Record(
+        tick._replace(told=told, program=program, station=station), timing, frames, before, sent, truth_m
+    )

@@ -22,6 +22,7 @@ from pneud.log.format.schema import (
     PROGRAM,
     REQUEST,
     SOMETIMES,
+    STATION,
     TOLD,
     Field,
     Level,
@@ -37,6 +38,7 @@ from pneud.signals import (
     Record,
     Reference,
     Request,
+    Station,
     Tick,
     Timing,
     Told,
@@ -126,6 +128,7 @@ class Else(NamedTuple):
     more: tuple[int, int] = _NO_MORE  # as `beyond` says
     told: Told | None = None
     program: Progress | None = None
+    station: Station | None = None
 
 
 NOTHING_ELSE = Else()
@@ -176,7 +179,9 @@ class TickLayout:
         told = Told._make(getattr(t.told, name) for name in Told._fields) if t.HasField(TOLD) else None
         p = t.program if t.HasField(PROGRAM) else None
         program = Progress(p.step, p.lap, p.stage, p.outputs) if p is not None else None
-        return (*self._values(t), Else(asked, (t.present_more, t.latched_more), told, program))
+        s = t.station if t.HasField(STATION) else None
+        station = Station(s.inputs, s.outputs, s.brake) if s is not None else None
+        return (*self._values(t), Else(asked, (t.present_more, t.latched_more), told, program, station))
 
 
 def _as_float(value: float) -> float:
@@ -203,9 +208,10 @@ def _told(told: Told) -> bytes:
     return varint(1 + _FIELDS.index(TOLD) << 3 | 2) + varint(len(body)) + body
 
 
-def _program(program: Progress) -> bytes:
-    body = b"".join(bytes((number << 3,)) + varint(value) for number, value in enumerate(program, 1))
-    return varint(1 + _FIELDS.index(PROGRAM) << 3 | 2) + varint(len(body)) + body
+def _small(name: str, numbers: tuple[int, ...]) -> bytes:
+    """A part of a few numbers, none of them negative."""
+    body = b"".join(bytes((number << 3,)) + varint(value) for number, value in enumerate(numbers, 1))
+    return varint(1 + _FIELDS.index(name) << 3 | 2) + varint(len(body)) + body
 
 
 def _beyond(more: tuple[int, int]) -> bytes:
@@ -233,7 +239,9 @@ class Packer:
         more = beyond(tick)
         if more != _NO_MORE:
             packed += _beyond(more)
-        return packed if tick.program is None else packed + _program(tick.program)
+        if tick.program is not None:
+            packed += _small(PROGRAM, tick.program)
+        return packed if tick.station is None else packed + _small(STATION, tick.station)
 
 
 _Log = message_class("foxglove.Log")
@@ -283,6 +291,7 @@ class LoggedTick(NamedTuple):
     hunting: int
     told: Told | None
     program: Progress | None
+    station: Station | None
     # as in `Record`
     timing: Timing
     frames: tuple[Frame, ...]
@@ -389,8 +398,8 @@ def logged(
         first_ns: where `t_s` begins.
         fault_names: by bit.
     """
-    check, (request, more, told, program) = values[len(NUMBERS) :]
-    record = record_of(values, request, *frames, more, told, program)
+    check, (request, more, told, program, station) = values[len(NUMBERS) :]
+    record = record_of(values, request, *frames, more, told, program, station)
     t_s, bits = 1e-9 * (values[0] - first_ns), record.tick.present | record.tick.latched
     names = names_of(bits, fault_names)
     return LoggedTick(message.number, message.log_time_ns, check, *record.tick, *record[1:], t_s, names)

@@ -22,7 +22,7 @@ from google.protobuf.descriptor_pb2 import (
 from pneud.log.format.header import Detail
 from pneud.log.format.meanings import meaning_of, unit_of
 from pneud.log.format.record_layout import NUMBERS, PARTS
-from pneud.signals import Answer, Hunting, Progress, RequestKind, Stage, State, Told
+from pneud.signals import Answer, Hold, Hunting, Progress, RequestKind, Stage, State, Station, Told
 
 METADATA = "pneud"  # name of the metadata on the run
 SETUP = "setup"  # name of the metadata on the real-time set-up
@@ -57,9 +57,9 @@ _TYPES = {"q": F.TYPE_SFIXED64, "Q": F.TYPE_FIXED64, "I": F.TYPE_FIXED32, "B": F
 _ENUMS = {"state": "State", "answer": "Answer", "hunting": "Hunting"}
 STANDING = ("in_position", "hunting")  # fields that messages of schema 2 lack: they stand behind the others
 WITHOUT_STANDING = frozenset({"2"})
-TOLD, PROGRAM = "told", "program"
+TOLD, PROGRAM, STATION = "told", "program", "station"
 BEYOND = ("present_more", "latched_more")
-SOMETIMES = (REQUEST, TOLD, *BEYOND, PROGRAM)
+SOMETIMES = (REQUEST, TOLD, *BEYOND, PROGRAM, STATION)
 """Fields that only ticks have in which there is something to say: a request, another axis, and so on."""
 
 
@@ -97,6 +97,7 @@ def tick_fields(detail: Detail) -> tuple[str, list[Field], dict[str, list[Field]
     fields += [Field("check", F.TYPE_FIXED32), Field(REQUEST, F.TYPE_MESSAGE, f"{name}.Request"), *later]
     fields += [Field(TOLD, F.TYPE_MESSAGE, f"{name}.Told"), *(Field(more, F.TYPE_FIXED64) for more in BEYOND)]
     fields.append(Field(PROGRAM, F.TYPE_MESSAGE, f"{name}.Progress"))
+    fields.append(Field(STATION, F.TYPE_MESSAGE, f"{name}.Station"))
     nested["Request"] = [
         Field("kind", F.TYPE_ENUM, "RequestKind"),
         Field("values", F.TYPE_DOUBLE, repeated=True),
@@ -107,6 +108,10 @@ def tick_fields(detail: Detail) -> tuple[str, list[Field], dict[str, list[Field]
     nested["Progress"] = [
         Field(own, *((F.TYPE_ENUM, "Stage") if own == "stage" else (F.TYPE_UINT32,)))
         for own in Progress._fields
+    ]
+    nested["Station"] = [
+        Field(own, *((F.TYPE_ENUM, "Hold") if own == "brake" else (F.TYPE_UINT32,)))
+        for own in Station._fields
     ]
     return name, fields, nested
 
@@ -186,6 +191,7 @@ def _pneud_file(derived: bool = False) -> FileDescriptorProto:
     file.enum_type.append(_enum("Answer", "ANSWER_", Answer))
     file.enum_type.append(_enum("Hunting", "HUNTING_", Hunting))
     file.enum_type.append(_enum("Stage", "STAGE_", Stage))
+    file.enum_type.append(_enum("Hold", "HOLD_", Hold))
     file.message_type.append(_tick_message("compact", derived))
     file.message_type.append(_tick_message("full", derived))
     file.message_type.append(_message("Column", _COLUMN))

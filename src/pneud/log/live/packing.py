@@ -22,6 +22,7 @@ from pneud.signals import (
     Record,
     Reference,
     Request,
+    Station,
     Tick,
     Timing,
     Told,
@@ -63,7 +64,7 @@ def unpacked(data: bytes) -> Record:
         EOFError, TypeError or ValueError: it is none.
     """
     tick, timing, frames, before, sent, truth_m = loads(data)
-    t_ns, measurement, request, estimate, reference, command, *rest, told, program = tick
+    t_ns, measurement, request, estimate, reference, command, *rest, told, program, station = tick
     parts = (
         t_ns,
         Measurement._make(measurement),
@@ -74,6 +75,7 @@ def unpacked(data: bytes) -> Record:
         *rest,
         None if told is None else Told._make(told),
         None if program is None else Progress._make(program),
+        None if station is None else Station._make(station),
     )
     return Record(
         Tick._make(parts),
