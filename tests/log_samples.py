@@ -24,6 +24,7 @@ from pneud.signals import (
     Command,
     Estimate,
     Frame,
+    Hold,
     Hunting,
     Measurement,
     Progress,
@@ -33,6 +34,7 @@ from pneud.signals import (
     RequestKind,
     Stage,
     State,
+    Station,
     Tick,
     Timing,
     Told,
@@ -172,6 +174,7 @@ _ticks = st.builds(
     st.sampled_from(Hunting).map(int),
     st.none() | _filled(Told),
     st.none() | st.builds(Progress, _word, _word, st.sampled_from(Stage).map(int), _word),
+    st.none() | st.builds(Station, _word, _word, st.sampled_from(Hold).map(int)),
 )
 
 

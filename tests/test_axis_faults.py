@@ -49,8 +49,8 @@ def test_the_fault_centres_at_once_and_holds_until_it_is_cleared(case: Case) -> 
 
 
 def test_every_row_that_centres_has_a_case() -> None:
-    # these have their cases among the tests of homing, and of ticks by another daemon's SYNC
-    provoked = {case.fault for case in CENTRING} | {F.HOMING_FAILED, F.SYNC_LOST}
+    # these have their cases among the tests of homing, of ticks by another daemon's SYNC, and of inputs
+    provoked = {case.fault for case in CENTRING} | {F.HOMING_FAILED, F.SYNC_LOST, F.ENABLE_CUT}
     assert provoked == {f.bit for f in TABLE if f.reaction == Reaction.CENTRE}
 
 
@@ -61,12 +61,13 @@ def test_every_other_row_is_provoked_too() -> None:
         F.PROGRAM,
         F.PROGRAM_LATE,
         *(F.FORCE_WINDOW, F.FORCE_SPEED, F.FORCE_TIMEOUT, F.FORCE_DIRECTION),
-    }  # by tests of axes that are led, of programs, and of pressing
+        *(F.INPUT_LOST, F.ENABLE_OFF, F.BRAKE_STUCK, F.BRAKE_UNBALANCED),
+    }  # by tests of axes that are led, of programs, of pressing, and of inputs and a brake
     stopping = {f.bit for f in TABLE if f.reaction == Reaction.STOP}
     assert {case.fault for case in STOPPING} | elsewhere == stopping
     assert {case.fault for case in BLOCKING} == {f.bit for f in TABLE if f.reaction == Reaction.NO_ARM}
     # these have tests of their own
-    provoked = {case.fault for case in WARNING} | {F.SATURATED, F.OPERATOR_LOST}
+    provoked = {case.fault for case in WARNING} | {F.SATURATED, F.OPERATOR_LOST, F.START_REFUSED}
     assert provoked == {f.bit for f in TABLE if f.reaction in (Reaction.WARN, Reaction.LIMIT)}
 
 

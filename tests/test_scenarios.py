@@ -28,7 +28,7 @@ from pneud.safety.faults import FAULT_NAMES, TABLE
 from pneud.scenario import verdict
 from pneud.scenario.engine import Engine
 from pneud.scenario.files import load_scenario
-from pneud.scenario.format import BUS, MACHINE, NODES, PLANT, Scenario
+from pneud.scenario.format import BUS, MACHINE, NODES, PLANT, STATION, Scenario
 from pneud.signals import Frame, State, ValveState
 
 FILES = sorted(path.stem for path in resources.scenarios().glob("*.toml"))
@@ -94,7 +94,7 @@ def test_a_scenario_expects_the_reaction_of_the_table() -> None:
 def test_every_kind_of_fault_is_in_a_scenario() -> None:
     kinds = {
         kind
-        for cls in get_args(BUS | NODES | PLANT | MACHINE)
+        for cls in get_args(BUS | NODES | STATION | PLANT | MACHINE)
         for kind in get_args(cls.model_fields["kind"].annotation)
     }
     assert kinds == {fault.kind for scenario in scenarios() for fault in scenario.fault}

@@ -8,7 +8,16 @@ from __future__ import annotations
 
 from pneud.axis.doubt import listen
 from pneud.axis.guidance import NO_REFERENCE, Course, guide, redirect
-from pneud.axis.interlock import attend, carried, is_held, may_let_go, settled, stationed, taken_over
+from pneud.axis.interlock import (
+    attend,
+    carried,
+    is_held,
+    may_let_go,
+    settled,
+    stationed,
+    stilled,
+    taken_over,
+)
 from pneud.axis.mileage import LOOK_NS, SETTLED_NS, Odometer, count
 from pneud.axis.programs import ENDS, FIRST_KIND, asked_of, proceed, put, started
 from pneud.axis.requests import ARM, BLOCKED, HOME, NOTHING, PROBE, TAKEN, Asked
@@ -20,7 +29,6 @@ from pneud.control import force, homing, probe
 from pneud.control.leading import ALONE, NOT_LED, aim, is_at_rest
 from pneud.control.plan import FOLLOWING, IDLE, LED, NONE, Plan
 from pneud.control.program import DUE, UNDER_WAY, Run, halted, look, progress, stopped
-from pneud.control.reference import rest
 from pneud.control.step import Controller, forget, unlearnt
 from pneud.safety import checks
 from pneud.safety.brake import ENGAGING, Brake
@@ -58,7 +66,6 @@ __all__ = ["FOLLOWING", "Axis", "AxisParameters", "AxisState"]
 SATURATED, NOT_FINITE = 1 << F.SATURATED, 1 << F.NOT_FINITE
 CENTRED_COMMAND = Command(voltage_v=0.0, enable=0, saturated=0, law_v=NAN, s=NAN, ustar=NAN)
 REACHED = AT_WORK._replace(in_position=1)  # the force that is asked for
-NOT_ASKED = Judged(Inputs(), False, 0)  # of inputs that there are none
 
 
 def cycle(
@@ -89,18 +96,13 @@ def cycle(
     belief, seen, lasting, present = sense(state, m, arming, t_ns, p)
     outside_m = outside(state.outside_m, m.position_m, is_engaged(before.state), p.limits)
     spared = excused(outside_m, m.position_m, belief.estimate, p.limits)
-    judged = NOT_ASKED
-    if p.roles.used or p.brake.used:
-        state, judged = attend(state, belief, heard, t_ns, p)
-        present |= judged.faults
+    state, judged = attend(state, belief, heard, t_ns, p)
     if spared or state.pressed or is_held(state.brake, p):
         lasting &= UNHELD
     watch, lasted = remember(state.watch, seen, lasting, m.t_ns, p.limits)
     present -= present & spared
-    present |= lasted | doubtful | checks.of_host(m.host)
-    course = guide(state, belief, m, present, p, told)
-    if before.state == PRESSING and is_held(state.brake, p):
-        course = course._replace(reference=rest(belief.estimate.position_m))  # whatever is estimated
+    present |= lasted | doubtful | judged.faults | checks.of_host(m.host)
+    course = stilled(guide(state, belief, m, present, p, told), state, belief, p)
     if course.found:
         watch = forget_position(watch)
     asked, run, inputs = heed(state, request, course, belief, judged, t_ns, p)
@@ -118,16 +120,13 @@ def cycle(
     if present & NOT_FINITE:
         driven = driven._replace(controller=None)  # it would remember
     if run.stage >= UNDER_WAY:
-        run = observed(
-            run, t_ns, after.state, course, belief.estimate, state.standing.in_position, inputs, law
-        )
+        run = observed(run, t_ns, after.state, course, belief.estimate, state.standing, inputs, law)
     reference = aim(course.reference, course.led, p.leading)
     stood = stand(state, after.state, belief, reference, course, driven.command, t_ns, p)
     done = state.odometer
     if t_ns - done.looked_ns >= LOOK_NS:
         done = counted(state, belief, m, course.found, is_engaged(after.state), t_ns)
-    if p.roles.used or p.brake.used:
-        state = settled(state, inputs, m, belief, course, after.state, stood, t_ns, p)
+    state = settled(state, inputs, m, belief, course, after.state, stood, t_ns, p)
     tick = Tick(
         t_ns=t_ns,
         measurement=m,
@@ -255,7 +254,7 @@ def observed(
     now: int,
     course: Course,
     e: Estimate,
-    in_position: int,
+    standing: Standing,
     inputs: Inputs,
     law: Controller,
 ) -> Run:
@@ -267,12 +266,12 @@ def observed(
         now: state of this tick.
         course: where the axis is led.
         e: the estimate.
-        in_position: as of the last tick.
+        standing: how the load stood at its target in the last tick.
         inputs: as they are.
         law: with its cylinder.
     """
-    rod_force_n = law.cylinder.rod_force_n
-    return look(run, t_ns, now, course.plan.phase, in_position, e, course.reference, inputs.bits, rod_force_n)
+    c, r = law.cylinder, course.reference
+    return look(run, t_ns, now, course.plan.phase, standing.in_position, e, r, inputs.bits, c.rod_force_n)
 
 
 def stand(

@@ -16,6 +16,7 @@ from pneud.control.force import Aim, Press
 from pneud.control.leading import aim
 from pneud.control.plan import GOING, JOINING
 from pneud.control.program import Run
+from pneud.control.reference import rest
 from pneud.control.step import Controller, as_learnt, join_in_motion
 from pneud.physics.valve import dead_zone_inverse
 from pneud.safety import brake, station
@@ -35,6 +36,8 @@ from pneud.safety.supervisor import (
     is_engaged,
 )
 from pneud.signals import Command, Estimate, Heard, Measurement, Station
+
+NOT_ASKED = Judged(Inputs(), False, 0)  # of inputs that there are none
 
 
 def is_held(b: Brake, p: AxisParameters) -> bool:
@@ -66,6 +69,20 @@ def waiting(state: AxisState, belief: Belief) -> AxisState:
     if now != STOPPING and state.plan.phase in (GOING, JOINING):
         return state._replace(plan=state.plan._replace(since_ns=now_ns))
     return state
+
+
+def stilled(course: Course, state: AxisState, belief: Belief, p: AxisParameters) -> Course:
+    """The course of an axis that is to press and whose brake holds: it stands, whatever is estimated.
+
+    Args:
+        course: where the axis is led.
+        state: after the last tick, with the brake.
+        belief: what is known of the load.
+        p: parameters.
+    """
+    if state.supervisor.state != PRESSING or not is_held(state.brake, p):
+        return course
+    return course._replace(reference=rest(belief.estimate.position_m))
 
 
 def may_let_go(b: Brake, s: Supervisor, present: int, kind: int, p: AxisParameters) -> bool:
@@ -186,6 +203,8 @@ def attend(
         t_ns: instant of this tick's SYNC.
         p: parameters.
     """
+    if not p.roles.used and not p.brake.used:
+        return state, NOT_ASKED
     judged = station.judge(state.inputs, heard, t_ns, p.roles)
     if p.brake.used:
         now, faults = brake.judge(state.brake, judged.inputs.bits, t_ns, p.brake)
@@ -221,7 +240,7 @@ def settled(
         p: parameters.
     """
     if not p.brake.used:
-        return state._replace(inputs=inputs)
+        return state._replace(inputs=inputs) if p.roles.used else state
     balance = state.balance
     if is_engaged(after) and is_held(state.brake, p):
         balance = balanced(state, m, belief, p)
