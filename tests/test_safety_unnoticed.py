@@ -57,6 +57,8 @@ def test_who_tells_everything_leaves_nothing() -> None:
             {"status": False, "second": True, "homed": True},
             {F.ENCODER_ERROR: False, F.ENCODER_LOST_REFERENCE: True},
         ),
+        ({"uncounted_inputs": ("I",)}, {F.INPUT_LOST: False}),
+        ({"brake_tells": False}, {F.BRAKE_STUCK: True}),
         ({"supply": False}, {F.SUPPLY_PRESSURE: True, F.SUPPLY_FALLING: True}),
         ({"applied": False}, {F.VALVE_DISAGREES: True, F.VALVE_ACTIVE: False}),
         ({"nodes": False}, {F.EMERGENCY: True}),

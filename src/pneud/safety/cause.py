@@ -84,6 +84,7 @@ _STORIES = (
         for source, of in zip(_SENSES, (_OF_ENCODER, _OF_PRESSURE, _OF_VALVE), strict=True)
     ),
     _Story(("valve_fault",), _OF_VALVE),
+    _Story(("brake_stuck",), ("tracking_error", "encoder_stuck", "force_disagrees", "encoder_jump")),
     _Story(("supply_falling",), ("supply_pressure", "chamber_pressure", "saturated", "saturated_long")),
     _Story(("supply_pressure",), ("chamber_pressure", "saturated", "saturated_long", "tracking_error")),
 )

@@ -66,7 +66,7 @@ def in_words(s: dict[str, Any]) -> list[str]:
         )
     if s["program"]:
         lines.append(_program(s["program"]))
-    if s["station"]:
+    if s.get("station"):
         lines.append(_station(s["station"]))
     if s["hunting"]:
         lines.append(f"hunting ({s['hunting']['cause']}): check {s['hunting']['cure']}")
