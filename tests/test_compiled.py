@@ -419,6 +419,20 @@ def test_python_is_called_for_requests_and_changes_of_state_only() -> None:
     assert {phase for _, phase in seen} >= {NONE, JOINING, FOLLOWING, COMING_TO_REST, GOING, RESTING}
 
 
+def test_a_tick_can_be_rehearsed_and_changes_nothing() -> None:
+    rig, python = Rig(), Rig()
+    rig.axis = compiled().axis(PARAMETERS)
+    rig.tick()
+    python.tick()
+    for i in range(300):
+        request = (ARM, 1.0) if i == 100 else (0,)
+        tick = rig.tick(*request)
+        assert repr(tick) == repr(python.tick(*request))
+        assert rig.axis.rehearse(tick.measurement, tick.t_ns)
+        assert not python.axis.rehearse(tick.measurement, tick.t_ns)
+    assert tick.state == State.TRACKING
+
+
 def test_c_follows_a_long_profile() -> None:
     left = compile_functions(FUNCTIONS, cache=cache_folder("compiled")).left
     rig, other = Rig(), Rig()

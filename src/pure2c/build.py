@@ -45,7 +45,7 @@ class Built(NamedTuple):
     functions: tuple[Callable[..., Any], ...]  # in the order of the originals
     left: Callable[[], tuple[int, ...]]  # how often each has been left to its original
     identity: bytes  # of all that they depend on, and of the library itself
-    rehearsals: tuple[Callable[..., None], ...]  # as those do it that hold, and for nothing
+    rehearsals: tuple[Callable[..., bool], ...]  # as those do it that hold, and for nothing
 
 
 def compile_functions(
@@ -91,8 +91,9 @@ def compile_functions(
     return Built(tuple(made), module.left, identity, rehearsals)
 
 
-def _nothing(*_: object) -> None:
+def _nothing(*_: object) -> bool:
     """The rehearsal of a function that holds no record."""
+    return False
 
 
 def load_source(source: Path, *, cache: Path) -> Any:

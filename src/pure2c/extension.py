@@ -235,9 +235,9 @@ class Extension:
             f"  }}\n  left_[{index}]++;\n"
             f"  return without_held(PyTuple_GET_ITEM(originals_, {index}), args, n);\n}}\n"
             f"static PyObject *rehearse_{index}(PyObject *self, PyObject *const *args, Py_ssize_t n) {{\n"
-            f"{declared}  if ({reached}) {{\n    failed_ = 0;\n    {called}\n"
+            f"{declared}  int done = 0;\n  if ({reached}) {{\n    failed_ = 0;\n    {called}\n"
             f"    if (!failed_) {{ {' '.join(f'Py_XDECREF({one});' for one in given)} }}\n"
-            "  }\n  PyErr_Clear();\n  Py_RETURN_NONE;\n}\n"
+            "    done = !failed_;\n  }\n  PyErr_Clear();\n  return PyBool_FromLong(done);\n}\n"
         )
 
     def _held(self, t: Any) -> str:

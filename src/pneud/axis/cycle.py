@@ -6,6 +6,8 @@ function, and its whole state is one record.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from pneud.axis.doubt import listen
 from pneud.axis.guidance import NO_REFERENCE, Course, guide, redirect
 from pneud.axis.interlock import (
@@ -446,6 +448,7 @@ class Axis:
 
     _cycle = staticmethod(cycle)
     _whole = staticmethod(itself)
+    _rehearsal: Callable[..., bool] | None = None  # as `_cycle`, for nothing
 
     def __init__(self, parameters: AxisParameters) -> None:
         """An axis that has just been switched on."""
@@ -480,13 +483,15 @@ class Axis:
         """Go on from a frozen state."""
         self.state = state
 
-    def rehearse(self, m: Measurement, t_ns: int) -> None:
-        """Compute a tick that nothing comes of, where that takes less time than there is.
+    def rehearse(self, m: Measurement, t_ns: int) -> bool:
+        """Compute a tick that nothing comes of, where that takes less time than there is; whether it did.
 
         Args:
             m: any measurement, such as the last one.
             t_ns: instant of this tick's SYNC.
         """
+        rehearsal = self._rehearsal
+        return rehearsal is not None and rehearsal(self._state, m, None, t_ns, self.parameters, None, None)
 
     def cycle(
         self,

@@ -105,24 +105,16 @@ def built(cache: Path) -> Backend:
     made = compile_functions(FUNCTIONS, cache=cache, holding=True)
     kept, advance = made.functions
     frames = load_source(wire.SOURCE, cache=cache)
+    parts = {"_cycle": kept, "_whole": whole, "_rehearsal": made.rehearsals[0]}
+    methods = {name: staticmethod(part) for name, part in parts.items()}
     return Backend(
-        _axis_of(kept, made.rehearsals[0]),
+        type("CompiledAxis", (Axis,), methods),
         advance,
         wire.Carriage(frames.receive, frames.send),
         load_source(packing.SOURCE, cache=cache).pack,
         "compiled",
         identity=made.identity,
     )
-
-
-def _axis_of(kept: Callable[..., Any], rehearsal: Callable[..., None]) -> type[Axis]:
-    """The axis with a compiled cycle, which leaves the state in C, and its rehearsal."""
-
-    def rehearse(axis: Axis, m: Measurement, t_ns: int) -> None:
-        rehearsal(axis._state, m, None, t_ns, axis.parameters, None, None)
-
-    methods = {"_cycle": staticmethod(kept), "_whole": staticmethod(whole), "rehearse": rehearse}
-    return type("CompiledAxis", (Axis,), methods)
 
 
 def whole(state: Any) -> AxisState:
