@@ -429,17 +429,17 @@ def pressing_of(c: Config) -> Pressing:
     gauge_pa = g.supply_pa - g.atmosphere_pa
     out_n, in_n = gauge_pa * k.A1, gauge_pa * k.A2
     most_n = asked.most_n or math.inf
-    usual = min(max(out_n, in_n) / RAMP_S, RAMP_SHARE * k.F1_nominal * c.valve.u_max_v)
     return Pressing(
         out_n=min(most_n, FORCE_SHARE * out_n),
         in_n=min(most_n, FORCE_SHARE * in_n),
-        rate_n_s=asked.rate_n_s or usual,
+        rate_n_s=asked.rate_n_s or max(out_n, in_n) / RAMP_S,
         speed_m_s=min(asked.speed_m_s, c.limits.speed_m_s),
         time_s=asked.time_s,
         tolerance_n=asked.tolerance_n or LEAST_FORCE_N,
         share=0.0 if asked.tolerance_n else FORCE_TOLERANCE,
         settled_ns=round(c.in_position.time_s * 1e9),
         free_n=min(FREE_SHARE * max(out_n, in_n), 0.5 * c.limits.disagreement_n),
+        valve_n_s=math.inf if asked.rate_n_s else RAMP_SHARE * k.F1_nominal * c.valve.u_max_v,
     )
 
 

@@ -41,6 +41,7 @@ AT_ONCE = 2.0  # times the speed that is asked for are too much at once
 WRONG_SHARE, WRONG_MOST = 0.2, 0.05  # of the way of the force, and of the piston's force: the wrong way
 WRONG_M = 0.01  # likewise of the load
 LEAST_RATE_N_S = 1.0
+LEAST_PLACE = 0.02  # of the stroke and its dead lengths: no chamber counts as shorter
 FREE_M_S = 0.01
 
 
@@ -56,6 +57,7 @@ class Pressing(NamedTuple):
     share: float = 0.01  # and as a part of it
     settled_ns: int = 0  # for so long
     free_n: float = 0.0  # beside its load, what moves with less is not pressed against anything
+    valve_n_s: float = math.inf  # where no ramp is asked for: no faster at mid-stroke, and elsewhere accordingly
 
 
 class Aim(NamedTuple):
@@ -105,6 +107,23 @@ def piston_n(e: Estimate, c: Controller) -> float:
     """Force of the piston on the load [N], positive outwards."""
     x3_n = e.x3_hat_n if c.use_x3_hat else e.x3_n
     return x3_n - c.cylinder.rod_force_n
+
+
+def usual_rate_n_s(force_n: float, e: Estimate, k: Pressing, c: Controller) -> float:
+    """Ramp that leads to a force where none is asked for: about as fast as valve and chambers let it.
+
+    Both chambers are smallest for what the valve lets through where F1 is greatest, near the ends of the stroke.
+
+    Args:
+        force_n: that is wanted.
+        e: the estimate.
+        k: what may be asked for.
+        c: the controller's parameters.
+    """
+    L = c.cylinder.L
+    x1 = max(LEAST_PLACE * L, min((1.0 - LEAST_PLACE) * L, e.position_m + c.cylinder.x_e1))
+    here_n_s = k.valve_n_s * 0.25 * L * (1.0 / x1 + 1.0 / (L - x1))
+    return max(LEAST_RATE_N_S, min(k.rate_n_s, here_n_s, abs(force_n - piston_n(e, c)) / SHORTEST_S))
 
 
 def is_free(e: Estimate, load_n: float, p: Pressing) -> bool:
