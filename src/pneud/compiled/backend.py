@@ -105,7 +105,7 @@ def built(cache: Path) -> Backend:
     made = compile_functions(FUNCTIONS, cache=cache, holding=True)
     kept, advance = made.functions
     frames = load_source(wire.SOURCE, cache=cache)
-    parts = {"_cycle": kept, "_whole": whole, "_rehearsal": made.rehearsals[0]}
+    parts: dict[str, Callable[..., Any]] = {"_cycle": kept, "_whole": whole, "_rehearsal": made.rehearsals[0]}
     methods = {name: staticmethod(part) for name, part in parts.items()}
     return Backend(
         type("CompiledAxis", (Axis,), methods),

@@ -373,7 +373,7 @@ class PressConfig(Section):
 
     most_n: Positive | None = None  # greatest force that may be asked for; none: 0.9 of the piston's
     rate_n_s: Positive | None = (
-        None  # of the ramp; none: the piston's force in 0.08 s, or what the valve can do
+        None  # of the ramp; none: the piston's force in 0.05 s, or what the valve can do
     )
     speed_m_s: Positive = 0.2  # of the load, until it is pressed against something; faster is a fault
     time_s: Annotated[float, Field(gt=0, le=3600)] = 5.0  # until the force is reached; longer is a fault

@@ -57,7 +57,7 @@ class Pressing(NamedTuple):
     share: float = 0.01  # and as a part of it
     settled_ns: int = 0  # for so long
     free_n: float = 0.0  # beside its load, what moves with less is not pressed against anything
-    valve_n_s: float = math.inf  # where no ramp is asked for: no faster at mid-stroke, and elsewhere accordingly
+    valve_n_s: float = math.inf  # without a ramp asked for: no faster at mid-stroke
 
 
 class Aim(NamedTuple):
@@ -112,7 +112,7 @@ def piston_n(e: Estimate, c: Controller) -> float:
 def usual_rate_n_s(force_n: float, e: Estimate, k: Pressing, c: Controller) -> float:
     """Ramp that leads to a force where none is asked for: about as fast as valve and chambers let it.
 
-    Both chambers are smallest for what the valve lets through where F1 is greatest, near the ends of the stroke.
+    F1 is greatest near the ends of the stroke, where one of the chambers is small.
 
     Args:
         force_n: that is wanted.
