@@ -342,6 +342,17 @@ def test_truth_is_found_by_the_stamp_of_its_sync() -> None:
     assert math.isnan(reader.get((last - SLOTS) * MS, (last - SLOTS) * MS))
 
 
+def test_truth_is_carried_on_to_an_instant_near_by() -> None:
+    memory = truth_memory()
+    reader, writer = TruthReader(memory), TruthWriter(memory)
+    assert math.isnan(reader.near(0))
+    writer.put(10 * MS, 0.5, 0.1, 2.0)
+    assert reader.near(10 * MS) == 0.5
+    assert reader.near(14 * MS) == pytest.approx(0.5 + 0.4e-3 + 16e-6)
+    assert reader.near(8 * MS) == pytest.approx(0.5 - 0.2e-3 + 4e-6)
+    assert math.isnan(reader.near(21 * MS))
+
+
 def test_truth_crosses_a_fork() -> None:
     memory = truth_memory()
     child = multiprocessing.get_context("fork").Process(target=TruthWriter(memory).put, args=(7, 0.25))

@@ -77,6 +77,16 @@ def test_only_whole_missed_periods_are_skipped(period: int, ticks_of_work: int, 
     assert pacer.next()[2] == 0
 
 
+def test_a_grid_that_is_put_off_goes_on_from_there() -> None:
+    clock = FakeClock(5 * MS, [], 0)
+    pacer = Pacer(MS, clock=clock.clock, sleep=clock.sleep)
+    pacer.put_off(77)  # nothing has begun yet
+    assert pacer.next() == (5 * MS, 0, 0)
+    for by_ns, at_ns in ((300, 6 * MS + 300), (-500, 7 * MS - 200), (0, 8 * MS - 200)):
+        pacer.put_off(by_ns)
+        assert pacer.next()[::2] == (at_ns, 0)
+
+
 def test_a_stop_during_the_sleep_gives_one_skip_and_no_burst() -> None:
     fake = FakeClock(0, [25 * MS + 300_000], 1)
     pacer = Pacer(MS, 0, fake.clock, fake.sleep)
