@@ -35,6 +35,7 @@ from pneud.campaign.record import NAME, Span
 PNEUD = [sys.executable, "-m", "pneud.cli"]
 LEAST_EFFICIENCY = 0.9
 PATIENCE_S = 120.0
+KINDS = ("client", "scheduler", "worker", "worker")
 FILE = """\
 schema = 1
 config = "virtual.toml"
@@ -198,6 +199,7 @@ def killed(file: Path, folder: Path, kills: int, seed: int, every_s: float) -> K
     Where it is done too soon, another one is begun.
     """
     chance, found = random.Random(seed), Killed({}, 0, [])
+    deck: list[str] = []
     with cluster(folder) as dask, (folder / "client.txt").open("ab") as said:
         while found.all < kills:
             target = folder / f"killed-{len(found.folders)}"
@@ -212,7 +214,8 @@ def killed(file: Path, folder: Path, kills: int, seed: int, every_s: float) -> K
                     due_s = time.monotonic() + chance.uniform(0.0, 2.0) * every_s
                 if found.all < kills and time.monotonic() > due_s:
                     due_s = math.inf
-                    what = chance.choice(("scheduler", "worker", "worker", "client"))
+                    deck = deck or chance.sample(KINDS, len(KINDS))
+                    what = deck.pop()
                     found.kills[what] = found.kills.get(what, 0) + 1
                     if what == "scheduler":
                         dask.kill_scheduler()

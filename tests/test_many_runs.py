@@ -565,7 +565,7 @@ def test_a_scheduler_that_nobody_is_at_is_one_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("runs", "kills"),
     [
-        pytest.param(300, 4, id="few", marks=pytest.mark.slow),
+        pytest.param(200, 4, id="few", marks=pytest.mark.slow),
         pytest.param(10_000, 20, id="all", marks=pytest.mark.soak),
     ],
 )

@@ -145,6 +145,10 @@ def command(told: Told, number: object) -> str:
     return f"pneud campaign {shlex.quote(told.file)} --run {number}"
 
 
+def _code(text: str) -> Drawn:
+    return Drawn(f'<code style="white-space:nowrap">{html.escape(text)}</code>')
+
+
 def report_name(number: object) -> str:
     """The report of a run, beside the page."""
     return f"run-{number}.html"
@@ -160,7 +164,7 @@ def _worst(plan: Plan, rows: Sequence[Row], told: Told) -> str:
         number = str(row[RUN])
         link = Drawn(f'<a href="{beside.name}">{number}</a>') if beside.is_file() else number
         given = (_shown(row[column]) for column in plan.inputs)
-        code = Drawn(f"<code>{html.escape(command(told, number))}</code>")
+        code = _code(command(told, number))
         lines.append((link, f"{factor * float(row[told.worst] or 0.0):.4g}", *given, code))
     head = ("run", name, *plan.inputs, "to see it")
     return table(head, lines, label="worst runs", last=1, name="worst") if lines else ""
@@ -203,7 +207,7 @@ def _failed(rows: Sequence[Row], told: Told) -> str:
     lines = [
         (
             str(row[RUN]), str(row[SEED]), str(row[ERROR]),
-            Drawn(f"<code>{html.escape(command(told, row[RUN]))}</code>"),
+            _code(command(told, row[RUN])),
         )
         for row in failed[:FAILED]
     ]  # fmt: skip
