@@ -283,7 +283,7 @@ def chunk(begin: int, end: int) -> Chunk:
     return Chunk(begin, end, [[number, 0.1 * number, ""] for number in range(begin, end)], 0.5, fingerprint())
 
 
-COLUMNS = ("run", "x", "error")
+COLUMNS: dict[str, type] = {"run": int, "x": float, "error": str}
 
 
 @settings(max_examples=40)
@@ -292,7 +292,7 @@ def test_a_record_cut_off_anywhere_has_all_whole_chunks_and_takes_more(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     folder = tmp_path_factory.mktemp("record")
-    record = Record(folder, "digest", COLUMNS)
+    record = Record(folder, "digest", [*COLUMNS])
     ends = [record.path.stat().st_size]
     for begin in (0, 3, 6):
         record.add(chunk(begin, begin + 3))
@@ -300,7 +300,7 @@ def test_a_record_cut_off_anywhere_has_all_whole_chunks_and_takes_more(
     record.close()
     cut = data.draw(st.integers(0, ends[-1]))
     os.truncate(record.path, cut)
-    again = Record(folder, "digest", COLUMNS)
+    again = Record(folder, "digest", [*COLUMNS])
     whole = sum(end <= cut for end in ends[1:])
     assert [c.begin for c in again.chunks()] == [0, 3, 6][:whole]
     for begin, end in missing([(c.begin, c.end) for c in again.chunks()], 9):
@@ -310,13 +310,13 @@ def test_a_record_cut_off_anywhere_has_all_whole_chunks_and_takes_more(
 
 
 def test_a_line_that_was_altered_is_done_again(tmp_path: Path) -> None:
-    record = Record(tmp_path, "digest", COLUMNS)
+    record = Record(tmp_path, "digest", [*COLUMNS])
     record.add(chunk(0, 2))
     record.add(chunk(2, 4))
     record.close()
     text = record.path.read_bytes()
     record.path.write_bytes(text.replace(b"[1,0.1,", b"[1,0.2,"))
-    again = Record(tmp_path, "digest", COLUMNS)
+    again = Record(tmp_path, "digest", [*COLUMNS])
     assert [c.begin for c in again.chunks()] == [2]
     with pytest.raises(RecordError, match="2 runs are missing"):
         rows_of(again, COLUMNS, 4)
@@ -326,15 +326,15 @@ def test_a_line_that_was_altered_is_done_again(tmp_path: Path) -> None:
 def test_a_folder_takes_one_campaign_and_one_at_work_in_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    record = Record(tmp_path, "digest", COLUMNS)
+    record = Record(tmp_path, "digest", [*COLUMNS])
     with pytest.raises(RecordError, match="somebody is at work in it"):
-        Record(tmp_path, "digest", COLUMNS)
+        Record(tmp_path, "digest", [*COLUMNS])
     record.close()
     with pytest.raises(RecordError, match="holds another campaign"):
-        Record(tmp_path, "another", COLUMNS)
+        Record(tmp_path, "another", [*COLUMNS])
     monkeypatch.setattr(record_module, "__version__", "9.9")
     with pytest.raises(RecordError, match=f"was begun by pneud {__version__}"):
-        Record(tmp_path, "digest", COLUMNS)
+        Record(tmp_path, "digest", [*COLUMNS])
 
 
 # who does it
@@ -381,7 +381,10 @@ class Fallible:
 
 def a_plan(total: int) -> Any:
     return SimpleNamespace(
-        total=total, kept=COLUMNS, config_of=lambda _: ({"spread": {}}, {}), seed_of=lambda number: number
+        total=total,
+        kept=tuple(COLUMNS),
+        config_of=lambda _: ({"spread": {}}, {}),
+        seed_of=lambda number: number,
     )
 
 
@@ -393,7 +396,7 @@ def test_whoever_dies_nothing_is_done_twice_and_nothing_is_missing(
     folder = tmp_path_factory.mktemp("runs")
     chance = random.Random(seed)
     workers = Fallible(lambda _: chance.random() < 0.2)
-    record = Record(folder, "digest", COLUMNS)
+    record = Record(folder, "digest", [*COLUMNS])
     found = Conductor(a_plan(total), record, workers, silent, lambda _: None).go()
     done = [number for c in record.chunks() for number in range(c.begin, c.end)]
     assert sorted(done) == list(range(total))
@@ -403,7 +406,7 @@ def test_whoever_dies_nothing_is_done_twice_and_nothing_is_missing(
 
 def test_a_run_that_kills_its_process_is_found_and_given_up_and_all_others_are_done(tmp_path: Path) -> None:
     workers = Fallible(lambda span: span[0] <= 17 < span[1])
-    record = Record(tmp_path, "digest", COLUMNS)
+    record = Record(tmp_path, "digest", [*COLUMNS])
     said: list[str] = []
     Conductor(a_plan(64), record, workers, silent, said.append).go()
     rows = rows_of(record, COLUMNS, 64)
@@ -415,7 +418,7 @@ def test_a_run_that_kills_its_process_is_found_and_given_up_and_all_others_are_d
 
 def test_a_worker_with_another_pneud_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(conduct, "__version__", "9.9")
-    record = Record(tmp_path, "digest", COLUMNS)
+    record = Record(tmp_path, "digest", [*COLUMNS])
     with pytest.raises(ClusterError, match="they must be alike"):
         Conductor(a_plan(4), record, Fallible(lambda _: False), silent, lambda _: None).go()
     record.close()
@@ -552,6 +555,20 @@ def test_workers_leave_when_who_began_them_is_killed_and_the_same_command_goes_o
     eventually(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers))
     found = object_of(pneud("campaign", file, "--jobs", 2, "-o", folder, "--json"))
     assert 0 < found["done_now"] < 300 == found["runs"]
+
+
+@pytest.mark.slow
+def test_ctrl_c_says_how_to_go_on_and_leaves_nobody_behind(tmp_path: Path) -> None:
+    file, folder = written(tmp_path, BRIEF.replace("runs = 6", "runs = 4000")), tmp_path / "out"
+    command = [sys.executable, "-m", "pneud.cli", "campaign", str(file), "--jobs", "2", "-o", str(folder)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    eventually(lambda: (folder / NAME).exists() and (folder / NAME).read_bytes().count(b"\n") > 3)
+    workers = children(process.pid)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out) == (130, "")
+    assert err == f"pneud: what is done is kept in {folder}; the same command goes on from there\n"
+    eventually(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers))
 
 
 def test_a_scheduler_that_nobody_is_at_is_one_line(tmp_path: Path) -> None:

@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from pneud.campaign.plan import RUN, Plan
-from pneud.campaign.sensitivities import SHARES, Floats, numbers, spread, strongest
-from pneud.campaign.unit import ERROR, SEED, Row
+from pneud.campaign.rows import Floats, Rows
+from pneud.campaign.sensitivities import SHARES, spread, strongest
+from pneud.campaign.unit import ERROR, SEED
 from pneud.report.frame import BAD, GOOD, LOOK, Drawn, Section, Verdict, document, strip, table
 
 NAME = "index.html"
@@ -33,12 +34,11 @@ class Told(NamedTuple):
     kinds: tuple[str, ...] = ()  # of workers
 
 
-def page(plan: Plan, rows: Sequence[Row], told: Told) -> str:
+def page(plan: Plan, rows: Rows, told: Told) -> str:
     """The page."""
-    drawn = Counter(str(row[SEED]) for row in rows)
     facts = [
         ("runs", f"{len(rows)}"),
-        ("combinations", f"{plan.combinations}, {len(drawn)} draws of each"),
+        ("combinations", f"{plan.combinations}, {plan.runs} draws of each"),
         ("seed", f"{plan.seed}"),
         ("drawn", ", ".join(plan.bases[0]["spread"]) or "nothing but noise"),
     ]
@@ -57,10 +57,9 @@ def page(plan: Plan, rows: Sequence[Row], told: Told) -> str:
     )
 
 
-def verdict(rows: Sequence[Row], told: Told) -> Verdict:
+def verdict(rows: Rows, told: Told) -> Verdict:
     """Whether all runs could be done, and went on without a fault."""
-    failed = sum(bool(row[ERROR]) for row in rows)
-    faulty = sum(bool(row.get(FAULTS)) for row in rows)
+    failed, faulty = len(rows.where(ERROR)), len(rows.where(FAULTS))
     found = Verdict()
     if failed:
         found = found.and_then(BAD, f"{failed} of {len(rows)} runs failed")
@@ -81,10 +80,10 @@ def scaled(column: str) -> tuple[str, float]:
     return column, 1.0
 
 
-def _figures(plan: Plan, rows: Sequence[Row]) -> str:
+def _figures(plan: Plan, rows: Rows) -> str:
     lines = []
     for column in plan.figures:
-        values = numbers(rows, column)
+        values = rows.numbers(column)
         found = spread(values)
         name, factor = scaled(column)
         if found is None:
@@ -111,33 +110,27 @@ def _histogram(values: Floats) -> Drawn:
     )
 
 
-def _combinations(plan: Plan, rows: Sequence[Row]) -> str:
+def _combinations(plan: Plan, rows: Rows) -> str:
     """The median of each figure for each value of what is not drawn."""
     names = [*plan.labels[0], *(name for name, _, values, _ in plan.lists if len(values) > 1)]
     shown = plan.figures[:8]
     parts = []
     for name in names:
-        groups: dict[str, list[Row]] = {}
-        for row in rows:
-            groups.setdefault(_shown(row.get(name)), []).append(row)
-        lines = [(value, str(len(group)), *_medians(group, shown)) for value, group in groups.items()]
+        groups: dict[str, list[int]] = {}
+        for number, value in enumerate(rows.column(name)):
+            groups.setdefault(_shown(value), []).append(number)
+        lines = [(value, str(len(group)), *_medians(rows, group, shown)) for value, group in groups.items()]
         head = (name, "runs", *(scaled(column)[0] for column in shown))
         parts.append(table(head, lines, label=f"medians by {name}", name=f"by-{name}"))
     hint = '<p class="hint">Medians. Runs with the same draw have the same rig in every combination.</p>'
     return "".join(parts) + hint if parts else ""
 
 
-def _medians(rows: Sequence[Row], columns: Sequence[str]) -> Iterator[str]:
+def _medians(rows: Rows, group: list[int], columns: Sequence[str]) -> Iterator[str]:
     for column in columns:
-        values = numbers(rows, column)
+        values = rows.numbers(column)[group]
         found = values[np.isfinite(values)]
         yield f"{scaled(column)[1] * float(np.median(found)):.4g}" if len(found) else "–"
-
-
-def worst_runs(rows: Sequence[Row], column: str, count: int = WORST) -> list[Row]:
-    """The runs with the greatest figure, the greatest first."""
-    found = [row for row in rows if isinstance(row.get(column), int | float)]
-    return sorted(found, key=lambda row: (-float(row[column] or 0.0), row[RUN]))[:count]
 
 
 def command(told: Told, number: object) -> str:
@@ -154,12 +147,12 @@ def report_name(number: object) -> str:
     return f"run-{number}.html"
 
 
-def _worst(plan: Plan, rows: Sequence[Row], told: Told) -> str:
+def _worst(plan: Plan, rows: Rows, told: Told) -> str:
     if not told.worst:
         return ""
     name, factor = scaled(told.worst)
     lines = []
-    for row in worst_runs(rows, told.worst):
+    for row in map(rows.row, rows.greatest(told.worst, WORST)):
         beside = told.folder / report_name(row[RUN])
         number = str(row[RUN])
         link = Drawn(f'<a href="{beside.name}">{number}</a>') if beside.is_file() else number
@@ -170,7 +163,7 @@ def _worst(plan: Plan, rows: Sequence[Row], told: Told) -> str:
     return table(head, lines, label="worst runs", last=1, name="worst") if lines else ""
 
 
-def _sensitivities(plan: Plan, rows: Sequence[Row]) -> str:
+def _sensitivities(plan: Plan, rows: Rows) -> str:
     found = strongest(rows, plan.figures, plan.inputs)
     # what lies within twice the deviation that ranks of unrelated numbers have says nothing
     found = [r for r in found if abs(r.correlation) > 2.0 / max(1.0, r.runs - 1.0) ** 0.5][:RANKS]
@@ -194,14 +187,14 @@ def _bar(value: float) -> Drawn:
     )
 
 
-def _faults(rows: Sequence[Row]) -> str:
-    counts = Counter(str(row[FAULTS]) for row in rows if row.get(FAULTS))
+def _faults(rows: Rows) -> str:
+    counts = Counter(rows.column(FAULTS)[number] for number in rows.where(FAULTS))
     lines = [(names, str(count)) for names, count in counts.most_common(FAILED)]
     return table(("faults", "runs"), lines, label="faults") if lines else ""
 
 
-def _failed(rows: Sequence[Row], told: Told) -> str:
-    failed = [row for row in rows if row[ERROR]]
+def _failed(rows: Rows, told: Told) -> str:
+    failed = rows.where(ERROR)
     if not failed:
         return ""
     lines = [
@@ -209,7 +202,7 @@ def _failed(rows: Sequence[Row], told: Told) -> str:
             str(row[RUN]), str(row[SEED]), str(row[ERROR]),
             _code(command(told, row[RUN])),
         )
-        for row in failed[:FAILED]
+        for row in map(rows.row, failed[:FAILED])
     ]  # fmt: skip
     more = f"<p>and {len(failed) - FAILED} more</p>" if len(failed) > FAILED else ""
     return table(("run", "seed", "why", "to see it"), lines, label="runs that failed", last=2) + more

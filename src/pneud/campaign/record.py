@@ -10,12 +10,13 @@ import fcntl
 import json
 import os
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from pneud import __version__
-from pneud.campaign.unit import Cell, Row
+from pneud.campaign.rows import Rows
+from pneud.campaign.unit import Cell
 
 NAME = "runs.jsonl"
 Span = tuple[int, int]
@@ -147,23 +148,22 @@ def missing(done: Sequence[Span], total: int) -> list[Span]:
     return found
 
 
-def rows_of(record: Record, columns: Sequence[str], total: int) -> list[Row]:
+def rows_of(record: Record, columns: Mapping[str, type], total: int) -> Rows:
     """All rows in the order of their numbers, each once.
 
     Args:
         record: with all of them.
-        columns: of the rows.
+        columns: of the rows, in the order in which they are kept, and the kind of value in each.
         total: how many there are.
 
     Raises:
         RecordError: one is missing.
     """
-    rows: list[Row | None] = [None] * total
+    rows = Rows(columns, total)
     for chunk in record.chunks():
         for number, cells in enumerate(chunk.rows, chunk.begin):
             if number < total:
-                rows[number] = dict(zip(columns, cells, strict=True))
-    whole = [row for row in rows if row is not None]
-    if len(whole) < total:
-        raise RecordError(f"{record.path}: {total - len(whole)} runs are missing", 3)
-    return whole
+                rows.put(number, cells)
+    if rows.missing:
+        raise RecordError(f"{record.path}: {rows.missing} runs are missing", 3)
+    return rows

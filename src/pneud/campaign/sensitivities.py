@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pneud.campaign.unit import Row
+from pneud.campaign.rows import Floats, Rows
 
-Floats = NDArray[np.float64]
 SHARES = (5.0, 50.0, 95.0, 99.0)
 FEWEST = 8  # runs from which ranks say anything
 
@@ -32,15 +30,6 @@ class Rank(NamedTuple):
     given: str
     correlation: float  # of ranks: 1 where both rise together, −1 where one falls as the other rises
     runs: int
-
-
-def numbers(rows: Sequence[Row], column: str) -> Floats:
-    """A column as numbers, NaN where there is none."""
-    return np.array([_number(row.get(column)) for row in rows])
-
-
-def _number(value: object) -> float:
-    return float(value) if isinstance(value, int | float) else np.nan
 
 
 def spread(values: Floats) -> Spread | None:
@@ -65,19 +54,31 @@ def correlation(one: Floats, other: Floats) -> float:
     both = np.isfinite(one) & np.isfinite(other)
     if both.sum() < FEWEST:
         return float("nan")
-    a, b = (ranks(values[both]) for values in (one, other))
+    return _alike(*(ranks(values[both]) for values in (one, other)))
+
+
+def _alike(a: Floats, b: Floats) -> float:
     a, b = a - a.mean(), b - b.mean()
     size = float(np.sqrt((a @ a) * (b @ b)))
     return float(a @ b) / size if size > 0.0 else float("nan")
 
 
-def strongest(rows: Sequence[Row], figures: Sequence[str], given: Sequence[str]) -> list[Rank]:
+def strongest(rows: Rows, figures: Sequence[str], given: Sequence[str]) -> list[Rank]:
     """Every figure with everything that is given, the strongest first; what is no number is left out."""
-    columns = {name: numbers(rows, name) for name in (*figures, *given)}
+    columns = {name: rows.numbers(name) for name in (*figures, *given)}
+    # to rank a column takes far longer than to compare two
+    whole = {
+        name: ranks(values)
+        for name, values in columns.items()
+        if len(rows) >= FEWEST and np.isfinite(values).all()
+    }
     found = []
     for figure in figures:
         for name in given:
-            value = correlation(columns[figure], columns[name])
+            if figure in whole and name in whole:
+                value = _alike(whole[figure], whole[name])
+            else:
+                value = correlation(columns[figure], columns[name])
             if not np.isnan(value):
                 runs = int((np.isfinite(columns[figure]) & np.isfinite(columns[name])).sum())
                 found.append(Rank(figure, name, value, runs))

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import csv
 import importlib.util
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from pneud.campaign.unit import Row
+from pneud.campaign.rows import Rows
 from pneud.rt.outputs import replacing
 
 NAME = "rows"
@@ -19,13 +18,12 @@ def parquet() -> bool:
     return importlib.util.find_spec("pyarrow") is not None
 
 
-def write(folder: Path, columns: Mapping[str, type], rows: Sequence[Row]) -> Path:
+def write(folder: Path, rows: Rows) -> Path:
     """Write the rows; the same rows, the same bytes.
 
     Args:
         folder: where to.
-        columns: and the kind of value in each.
-        rows: in their order.
+        rows: all of them.
 
     Returns:
         The file.
@@ -35,26 +33,22 @@ def write(folder: Path, columns: Mapping[str, type], rows: Sequence[Row]) -> Pat
     """
     path = folder / f"{NAME}.{'parquet' if parquet() else 'csv'}"
     with replacing(path) as beside:
-        (_parquet if path.suffix == ".parquet" else _csv)(beside, columns, rows)
+        (_parquet if path.suffix == ".parquet" else _csv)(beside, rows)
     return path
 
 
-def _csv(path: Path, columns: Mapping[str, type], rows: Sequence[Row]) -> None:
+def _csv(path: Path, rows: Rows) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows([row[name] for name in columns] for row in rows)
+        writer.writerow(rows.columns)
+        writer.writerows(row.values() for row in rows)
 
 
-def _parquet(path: Path, columns: Mapping[str, type], rows: Sequence[Row]) -> None:
+def _parquet(path: Path, rows: Rows) -> None:
     import pyarrow as pa  # noqa: PLC0415 - an extra
     import pyarrow.parquet as pq  # noqa: PLC0415
 
     kinds = {int: pa.int64(), float: pa.float64(), bool: pa.bool_(), str: pa.string()}
-    schema = pa.schema([(name, kinds[kind]) for name, kind in columns.items()])
-    cells = {name: [_as(kind, row[name]) for row in rows] for name, kind in columns.items()}
-    pq.write_table(pa.table(cells, schema), path, compression="zstd")
-
-
-def _as(kind: type, value: object) -> object:
-    return value if value is None else kind(value)
+    schema = pa.schema([(name, kinds[kind]) for name, kind in rows.columns.items()])
+    cells = [pa.array(rows.column(field.name), field.type, from_pandas=True) for field in schema]
+    pq.write_table(pa.Table.from_arrays(cells, schema=schema), path, compression="zstd")

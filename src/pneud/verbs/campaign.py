@@ -13,11 +13,12 @@ import typer
 from pneud.campaign import page, tables, unit
 from pneud.campaign.conduct import Conducted, Conductor
 from pneud.campaign.file import Campaign, load_campaign
-from pneud.campaign.page import Told, report_name, scaled, worst_runs
+from pneud.campaign.page import Told, report_name, scaled
 from pneud.campaign.plan import RUN, Plan, plan_of
 from pneud.campaign.record import Record, rows_of
-from pneud.campaign.sensitivities import SHARES, numbers, spread, strongest
-from pneud.campaign.unit import ERROR, Row
+from pneud.campaign.rows import Rows
+from pneud.campaign.sensitivities import SHARES, spread, strongest
+from pneud.campaign.unit import ERROR
 from pneud.campaign.workers import DaskWorkers, LocalWorkers, Workers
 from pneud.loading import Loaded
 from pneud.log.files.naming import log_path, new_log
@@ -98,8 +99,8 @@ def campaign(
     with closing(Record(folder, plan.digest, plan.kept)) as record:
         found, rows = _conducted(plan, record, folder, scheduler, jobs, how)
     told = Told(c.name, file, folder, worst, found.kinds)
-    _reports(plan, worst_runs(rows, worst, reports), folder, how)
-    table = tables.write(folder, plan.columns, rows)
+    _reports(plan, rows.greatest(worst, reports), folder, how)
+    table = tables.write(folder, rows)
     if not tables.parquet():
         print(f"pneud: {tables.LACKS}", file=sys.stderr)
     write_whole(folder / page.NAME, page.page(plan, rows, told))
@@ -110,7 +111,7 @@ def campaign(
 
 def _conducted(
     plan: Plan, record: Record, folder: Path, scheduler: str | None, jobs: int, how: str
-) -> tuple[Conducted, list[Row]]:
+) -> tuple[Conducted, Rows]:
     """What is missing is done; an end before that says how to go on."""
     workers: Workers | None = None
     by_law = any(base["how"] == unit.LAW for base in plan.bases)
@@ -127,7 +128,7 @@ def _conducted(
     finally:
         if workers is not None:
             workers.close()
-    return found, rows_of(record, plan.kept, plan.total)
+    return found, rows_of(record, plan.columns, plan.total)
 
 
 def _say(text: str) -> None:
@@ -172,11 +173,10 @@ def _logged(plan: Plan, number: int, output: Path, report: Report) -> Path:
     return path
 
 
-def _reports(plan: Plan, worst: list[Row], folder: Path, how: str) -> None:
+def _reports(plan: Plan, worst: list[int], folder: Path, how: str) -> None:
     """A log and a report of each run, beside the page; those that are there stay."""
     with progress(how) as report:
-        for row in worst:
-            number = int(row[RUN] or 0)
+        for number in worst:
             html, log = folder / report_name(number), folder / f"run-{number}.mcap"
             if html.exists():
                 continue
@@ -193,9 +193,9 @@ def _reports(plan: Plan, worst: list[Row], folder: Path, how: str) -> None:
 
 
 def _summary(
-    c: Campaign, plan: Plan, rows: list[Row], found: Conducted, told: Told, table: Path
+    c: Campaign, plan: Plan, rows: Rows, found: Conducted, told: Told, table: Path
 ) -> dict[str, Any]:
-    spreads = {name: spread(numbers(rows, name)) for name in plan.figures}
+    spreads = {name: spread(rows.numbers(name)) for name in plan.figures}
     return {
         "schema": 1,
         "name": c.name,
@@ -203,7 +203,7 @@ def _summary(
         "rows": str(table),
         "page": str(told.folder / page.NAME),
         "runs": len(rows),
-        "failed": sum(bool(row[ERROR]) for row in rows),
+        "failed": len(rows.where(ERROR)),
         "done_now": found.runs,
         "took_s": found.took_s,
         "cost_s": found.cost_s,
@@ -215,14 +215,15 @@ def _summary(
             | {f"p{share:g}": x for share, x in zip(SHARES, s.shares, strict=True)}
             for name, s in spreads.items()
         },
-        "worst": [{"run": row[RUN], told.worst: row[told.worst]} for row in worst_runs(rows, told.worst)]
-        if told.worst
-        else [],
+        "worst": [
+            {"run": number, told.worst: float(rows.numbers(told.worst)[number])}
+            for number in rows.greatest(told.worst, page.WORST)
+        ],
         "sensitivities": [r._asdict() for r in strongest(rows, plan.figures, plan.inputs)],
     }
 
 
-def _in_words(plan: Plan, rows: list[Row], s: dict[str, Any], told: Told) -> str:
+def _in_words(plan: Plan, rows: Rows, s: dict[str, Any], told: Told) -> str:
     rate = f", {s['done_now'] / s['took_s']:.3g} a second" if s["done_now"] and s["took_s"] > 0.0 else ""
     lines = [f"{s['name']}: {s['runs']} runs, {s['done_now']} of them now{rate}; {s['failed']} failed"]
     for name in plan.figures[:_TELLING]:
@@ -233,7 +234,7 @@ def _in_words(plan: Plan, rows: list[Row], s: dict[str, Any], told: Told) -> str
     for rank in s["sensitivities"][:_TELLING]:
         lines.append(f"{scaled(rank['figure'])[0]} goes with {rank['given']}: {rank['correlation']:+.2f}")
     lines += [f"run {one['run']} is the worst: {page.command(told, one['run'])}" for one in s["worst"][:1]]
-    for row in [row for row in rows if row[ERROR]][:_TELLING]:
+    for row in map(rows.row, rows.where(ERROR)[:_TELLING]):
         lines.append(f"failed: {row[ERROR]}: {page.command(told, row[RUN])}")
     return "\n".join([*lines, s["rows"], s["page"]])
 
