@@ -18,6 +18,7 @@ import hashlib
 import json
 import math
 import random
+import resource
 import signal
 import socket
 import subprocess
@@ -35,6 +36,7 @@ from pneud.campaign.record import NAME, Span
 PNEUD = [sys.executable, "-m", "pneud.cli"]
 LEAST_EFFICIENCY = 0.9
 PATIENCE_S = 120.0
+ALONE = "1 process"
 KINDS = ("client", "scheduler", "worker", "worker")
 FILE = """\
 schema = 1
@@ -163,12 +165,23 @@ def done(file: Path, folder: Path, *words: str) -> dict[str, Any]:
 
 def ways(file: Path, folder: Path) -> dict[str, dict[str, Any]]:
     """The same campaign by one process, by two, and by two workers of Dask."""
-    found = {"1 process": done(file, folder / "one", "--jobs", "1")}
-    found["2 processes"] = done(file, folder / "two", "--jobs", "2")
+    found = {}
+    for way, name, jobs in ((ALONE, "one", "1"), ("2 processes", "two", "2")):
+        before_s = used_s()
+        one = done(file, folder / name, "--jobs", jobs)
+        found[way] = one | {"used_s": used_s() - before_s}
+    before_s = used_s()
     with cluster(folder) as dask:
         wait_for_workers(dask, 2)
-        found["2 workers of Dask"] = done(file, folder / "dask", "--scheduler", dask.address)
+        one = done(file, folder / "dask", "--scheduler", dask.address)
+    found["2 workers of Dask"] = one | {"used_s": used_s() - before_s}
     return found
+
+
+def used_s() -> float:
+    """What all processes that have ended have used of the processors."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def wait_for_workers(dask: Cluster, count: int) -> None:
@@ -264,14 +277,15 @@ def main() -> int:
         file = folder / "campaign.toml"
         file.write_text(FILE.format(runs=o.runs, seed=o.seed), encoding="utf-8")
         found = ways(file, folder)
-        alone_s = found["1 process"]["took_s"]
+        alone_s = found[ALONE]["took_s"]
         for way, one in found.items():
             words = (
                 f"{way}: {o.runs} runs in {one['took_s']:.1f} s, {1e3 * one['cost_s'] / o.runs:.2f} ms each"
             )
+            words += f", {one['used_s']:.1f} s of processors"
             efficiency = 0.5 * alone_s / one["took_s"]
-            print(words if way == "1 process" else f"{words}, efficiency {efficiency:.3f}", flush=True)
-            if way != "1 process" and efficiency < LEAST_EFFICIENCY:
+            print(words if way == ALONE else f"{words}, efficiency {efficiency:.3f}", flush=True)
+            if way != ALONE and efficiency < LEAST_EFFICIENCY:
                 wrong.append(f"{way}: efficiency {efficiency:.3f}, not {LEAST_EFFICIENCY:g}")
         digests = {digest(folder / name) for name in ("one", "two", "dask")}
         print(f"rows: {'identical' if len(digests) == 1 else 'different'}", flush=True)
