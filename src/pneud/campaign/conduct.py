@@ -85,7 +85,7 @@ class Conductor:
             if self._out:
                 done, _ = wait(self._out, LOOK_S, FIRST_COMPLETED)
                 taken = [self._take(future) for future in done]
-                lost = lost or not all(taken)
+                lost = lost or not all(taken) or not self._workers.there()
             if lost:
                 self._recover()
             self._tell()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import logging
 import multiprocessing
 import os
 import signal
@@ -76,6 +77,9 @@ class Workers(Protocol):
     def lost(self, error: BaseException) -> bool:
         """Whether an error says that a worker is gone, and nothing of its runs."""
 
+    def there(self) -> bool:
+        """Whether what was submitted can still come back."""
+
     def renew(self, report: Callable[[str], None]) -> None:
         """Begin anew after that.
 
@@ -116,6 +120,10 @@ class LocalWorkers:
         """A process was killed: the pool gives all of its work back."""
         return isinstance(error, BrokenProcessPool | CancelledError)
 
+    def there(self) -> bool:
+        """The pool says so itself."""
+        return True
+
     def renew(self, report: Callable[[str], None]) -> None:
         """Other processes."""
         report("a worker was killed; its runs are done again")
@@ -141,6 +149,13 @@ def _begin(parent: int) -> None:
     die_with_parent(parent)
 
 
+def _silence() -> None:
+    """Have Dask say nothing of a scheduler that is gone: `renew` does, in one line and not in fifty."""
+    for name, logger in logging.root.manager.loggerDict.items():
+        if name.partition(".")[0] in ("distributed", "tornado") and isinstance(logger, logging.Logger):
+            logger.setLevel(logging.CRITICAL)
+
+
 class DaskWorkers:
     """The workers of a Dask cluster, wherever they are.
 
@@ -163,6 +178,7 @@ class DaskWorkers:
     def _connect(self, patience_s: float) -> None:
         from distributed import Client  # noqa: PLC0415 - an extra, and slow to load
 
+        _silence()
         try:
             begin: Any = Client  # which has no types
             self._client = begin(self._address, timeout=patience_s, set_as_default=False)
@@ -170,6 +186,11 @@ class DaskWorkers:
             said = str(e).splitlines()[0] if str(e) else type(e).__name__
             raise ClusterError(f"--scheduler {self._address}: nobody answers there: {said}") from None
         self._pool = self._client.get_executor(pure=False)
+        self._scheduler = self._identity()
+
+    def _identity(self) -> object:
+        """Of the scheduler that the client is connected to, as far as it knows."""
+        return self._client.scheduler_info().get("id")
 
     def submit(self, span: Span) -> Future[Chunk]:
         """Have runs done."""
@@ -191,6 +212,10 @@ class DaskWorkers:
         from distributed import KilledWorker  # noqa: PLC0415
 
         return isinstance(error, CancelledError | DaskCancelled | KilledWorker | OSError | RuntimeError)
+
+    def there(self) -> bool:
+        """The same scheduler; what another one had is lost, and Dask need not say so of each future."""
+        return bool(self._client.status == "running" and self._identity() == self._scheduler)
 
     def renew(self, report: Callable[[str], None]) -> None:
         """Look for the scheduler again, for a minute."""
