@@ -170,8 +170,8 @@ RULES = {
     **dict.fromkeys(
         ("bench", "campaign", "farm", "notebook", "report", "study", "service", "mqtt", "web"), "daemon verbs"
     ),
-    "daemon": "study bench campaign farm notebook report service mqtt web replay verbs",
-    "verbs.run": "study bench campaign farm notebook report service mqtt web replay cli verbs.other",
+    "daemon": "prove study bench campaign farm notebook report service mqtt web replay verbs",
+    "verbs.run": "prove study bench campaign farm notebook report service mqtt web replay cli verbs.other",
     "verbs": "cli",
 }
 

@@ -37,7 +37,7 @@ GROUPS = {
     "Logs": ("logs", "replay", "report", "view", "export", "import", "recover", "learnt", "identify"),
     "A rig and its machine": (
         *("new", "map", "nodes", "commission", "check", "design"),
-        *("doctor", "install-service", "bench"),
+        *("doctor", "install-service", "bench", "prove"),
     ),
     "Running daemon": (
         *("status", "arm", "disarm", "stop", "clear", "home", "hold", "restart"),

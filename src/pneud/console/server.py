@@ -77,7 +77,7 @@ class Server:
         self._bounds = bounds
         self._clock = clock
         self._group = commanding_group()
-        self._clients: set[Connected] = set()
+        self._clients: dict[Connected, None] = {}  # in the order in which they came
         self._lease: Lease[Connected] = Lease(bounds.lease_s)
         self._jobs: deque[Job] = deque()
         self._flight: tuple[int, Job, float] | None = None  # number, whose, given up at
@@ -179,7 +179,7 @@ class Server:
             now_s = self._clock()
             read_only = not may_command(peer, self._group)
             client = Connected(connection, peer, read_only, now_s, self._bounds.burst)
-            self._clients.add(client)
+            self._clients[client] = None
             self._selector.register(connection, client.interest, client)
 
     def _displace_one(self) -> None:
@@ -191,7 +191,7 @@ class Server:
     def _drop(self, client: Connected) -> None:
         if client not in self._clients:
             return
-        self._clients.discard(client)
+        del self._clients[client]
         if client.interest:
             self._selector.unregister(client.connection)
         client.connection.close()

@@ -79,8 +79,10 @@ def serve(
             frames.clear()
             link.drain(frames)
             heard = heard or bool(frames)
+            come_ns = time.monotonic_ns()
             for frame in frames:
-                node.on_frame(frame)
+                # a wall clock that was set meanwhile must not take the rig along into the future
+                node.on_frame(frame if frame.stamp_ns <= come_ns else frame._replace(stamp_ns=come_ns))
                 at = node.truth()
                 if at.t_ns != synced_ns:
                     synced_ns = at.t_ns

@@ -1,0 +1,321 @@
+"""Who plays: the shipped session with its crew, a rig, operators, and a manager that starts the daemon again."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from greenlet import GreenletExit
+
+from pneud import crew
+from pneud.bus.link import Link, LinkError, refuse_if_driven
+from pneud.compiled.backend import Backend
+from pneud.config import conversions
+from pneud.console.client import Client, RefusedError
+from pneud.console.endpoint import Endpoint, PlaceError
+from pneud.daemon.preparation import AxisReady, Ready, RunOptions
+from pneud.daemon.result import tell
+from pneud.daemon.session import Session
+from pneud.loading import Loaded, listening_s
+from pneud.log.files.naming import LogError, open_log
+from pneud.log.live.ring import Ring
+from pneud.loop.loop import Loop
+from pneud.prove import judge as judging
+from pneud.prove.canbus import CanBus
+from pneud.prove.disk import Disk, File
+from pneud.prove.doors import TracebackDoor
+from pneud.prove.judge import Judge
+from pneud.prove.pipes import Listener, Socket
+from pneud.prove.plan import Item, Plan
+from pneud.prove.world import START_NS, Process, World
+from pneud.rig.node import PlantNode
+from pneud.rig.plant_process import Rig, answer
+from pneud.rt import setup
+from pneud.signals import Record
+
+SLOTS = 2048  # of the ring: seconds, at the rate of a run
+AGAIN_S = 0.5  # from a daemon's death to the next one
+CREW = ("daemon", "recorder", "keeper", "console", "plant")
+_MANAGER_S = 0.05
+
+
+class Cast:
+    """All actors of a run, and what the world needs to know of them."""
+
+    def __init__(
+        self, plan: Plan, world: World, bus: CanBus, disk: Disk, judge: Judge, loaded: Loaded, how: Backend
+    ) -> None:
+        self.plan, self.world, self.bus, self.disk, self.judge = plan, world, bus, disk, judge
+        self.loaded, self.how = loaded, how
+        self.listener: Listener | None = None
+        self.daemon: Process | None = None
+        self.rig: Process | None = None
+        self.finishing = False
+        self._alone = len({i.what["who"] for i in plan.items if i.kind == "operator"}) == 1
+        self._again_ns = 0
+        self._rig_again_ns = 0
+        judge.rig_is_well = self._rig_is_well
+        disk.on_sync = self._on_sync
+
+    # what takes the place of functions that ask the kernel
+
+    def adapters(self) -> dict[str, Any]:
+        """By module and name."""
+        ok = [setup.Report(name, True, "a world of its own") for name in ("gc", "fifo")]
+        cast = self
+
+        class WatchedRing(Ring):
+            """A ring, of whose records the judge is told."""
+
+            @classmethod
+            def create(cls, slots: int = SLOTS, slot_bytes: int = 1024, pack: Any = None) -> Any:
+                made = super().create(slots, slot_bytes, pack)
+                os.close(made.descriptor)  # nobody attaches
+                made.descriptor = -1
+                return made
+
+            def put(self, record: Record) -> None:
+                super().put(record)
+                cast.judge.decided(record)
+
+        return {
+            "pneud.crew.fork": self._fork,
+            "pneud.crew.die_with_parent": self._die_with_parent,
+            "pneud.rt.setup.own_cpu": lambda *_: None,
+            "pneud.rt.setup.leave_to_the_loop": lambda *_: setup.Report("cpus", True, "", asked=False),
+            "pneud.rt.setup.hurry": lambda *_: None,
+            "pneud.rt.setup.apply": lambda *_: list(ok),
+            "pneud.daemon.session.Ring": WatchedRing,
+            "pneud.daemon.result.print": lambda *_, **__: None,
+            "pneud.log.live.recorder.print": lambda *_, **__: None,
+            "pneud.console.worker.print": lambda *_, **__: None,
+            "pneud.console.status_reply.print": lambda *_, **__: None,
+            "pneud.console.server.commanding_group": lambda: None,
+            "pneud.console.processes.children_of": lambda _: [],
+            "pneud.console.processes.counters_of": lambda *_: None,
+            "pneud.console.commands.counters_of": lambda *_: None,
+            "pneud.console.client.find": self._find,
+            "pneud.rig.plant_process.open_link": lambda *_, **__: self.bus.link("rig"),
+            "pneud.rig.plant_process.PlantNode": self._node,
+        }
+
+    def _fork(
+        self,
+        main: crew.Main,
+        *,
+        keep: Iterable[int] = (),
+        terminal: bool = False,  # noqa: ARG002 - there is none
+        orphaned: int | None = signal.SIGKILL,
+        name: str = "",
+        known: tuple[type[Exception], ...] = (),
+    ) -> int:
+        """As `crew.fork`."""
+        world = self.world
+        world.step()
+        parent = world.me().process
+
+        def life() -> int:
+            crew.ignore_group_signals()
+            if orphaned is not None:
+                child.handlers[int(signal.SIGTERM)] = signal.SIG_DFL
+            return self._lived(main, known)
+
+        child = world.spawn(life, name, parent.pid)
+        child.orphaned = None if orphaned is None else int(orphaned)
+        child.handlers, child.blocked = dict(parent.handlers), parent.blocked
+        for number in keep:
+            thing = world.things.get(number)
+            if thing is not None:
+                thing.share(child.pid)
+        return child.pid
+
+    def _lived(self, main: crew.Main, known: tuple[type[Exception], ...] = ()) -> int:
+        """Run the life of a process; what it dies of is a finding, unless it is the machine's refusal."""
+        world = self.world
+        try:
+            return main() or 0
+        except (OSError, *known) as e:
+            world.note(f"refused: {e}")
+        except GreenletExit:
+            raise
+        except Exception:
+            TracebackDoor(world).print_exc()
+        return 1
+
+    def _die_with_parent(self, parent: int, number: int = signal.SIGKILL) -> None:
+        me = self.world.me().process
+        me.orphaned = int(number)
+        if me.ppid != parent:
+            self.world.kill(me.pid, number)
+
+    def _find(self, _: str | None) -> Socket:
+        if self.listener is None:
+            raise PlaceError("no daemon")
+        try:
+            return self.listener.call()
+        except OSError as e:
+            raise PlaceError(str(e)) from None
+
+    def _node(self, *args: Any, **kwargs: Any) -> PlantNode:
+        self.judge.node = node = PlantNode(*args, **kwargs)
+        return node
+
+    def _on_sync(self, file: File) -> Callable[[], None]:
+        """What the recorder had said to have written when a sync began is there when it is done."""
+        session = next((one for one in self.judge.sessions if one.log == file.path), None)
+        if session is None:
+            return lambda: None
+        written = session.ring.status().written
+        return lambda: setattr(session, "durable", max(session.durable, written))
+
+    # actors
+
+    def start(self) -> None:
+        """Have all begin."""
+        if not self.plan.virtual:
+            self._start_rig()
+        self.world.at(self.world.now_ns + 100_000_000, self._start_daemon)
+        self.world.at(self.world.now_ns + 200_000_000, self._manage)
+        for operator in {item.what["who"]: None for item in self.plan.items if item.kind == "operator"}:
+            items = [i for i in self.plan.items if i.kind == "operator" and i.what["who"] == operator]
+            self.world.spawn(partial(self._operator, items), f"operator {operator}")
+
+    def _rig_is_well(self) -> bool:
+        rigs = self.world.named(("rig", "plant"))
+        return bool(rigs) and not any(one.stopped for one in rigs) and self.world.now_ns > self._rig_again_ns
+
+    def _start_rig(self) -> None:
+        self.rig = self.world.spawn(lambda: self._lived(self._be_the_rig), "rig")
+        self._rig_again_ns = self.world.now_ns + 500_000_000
+
+    def _be_the_rig(self) -> None:
+        loaded = self.loaded
+        rig = Rig(
+            conversions.plant_of(loaded.config),
+            loaded.codecs,
+            self.plan.seed,
+            0,
+            self.how.advance,
+            self.how.carriage,
+        )
+        stop = crew.asked_to_leave(signal.SIGTERM)
+        with self.bus.link("rig") as link:
+            answer(link, [rig], None, stop)
+
+    def _start_daemon(self) -> None:
+        self.daemon = self.world.spawn(lambda: self._lived(self._be_the_daemon, (LinkError, LogError)), "daemon")
+
+    def _be_the_daemon(self) -> int:
+        """As `pneud` does it, from what it has prepared on."""
+        while True:
+            with self.bus.link("loop") as link:
+                session = self._session(link)
+                lanes = session.run()
+                status = tell(session, lanes)
+            self.judge.ended(status)
+            if not any(lane.again for lane in lanes):
+                return status
+            self.world.me().process.handlers.clear()  # as a program that begins anew has none
+
+    def _session(self, link: Link) -> Session:
+        plan, loaded, config = self.plan, self.loaded, self.loaded.config
+        options = RunOptions(
+            config=str(loaded.path), bus="prove", virtual=plan.virtual, arm=False, duration_s=None, rate_hz=None,
+            headless=True, json=False, log=str(self.disk.root), scenario=None, seed=plan.seed, socket=None,
+            live=None, unproven=False,
+        )  # fmt: skip
+        log, descriptor = open_log(options.log, config.name, (self.world.now_ns + self.world.wall_ns) * 1e-9)
+        axis = self.how.axis(conversions.axis_of(config, loaded.codecs.command_lsb_v))
+        self.listener = Listener(self.world)
+        own = [loaded.codecs.sync.can_id, loaded.codecs.valve_command.can_id]
+        refuse_if_driven(link, own, listening_s(config))
+        ready = Ready(
+            options,
+            config.name,
+            (AxisReady(loaded, self.how, axis, log, descriptor, plan.unproven, None),),
+            None,
+            0,
+            link,
+            Endpoint(self.listener, Path("prove.sock"), -1),  # type: ignore[arg-type]
+            None,
+        )
+        return _Watched(ready, self.judge)
+
+    def _operator(self, items: Sequence[Item]) -> int:
+        """Ask for one thing after the other; who is not heard calls again."""
+        client: Client | None = None
+        world, attending = self.world, False
+        for item in items:
+            world.sleep_until(START_NS + round(item.at_s * 1e9))
+            verb = item.what["verb"]
+            fields = {name: value for name, value in item.what.items() if name not in ("who", "verb")}
+            try:
+                if verb == "leave":
+                    if client is not None:
+                        client.close()
+                        self.judge.leaves(attending=attending and self._alone)
+                    client, attending = None, False
+                    continue
+                if client is None:
+                    client = Client()
+                world.note(f"asks {verb}")
+                self.judge.asks(verb)
+                reply = client.ask(verb, **fields)
+                self.judge.told(verb, reply)
+                if "order" in reply:
+                    attending = verb == "jog" or bool(fields.get("attended"))
+            except RefusedError as e:
+                world.note(f"refused: {e.kind}")
+            except PlaceError as e:
+                world.note(f"not heard: {e}")
+                if client is not None:
+                    client.close()
+                client = None
+        return 0
+
+    # the manager of services, and of power
+
+    def _manage(self) -> None:
+        """Look after daemon and rig, from time to time."""
+        world, daemon = self.world, self.daemon
+        self.judge.look()
+        world.at(world.now_ns + round(_MANAGER_S * 1e9), self._manage)
+        if self.finishing:
+            return
+        if self.rig is not None and not self.rig.alive:
+            self._start_rig()
+        if daemon is not None and not daemon.alive:
+            if not self._again_ns:
+                self._again_ns = world.now_ns + round(AGAIN_S * 1e9)
+            elif world.now_ns >= self._again_ns and not world.named(CREW):
+                self._again_ns = 0
+                self._start_daemon()
+
+    def cut_power(self) -> None:
+        """The machine is without power: nobody does anything, and the disk has what it has."""
+        self.world.note("power is cut")
+        for process in self.world.named(CREW):
+            process.orphaned = None
+        for process in self.world.named(CREW):
+            self.world.die(process, int(signal.SIGKILL))
+        for session in self.judge.sessions:
+            session.cut = True
+        self.disk.cut()
+
+
+class _Watched(Session):
+    """The session, whose loop the judge knows."""
+
+    def __init__(self, ready: Ready, judge: Judge) -> None:
+        super().__init__(ready)
+        self._judge = judge
+
+    def _loop(self, *args: Any) -> Loop:
+        loop = super()._loop(*args)
+        axis = self.axes[0]
+        self._judge.begins(judging.Session(loop, axis.ring, axis.ready.log_file))
+        return loop

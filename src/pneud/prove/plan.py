@@ -1,0 +1,177 @@
+"""What a seed comes to: how a run goes, what goes wrong in it and when, and what operators do."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Collection
+from typing import Any, NamedTuple
+
+PERIOD_S = 0.005
+TROUBLES = ("drop", "twice", "late", "behind", "shuffle", "stamp", "corrupt")
+VICTIMS = ("daemon", "recorder", "keeper", "console", "rig")
+_RIG_BEGINS_S = 0.1  # the manager starts the daemon somewhat later
+_GOOD, _BAD = "good", "bad"
+
+
+class Item(NamedTuple):
+    """One thing that happens."""
+
+    at_s: float
+    kind: str
+    what: dict[str, Any]
+
+    def __str__(self) -> str:
+        said = " ".join(f"{name}={_said(value)}" for name, value in self.what.items())
+        return f"{self.at_s:.4f} s {self.kind} {said}".rstrip()
+
+
+class Plan(NamedTuple):
+    """A run."""
+
+    seed: int
+    length_s: float  # until all is well again, and it is told to end
+    virtual: bool  # it arms by itself, and brings its rig along
+    unproven: bool  # the movement test is to be passed
+    detail: str  # of the log
+    slowness: float  # factor of what steps take
+    items: tuple[Item, ...]
+
+    def only(self, numbers: Collection[int]) -> Plan:
+        """The run in which but some of it happens."""
+        return self._replace(items=tuple(item for n, item in enumerate(self.items) if n in numbers))
+
+
+def plan_of(seed: int) -> Plan:
+    """What a seed comes to; nothing else decides."""
+    rng = random.Random(f"plan {seed}")
+    length_s = rng.uniform(2.0, 9.0)
+    virtual = rng.random() < 0.25
+    # of each seed some kinds of faults only, so that what one hides is found without it
+    kinds = [kind for kind in _FAULTS if rng.random() < 0.35]
+    items = []
+    for kind in kinds:
+        for _ in range(rng.choice((1, 1, 2, 3))):
+            items.append(Item(rng.uniform(_RIG_BEGINS_S, length_s), kind, _FAULTS[kind](rng)))
+    for operator in range(rng.choice((0, 1, 1, 1, 2, 2, 3)) if virtual else rng.choice((1, 1, 1, 2, 2, 3))):
+        items += _operations(rng, operator, length_s)
+    if rng.random() < 0.3:
+        items += _nuisance(rng, length_s)
+    return Plan(
+        seed,
+        length_s,
+        virtual,
+        not virtual and rng.random() < 0.3,
+        rng.choice(("compact", "compact", "full")),
+        rng.choice((0.5, 1.0, 1.0, 3.0, 10.0)),
+        tuple(sorted(items, key=_at)),
+    )
+
+
+def _at(item: Item) -> float:
+    return item.at_s
+
+
+def _said(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _victim(rng: random.Random) -> str:
+    return rng.choice(VICTIMS)
+
+
+def _at_step(rng: random.Random) -> int:
+    """How many of its steps a victim takes before it is hit; 0: at once, wherever it waits."""
+    return rng.choice((0, rng.randrange(40), rng.randrange(2000)))
+
+
+def _bus(rng: random.Random) -> dict[str, Any]:
+    kind = rng.choice(TROUBLES)
+    by_s = {
+        "late": PERIOD_S * rng.randint(1, 5),
+        "behind": PERIOD_S * rng.randint(1, 5),
+        "shuffle": rng.uniform(0.0, 2.0 * PERIOD_S),
+        "stamp": rng.choice((-6.0, 6.0)),
+    }.get(kind, 0.0)
+    return {
+        "trouble": kind,
+        "for_s": rng.choice((PERIOD_S, 0.03, 0.2, 1.0)) * rng.uniform(0.5, 1.5),
+        "share": rng.choice((0.01, 0.1, 0.5, 1.0)),
+        "by_s": by_s,
+        "towards": rng.choice(("", "loop", "rig")),
+    }
+
+
+_FAULTS = {
+    "bus": _bus,
+    "interface": lambda rng: {"state": rng.choice(("down", "full")), "for_s": rng.uniform(0.002, 0.5)},
+    "babble": lambda rng: {
+        "id": rng.choice(("command", "sync", "answer", "emcy", "other")),
+        "for_s": rng.uniform(0.01, 0.3),
+        "every_s": rng.choice((0.0003, 0.002, 0.01)),
+    },
+    "echo": lambda rng: {"for_s": rng.uniform(0.01, 0.5), "by_s": rng.choice((0.0005, 0.002, 0.004))},
+    "node": lambda rng: {"node": rng.randrange(3)},
+    "kill": lambda rng: {"who": _victim(rng), "step": _at_step(rng)},
+    "stop": lambda rng: {
+        "who": _victim(rng),
+        "step": _at_step(rng),
+        "for_s": rng.choice((PERIOD_S, 0.02, 0.06, 0.3, 3.0)) * rng.uniform(0.5, 1.5),
+    },
+    "clock": lambda rng: {"by_s": rng.choice((-3600.0, -6.0, -0.001, 0.001, 6.0, 86400.0))},
+    "disk": lambda rng: {
+        "state": rng.choice(("full", "failing", "short", "forgets", "slow", "removed")),
+        "for_s": rng.uniform(0.05, 3.0),
+        "room": rng.choice((0, 1, rng.randrange(200_000))),
+    },
+    "power": lambda _: {},
+    "hangup": lambda rng: {"file": rng.choice((_GOOD, _BAD, "other", "gone"))},
+    "terminate": lambda rng: {"step": _at_step(rng)},
+}
+
+
+def _operations(rng: random.Random, operator: int, length_s: float) -> list[Item]:
+    """What an operator does: most of the time something that makes sense."""
+    found = []
+    at_s = rng.uniform(0.2, 1.0)
+
+    def does(verb: str, **fields: Any) -> None:
+        found.append(Item(at_s, "operator", {"who": operator, "verb": verb, **fields}))
+
+    while at_s < length_s:
+        draw = rng.random()
+        if draw < 0.25:
+            does("arm", **({"unproven": True} if rng.random() < 0.3 else {}))
+        elif draw < 0.45:
+            does("goto", x_mm=rng.uniform(100.0, 800.0), attended=rng.random() < 0.3)
+        elif draw < 0.52:
+            does("jog", velocity_mm_s=rng.uniform(-200.0, 200.0), lease_s=rng.uniform(0.05, 0.9))
+        elif draw < 0.60:
+            does("track", what="reference", attended=rng.random() < 0.3)
+        elif draw < 0.90:
+            does(rng.choice(("clear", "clear", "hold", "stop", "disarm", "status", "status", "tune_get")))
+        elif draw < 0.93:
+            does("mark", text="a remark")
+        elif draw < 0.95:
+            does("tune_set", gains={"k1": rng.uniform(80_000.0, 100_000.0)})
+        elif draw < 0.96:
+            does("force", force_n=rng.uniform(-80.0, 80.0))
+        elif draw < 0.97:
+            does("restart")
+        elif draw < 0.98:
+            does("tune_reload")
+        else:
+            does("leave")
+        at_s += rng.expovariate(1.0 / rng.choice((0.02, 0.3, 0.8)))
+    return found
+
+
+def _nuisance(rng: random.Random, length_s: float) -> list[Item]:
+    """Clients that are of no use."""
+    return [
+        Item(
+            rng.uniform(0.3, length_s),
+            "client",
+            {"does": rng.choice(("garbage", "mute", "half", "crowd")), "size": rng.randrange(1, 40_000)},
+        )
+        for _ in range(rng.randint(1, 3))
+    ]

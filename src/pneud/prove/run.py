@@ -1,0 +1,191 @@
+"""One seed: a world, what happens in it, and what the judge finds; and the fewest faults that still do it."""
+
+from __future__ import annotations
+
+import hashlib
+import signal
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+from pneud.compiled.backend import Backend
+from pneud.config.toml import changed_text
+from pneud.loading import Loaded, load
+from pneud.prove import logs
+from pneud.prove.canbus import CanBus
+from pneud.prove.cast import CREW, Cast
+from pneud.prove.disk import Disk
+from pneud.prove.doors import doors
+from pneud.prove.judge import END_S, Finding, Judge
+from pneud.prove.plan import PERIOD_S, Plan
+from pneud.prove.seams import opened
+from pneud.prove.troubles import Troubles
+from pneud.prove.world import START_NS, World
+from pneud.replay.lockstep import backend_of
+
+MOST_STEPS = 20_000_000
+_NAME = "prove.toml"
+_CHANGES = {"loop": {"rate_hz": 1.0 / PERIOD_S}, "limits": {"slew_v_s": 1000.0}}
+
+
+class Outcome(NamedTuple):
+    """What a seed comes to."""
+
+    plan: Plan
+    found: tuple[Finding, ...]
+    steps: int
+    simulated_s: float
+    ticks: int
+    sessions: int
+    engaged_ticks: int
+    digest: str  # of trace and logs
+    trace: tuple[str, ...]
+
+
+class Bench:
+    """A folder with a configuration, in which one run after the other is made."""
+
+    def __init__(self, folder: Path) -> None:
+        """Begin.
+
+        Args:
+            folder: an empty one.
+
+        Raises:
+            ConfigError, DatabaseError, BuildError: as for a simulation.
+        """
+        self.folder = folder
+        self.file = folder / _NAME
+        self._loaded: dict[str, tuple[Loaded, Backend]] = {}
+
+    def _load(self, detail: str) -> tuple[Loaded, Backend]:
+        """What a run begins with; its text is in the file afterwards."""
+        if detail not in self._loaded:
+            text = changed_text(load("virtual.toml").text, {**_CHANGES, "log": {"detail": detail}})
+            self.file.write_text(text, encoding="utf-8")
+            loaded = load(self.file)
+            self._loaded[detail] = loaded, backend_of(loaded)
+        self.file.write_text(self._loaded[detail][0].text, encoding="utf-8")
+        return self._loaded[detail]
+
+    def run(self, plan: Plan, most_steps: int | None = None, keep: Path | None = None) -> Outcome:
+        """Make a run.
+
+        Args:
+            plan: of it.
+            most_steps: end after so many; what is judged at the end is not, then.
+            keep: an empty folder for its logs; without, they go.
+        """
+        loaded, how = self._load(plan.detail)
+        with _folder(keep) as folder:
+            return _run(plan, loaded, how, folder, most_steps)
+
+
+@contextmanager
+def _folder(keep: Path | None) -> Iterator[Path]:
+    if keep is not None:
+        yield keep
+        return
+    with tempfile.TemporaryDirectory(prefix="pneud-prove-") as folder:
+        yield Path(folder)
+
+
+def _run(plan: Plan, loaded: Loaded, how: Backend, folder: Path, most_steps: int | None) -> Outcome:
+    world = World(plan.seed, most_steps=most_steps or MOST_STEPS, slowness=plan.slowness)
+    trace: list[str] = []
+    world.on_note = lambda who, words: trace.append(
+        f"{(world.now_ns - START_NS) * 1e-9:.6f} {world.steps} {who}: {words}"
+    )
+    bus, disk = CanBus(world), Disk(world, folder)
+    judge = Judge(world, bus, loaded.config, loaded.codecs, by_itself=plan.virtual)
+    bus.on_frame = judge.on_frame
+    cast = Cast(plan, world, bus, disk, judge, loaded, how)
+    troubles = Troubles(cast, loaded.path, loaded.text)
+    with opened(doors(world, disk), cast.adapters(), {}):
+        try:
+            cast.start()
+            troubles.begin()
+            _live(plan, world, cast, judge, troubles, cut_short=most_steps is not None)
+        finally:
+            world.end()
+            disk.close()
+    if not judge.found and most_steps is None:
+        for session in judge.sessions:
+            wrong = logs.wrong_with(session)
+            if wrong:
+                judge.says_no("log", f"{session.log.name}: {wrong}")
+                break
+    return Outcome(
+        plan,
+        tuple(judge.found),
+        world.steps,
+        (world.now_ns - START_NS) * 1e-9,
+        sum(len(session.ticks) for session in judge.sessions),
+        len(judge.sessions),
+        judge.engaged_ticks,
+        _digest(trace, folder),
+        tuple(trace),
+    )
+
+
+def _live(
+    plan: Plan, world: World, cast: Cast, judge: Judge, troubles: Troubles, *, cut_short: bool
+) -> None:
+    """Until something is found: faults for as long as the plan says, then none, and everything has to end."""
+    end_ns = START_NS + round(plan.length_s * 1e9)
+    world.at(end_ns, lambda: None)
+    world.run(lambda: bool(judge.found) or world.now_ns >= end_ns)
+    if judge.found:
+        return
+    troubles.heal()
+    world.note("all is well, and ends")
+    for daemon in world.named(("daemon",)):
+        world.send(daemon, signal.SIGTERM)
+    last_ns = world.now_ns + round(END_S * 1e9)
+    world.at(last_ns, lambda: None)
+    world.run(lambda: bool(judge.found) or world.now_ns >= last_ns or not world.named(CREW))
+    left = world.named(CREW)
+    if left and not judge.found and not cut_short:
+        judge.says_no("end", f"{', '.join(one.name for one in left)} run {END_S:g} s after they were to end")
+    judge.look()
+
+
+def _digest(trace: Sequence[str], folder: Path) -> str:
+    """Of all that a run has left."""
+    found = hashlib.sha256("\n".join(trace).encode())
+    for path in sorted(folder.glob("*.mcap")):
+        found.update(path.name.encode() + path.read_bytes())
+    return found.hexdigest()[:16]
+
+
+def shrunk(
+    bench: Bench, outcome: Outcome, look: Callable[[int], None] = lambda _: None
+) -> tuple[tuple[int, ...], Outcome]:
+    """The fewest of a plan's faults and operations with which the same oracle says no.
+
+    Args:
+        bench: to run at.
+        outcome: that a plan has come to.
+        look: told how many are left.
+
+    Returns:
+        Their numbers in the plan, and what it comes to with these.
+    """
+    plan, oracle = outcome.plan, outcome.found[0].oracle
+    left = list(range(len(plan.items)))
+    best = outcome
+    size = max(1, len(left) // 2)
+    while size:
+        begin = 0
+        while begin < len(left):
+            fewer = left[:begin] + left[begin + size :]
+            tried = bench.run(plan.only(fewer))
+            if tried.found and tried.found[0].oracle == oracle:
+                left, best = fewer, tried
+                look(len(left))
+            else:
+                begin += size
+        size //= 2
+    return tuple(left), best

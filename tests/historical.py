@@ -1,0 +1,119 @@
+"""Mistakes that this program once had, put back one at a time: who has made them, and which oracle says no.
+
+Where a patch would no longer fit, because the code has moved, a function is what it was in effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import pytest
+
+from pneud.console import handoff
+from pneud.console.server import Server
+from pneud.log.files.saving import LogOutput
+from pneud.log.files.writer import LogWriter
+from pneud.log.live.ring import Ring
+from pneud.loop import recorder_watch
+from pneud.loop.answers import Answers
+from pneud.loop.conditions import Conditions
+from pneud.loop.console_watch import CONSOLE_LOST, SILENT_NS, ConsoleWatch
+from pneud.loop.recorder_watch import RecorderWatch
+from pneud.bus.link import Link
+from pneud.signals import Host
+
+
+class Mistake(NamedTuple):
+    """One of them."""
+
+    oracles: tuple[str, ...]  # that may say no
+    seed: int  # from which on it is looked for
+    make: Callable[[pytest.MonkeyPatch], None]
+
+
+def _begun_before_the_recorder(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(RecorderWatch, "begun", property(lambda _: True))
+
+
+def _console_not_watched(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(ConsoleWatch, "host", lambda *_: 0)
+
+
+def _next_console_undoes_the_end_of_the_last(patch: pytest.MonkeyPatch) -> None:
+    def host(self: Any, t_ns: int) -> int:
+        beat_ns = self._ring.console_ns
+        return CONSOLE_LOST if self._commanded and beat_ns and t_ns - beat_ns > SILENT_NS else 0
+
+    patch.setattr(ConsoleWatch, "host", host)
+
+
+def _attended_motion_goes_on(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(Server, "_unattended", lambda *_: None)
+
+
+def _removed_log_is_whole(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(LogOutput, "is_removed", lambda _: False)
+
+
+def _set_comes_whenever_its_stamp_says(patch: pytest.MonkeyPatch) -> None:
+    def came(self: Any, arrived_ns: int, in_vain: bool) -> None:
+        self.arrives_ns = arrived_ns
+        self._count(in_vain)
+
+    patch.setattr(Answers, "came", came)
+
+
+def _wall_clock_is_not_followed(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(Link, "watch_clock", lambda _: 0)
+
+
+def _second_controller_is_no_fault(patch: pytest.MonkeyPatch) -> None:
+    honest = Conditions.host
+    patch.setattr(
+        Conditions, "host", lambda self, t, others: honest(self, t, others) & ~int(Host.OTHER_CONTROLLER)
+    )
+
+
+def _recorder_that_is_gone_is_not_missed(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(recorder_watch, "gone", lambda _: False)
+
+
+def _late_requests_are_done(patch: pytest.MonkeyPatch) -> None:
+    honest = handoff._unpacked
+
+    def unpacked(data: bytes, late_ns: int) -> Any:
+        return (*honest(data, late_ns)[:3], False)
+
+    patch.setattr(handoff, "_unpacked", unpacked)
+
+
+def _written_before_the_disk_has_it(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(LogWriter, "written", property(lambda self: self._accepted))
+
+
+def _state_overtakes_its_record(patch: pytest.MonkeyPatch) -> None:
+    """The state of a tick stood apart from the records, and a reader could take it for the next one's."""
+    honest = Ring.put_state
+
+    def put_state(self: Any, t_ns: int, state: Any) -> None:
+        honest(self, t_ns + 4_000_000, state)
+
+    patch.setattr(Ring, "put_state", put_state)
+
+
+MISTAKES: dict[str, Mistake] = {
+    "arming before the recorder has begun": Mistake(("arming",), 0, _begun_before_the_recorder),
+    "a console that has died is not missed": Mistake(("console",), 0, _console_not_watched),
+    "the next console undoes the end of the last": Mistake(
+        ("console",), 0, _next_console_undoes_the_end_of_the_last
+    ),
+    "an attended motion goes on": Mistake(("attended",), 0, _attended_motion_goes_on),
+    "a removed log is whole": Mistake(("summary",), 0, _removed_log_is_whole),
+    "a set that comes past the deadline": Mistake(("deadline",), 0, _set_comes_whenever_its_stamp_says),
+    "the wall clock is not followed": Mistake(("heard",), 0, _wall_clock_is_not_followed),
+    "a second controller": Mistake(("centre",), 0, _second_controller_is_no_fault),
+    "a recorder that is gone": Mistake(("recorder",), 0, _recorder_that_is_gone_is_not_missed),
+    "late requests are done": Mistake(("arming", "acknowledged"), 0, _late_requests_are_done),
+    "written before the disk has it": Mistake(("log",), 0, _written_before_the_disk_has_it),
+}
