@@ -1,4 +1,4 @@
-"""The whole daemon in seeded simulation: the same seed does the same, faults are found, and shrunk."""
+"""The whole daemon in seeded simulation: the same seed does the same, mistakes are found, and shrunk."""
 
 from __future__ import annotations
 
@@ -13,8 +13,14 @@ import pytest
 
 pytest.importorskip("greenlet")
 
+from historical import MISTAKES
 from pneud.prove.plan import Plan, plan_of
 from pneud.prove.run import Bench, shrunk
+from pneud.verbs import VerbError
+from pneud.verbs.prove import prove
+
+CI_SEEDS = 200
+SOAK_SEEDS = int(os.environ.get("PNEUD_SEEDS", "100000"))
 
 
 @pytest.fixture(scope="module")
@@ -22,18 +28,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     yield Bench(tmp_path_factory.mktemp("prove"))
 
 
-def prove(*args: str, **environ: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "pneud.cli", "prove", *args],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-        env={**os.environ, **environ},
-    )
-
-
-def short(seed: int, length_s: float = 1.0) -> Plan:
+def short(seed: int, length_s: float = 0.6) -> Plan:
     return plan_of(seed)._replace(length_s=length_s)
 
 
@@ -41,20 +36,98 @@ def test_a_seed_is_the_same_again_to_the_last_byte(bench: Bench) -> None:
     one, again = bench.run(short(3)), bench.run(short(3))
     assert one.trace == again.trace
     assert one.digest == again.digest
-    assert one.ticks > 100
+    assert one.ticks > 50
+
+
+def test_a_run_in_which_nothing_goes_wrong_arms_and_ends(bench: Bench) -> None:
+    plan = next(p for p in map(plan_of, range(100)) if p.virtual)
+    outcome = bench.run(plan.only(())._replace(length_s=1.5))
+    assert not outcome.found
+    assert outcome.engaged_ticks > 100
+    assert "is gone, 0" in outcome.trace[-1]
+
+
+def test_a_run_ends_after_so_many_steps(bench: Bench) -> None:
+    outcome = bench.run(short(3), most_steps=2000)
+    assert 2000 <= outcome.steps < 2100
+    assert not outcome.found
+
+
+def test_a_mistake_is_found_and_shrunk_to_what_it_takes(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    MISTAKES["the wall clock is not followed"].make(monkeypatch)
+    plan = plan_of(1)._replace(length_s=1.0)
+    outcome = bench.run(plan)
+    left, smallest = shrunk(bench, outcome)
+    assert [plan.items[number].kind for number in left] == ["clock"]
+    assert smallest.found[0].oracle == outcome.found[0].oracle == "heard"
+
+
+def test_options_that_make_no_sense_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "something").touch()
+    for options in (
+        {"seeds": 0},
+        {"minutes": 0.0},
+        {"steps": 0},
+        {"seeds": 2, "only": "1"},
+        {"only": "a"},
+        {"only": "999"},
+        {"keep": tmp_path},
+    ):
+        with pytest.raises(VerbError, match=r"^prove: "):
+            prove(**options)  # type: ignore[arg-type]
+
+
+def test_a_seed_leaves_its_logs_and_its_trace(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "kept"
+    assert prove(seed=3, steps=8000, keep=folder, json=True, how="off") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["finding"] is None
+    assert told["steps"] >= 8000
+    assert (folder / "trace.txt").read_text().startswith("0.000000 0 world: starts ")
+    assert list(folder.glob("*.mcap"))
 
 
 @pytest.mark.slow
-def test_another_process_makes_the_same_of_a_seed(tmp_path: Path) -> None:
-    found = [
-        json.loads(prove("--seed", "5", "--json", PYTHONHASHSEED=hashing).stdout) for hashing in ("1", "2")
-    ]
-    assert found[0]["digest"] == found[1]["digest"]
-    assert found[0]["steps"] == found[1]["steps"]
+def test_another_process_makes_the_same_of_a_seed() -> None:
+    def told(hashing: str) -> dict[str, object]:
+        done = subprocess.run(
+            [sys.executable, "-m", "pneud.cli", "prove", "--seed", "5", "--json"],
+            capture_output=True,
+            timeout=120,
+            check=True,
+            env={**os.environ, "PYTHONHASHSEED": hashing},
+        )
+        found: dict[str, object] = json.loads(done.stdout)
+        return found
+
+    one, other = told("1"), told("2")
+    assert (one["digest"], one["steps"]) == (other["digest"], other["steps"])
 
 
 @pytest.mark.slow
-def test_two_hundred_seeds_find_nothing(bench: Bench) -> None:
-    for seed in range(200):
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_of_the_past_is_found(name: str, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    mistake = MISTAKES[name]
+    mistake.make(monkeypatch)
+    outcome = bench.run(plan_of(mistake.seed))
+    assert outcome.found, name
+    assert outcome.found[0].oracle in mistake.oracles
+    assert outcome.steps <= 100_000
+
+
+def find_nothing(bench: Bench, seeds: range) -> None:
+    for seed in seeds:
         outcome = bench.run(plan_of(seed))
         assert not outcome.found, f"{outcome.found[0]}; pneud prove --seed {seed}"
+
+
+@pytest.mark.slow
+def test_seeds_find_nothing(bench: Bench) -> None:
+    find_nothing(bench, range(CI_SEEDS))
+
+
+@pytest.mark.soak
+def test_many_seeds_find_nothing(bench: Bench) -> None:
+    find_nothing(bench, range(CI_SEEDS, CI_SEEDS + SOAK_SEEDS))

@@ -1,4 +1,4 @@
-"""Who plays: the shipped session with its crew, a rig, operators, and a manager that starts the daemon again."""
+"""Who plays: the shipped session with its crew, a rig, operators, a manager that starts the daemon again."""
 
 from __future__ import annotations
 
@@ -38,6 +38,7 @@ from pneud.rt import setup
 from pneud.signals import Record
 
 SLOTS = 2048  # of the ring: seconds, at the rate of a run
+LOADING_S = (0.0, 0.01, 0.1, 1.0)  # that a process takes at most to load what it needs
 AGAIN_S = 0.5  # from a daemon's death to the next one
 CREW = ("daemon", "recorder", "keeper", "console", "plant")
 _MANAGER_S = 0.05
@@ -117,9 +118,11 @@ class Cast:
         world = self.world
         world.step()
         parent = world.me().process
+        loading_s = world.rng.choice(LOADING_S) * world.rng.random()
 
         def life() -> int:
             crew.ignore_group_signals()
+            world.sleep_until(world.now_ns + round(loading_s * 1e9))
             if orphaned is not None:
                 child.handlers[int(signal.SIGTERM)] = signal.SIG_DFL
             return self._lived(main, known)
@@ -138,12 +141,13 @@ class Cast:
         world = self.world
         try:
             return main() or 0
-        except (OSError, *known) as e:
-            world.note(f"refused: {e}")
         except GreenletExit:
             raise
-        except Exception:
-            TracebackDoor(world).print_exc()
+        except Exception as e:
+            if isinstance(e, (OSError, *known)):
+                world.note(f"refused: {e}")
+            else:
+                TracebackDoor(world).print_exc()
         return 1
 
     def _die_with_parent(self, parent: int, number: int = signal.SIGKILL) -> None:
@@ -207,7 +211,10 @@ class Cast:
             answer(link, [rig], None, stop)
 
     def _start_daemon(self) -> None:
-        self.daemon = self.world.spawn(lambda: self._lived(self._be_the_daemon, (LinkError, LogError)), "daemon")
+        def life() -> int:
+            return self._lived(self._be_the_daemon, (LinkError, LogError))
+
+        self.daemon = self.world.spawn(life, "daemon")
 
     def _be_the_daemon(self) -> int:
         """As `pneud` does it, from what it has prepared on."""
@@ -224,9 +231,9 @@ class Cast:
     def _session(self, link: Link) -> Session:
         plan, loaded, config = self.plan, self.loaded, self.loaded.config
         options = RunOptions(
-            config=str(loaded.path), bus="prove", virtual=plan.virtual, arm=False, duration_s=None, rate_hz=None,
-            headless=True, json=False, log=str(self.disk.root), scenario=None, seed=plan.seed, socket=None,
-            live=None, unproven=False,
+            config=str(loaded.path), bus="prove", virtual=plan.virtual, arm=False, duration_s=None,
+            rate_hz=None, headless=True, json=False, log=str(self.disk.root), scenario=None, seed=plan.seed,
+            socket=None, live=None, unproven=False,
         )  # fmt: skip
         log, descriptor = open_log(options.log, config.name, (self.world.now_ns + self.world.wall_ns) * 1e-9)
         axis = self.how.axis(conversions.axis_of(config, loaded.codecs.command_lsb_v))

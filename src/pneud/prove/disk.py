@@ -1,4 +1,4 @@
-"""The disk of a world: a real folder, whose writes may fail or fall short, and which may lose what was not synced.
+"""The disk of a world: a real folder, whose writes may fail or fall short, and what was not synced be lost.
 
 A file has its bytes in the page cache at once, and on the disk after a sync that was not lost. A power cut
 leaves it what the disk has, and of the rest a beginning of any length.

@@ -1,8 +1,8 @@
 """The doors: modules of the standard library as an actor has them, where the shipped modules look for them.
 
 A module of pneud that says `time.sleep` finds, for as long as a world lasts, a door in the place of `time`.
-What is not behind a door is the real thing. No function of pneud is replaced but those that fork, ask the kernel
-about real processes, or set this very process's scheduling (`ADAPTERS` of `cast`).
+What is not behind a door is the real thing. No function of pneud is replaced but those that fork, ask the
+kernel about real processes, or set this very process's scheduling (`Cast.adapters`).
 """
 
 from __future__ import annotations
@@ -323,7 +323,7 @@ class SelectorsDoor(Door):
 
     real = selectors
 
-    def DefaultSelector(self) -> Any:  # noqa: N802 - its name
+    def DefaultSelector(self) -> Any:
         """A selector."""
         return Selector(self.world)
 
@@ -424,7 +424,6 @@ class UuidDoor(Door):
         return uuid.UUID(int=self.world.rng.getrandbits(128), version=4)
 
 
-
 def doors(world: World, disk: Disk) -> dict[str, Any]:
     """All of them, by the names of what they stand for."""
     return {
@@ -439,5 +438,3 @@ def doors(world: World, disk: Disk) -> dict[str, Any]:
         "traceback": TracebackDoor(world),
         "uuid": UuidDoor(world),
     }
-
-

@@ -1,4 +1,4 @@
-"""Oracles: what has to be so at every step, whatever the seed; told by the frames on the bus and the rig itself."""
+"""Oracles: what has to be so at every step, whatever the seed; told by frames on the bus and the rig."""
 
 from __future__ import annotations
 

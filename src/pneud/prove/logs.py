@@ -1,4 +1,4 @@
-"""What has to be left of a log, however its run has ended: whole up to the cut, as it was, and replayed identical."""
+"""What has to be left of a log, however its run has ended: whole up to the cut, and replayed identical."""
 
 from __future__ import annotations
 
@@ -40,7 +40,10 @@ def _unlike(ticks: Sequence[LoggedTick], session: Session) -> str:
             return f"it has a record {tick.number}, and {len(session.ticks)} were made"
         made = session.ticks[tick.number - 1]
         logged = tick.t_ns, tick.state, tick.answer
-        if logged != (made.t_ns, made.state, made.answer) or abs(tick.command.voltage_v - made.voltage_v) > 1e-6:
+        if (
+            logged != (made.t_ns, made.state, made.answer)
+            or abs(tick.command.voltage_v - made.voltage_v) > 1e-6
+        ):
             return f"record {tick.number} is another one than was made: {logged}, {made}"
     return ""
 

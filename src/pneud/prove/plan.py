@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
 PERIOD_S = 0.005
@@ -101,7 +101,7 @@ def _bus(rng: random.Random) -> dict[str, Any]:
     }
 
 
-_FAULTS = {
+_FAULTS: dict[str, Callable[[random.Random], dict[str, Any]]] = {
     "bus": _bus,
     "interface": lambda rng: {"state": rng.choice(("down", "full")), "for_s": rng.uniform(0.002, 0.5)},
     "babble": lambda rng: {

@@ -107,7 +107,7 @@ def _run(plan: Plan, loaded: Loaded, how: Backend, folder: Path, most_steps: int
         try:
             cast.start()
             troubles.begin()
-            _live(plan, world, cast, judge, troubles, cut_short=most_steps is not None)
+            _live(plan, world, judge, troubles, cut_short=most_steps is not None)
         finally:
             world.end()
             disk.close()
@@ -130,9 +130,7 @@ def _run(plan: Plan, loaded: Loaded, how: Backend, folder: Path, most_steps: int
     )
 
 
-def _live(
-    plan: Plan, world: World, cast: Cast, judge: Judge, troubles: Troubles, *, cut_short: bool
-) -> None:
+def _live(plan: Plan, world: World, judge: Judge, troubles: Troubles, *, cut_short: bool) -> None:
     """Until something is found: faults for as long as the plan says, then none, and everything has to end."""
     end_ns = START_NS + round(plan.length_s * 1e9)
     world.at(end_ns, lambda: None)

@@ -1,4 +1,4 @@
-"""Where the shipped modules find doors in the place of the system, and the few functions that are replaced."""
+"""Where the shipped modules find doors in the place of the system, and how functions are replaced."""
 
 from __future__ import annotations
 
@@ -43,12 +43,14 @@ SEAMS: dict[str, tuple[str, ...]] = {
 }
 """Modules whose functions are actors' or run in them, and what they find a door for.
 
-Where a function has a clock or a sleep as a default, which it was given when it was made, that is a door, too.
+Where a function has a clock or a sleep as a default, given when it was made, that is a door, too.
 """
 
 
 @contextmanager
-def opened(doors: Mapping[str, Any], adapters: Mapping[str, Any], environ: Mapping[str, str]) -> Iterator[None]:
+def opened(
+    doors: Mapping[str, Any], adapters: Mapping[str, Any], environ: Mapping[str, str]
+) -> Iterator[None]:
     """Have the modules find doors for as long as a block lasts.
 
     Args:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +28,12 @@ class Troubles:
         """Have everything happen at its time."""
         for item in self._cast.plan.items:
             if item.kind != "operator":
-                does: Callable[[Item], None] = getattr(self, f"_{item.kind}")
-                self._world.at(START_NS + round(item.at_s * _NS), lambda item=item, does=does: self._do(item, does))
+                self._world.at(START_NS + round(item.at_s * _NS), partial(self._do, item))
 
-    def _do(self, item: Item, does: Callable[[Item], None]) -> None:
+    def _do(self, item: Item) -> None:
         if not self._cast.finishing:
             self._world.note(f"* {item.kind} {item.what}")
+            does: Callable[[Item], None] = getattr(self, f"_{item.kind}")
             does(item)
 
     def heal(self) -> None:
@@ -60,7 +61,7 @@ class Troubles:
         for victim in self._victims(who)[:1]:
             actor: Actor = victim.actors[0]
             if step:
-                actor.fuse = step, lambda victim=victim: hit(victim)
+                actor.fuse = step, partial(hit, victim)
             else:
                 hit(victim)
 

@@ -1,7 +1,7 @@
 """Virtual time, processes and who goes next: one thread, and a seed decides everything.
 
-An actor is a function that runs as it is, in a greenlet of its own: where it would call the system it comes
-to a door (see `doors`), and a door costs it time, may have others go first, and may be the last thing it does.
+An actor is a function that runs as it is, in a greenlet of its own. Where it would call the system it comes
+to a door (see `doors`): that costs it time, may have others go first, and may be the last thing it does.
 Between two doors nobody else runs. Each step of an actor is at an instant of its own, in order of time.
 """
 

@@ -145,5 +145,3 @@ def _in_words(s: dict[str, Any]) -> str:
     lines += [f"seed {found['seed']}: {found['oracle']}: {found['words']}", *found["trace"], "it takes:"]
     lines += [f"  {words}" for words in found["happens"]] or ["  nothing at all"]
     return "\n".join([*lines, f"again: {found['again']}"])
-
-
