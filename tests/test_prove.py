@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("greenlet")
 
 from historical import MISTAKES
-from pneud.prove.plan import Plan, plan_of
+from pneud.prove.plan import Item, Plan, plan_of
 from pneud.prove.run import Bench, shrunk
 from pneud.verbs import VerbError
 from pneud.verbs.prove import prove
@@ -53,6 +53,7 @@ def test_a_run_ends_after_so_many_steps(bench: Bench) -> None:
     assert not outcome.found
 
 
+@pytest.mark.slow
 def test_a_mistake_is_found_and_shrunk_to_what_it_takes(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -62,6 +63,20 @@ def test_a_mistake_is_found_and_shrunk_to_what_it_takes(
     left, smallest = shrunk(bench, outcome)
     assert [plan.items[number].kind for number in left] == ["clock"]
     assert smallest.found[0].oracle == outcome.found[0].oracle == "heard"
+
+
+def test_a_daemon_that_begins_anew_ends_where_it_is_told_to_meanwhile(bench: Bench) -> None:
+    restart = Item(0.6, "operator", {"who": 0, "verb": "restart"})
+    plans = [Plan(seed, 0.74, False, False, "compact", 1.0, (restart,)) for seed in range(4)]
+    outcomes = [bench.run(plan) for plan in plans]
+    assert not any(outcome.found for outcome in outcomes)
+    assert any("restart is done" in words for outcome in outcomes for words in outcome.trace)
+
+
+def test_a_wall_clock_that_is_set_does_not_take_the_software_rig_along(bench: Bench) -> None:
+    off = {"trouble": "stamp", "for_s": 0.1, "share": 0.5, "by_s": 6.0, "towards": "rig"}
+    plan = Plan(4, 1.2, False, False, "compact", 1.0, (Item(0.5, "bus", off),))
+    assert not bench.run(plan).found
 
 
 def test_options_that_make_no_sense_are_refused(tmp_path: Path) -> None:
@@ -76,7 +91,7 @@ def test_options_that_make_no_sense_are_refused(tmp_path: Path) -> None:
         {"keep": tmp_path},
     ):
         with pytest.raises(VerbError, match=r"^prove: "):
-            prove(**options)  # type: ignore[arg-type]
+            prove(**options)
 
 
 def test_a_seed_leaves_its_logs_and_its_trace(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -93,6 +93,7 @@ class Session:
         axes: its axes.
         reports: what the machine has granted.
         effects: what plant and bus have shown of the scenario; None where they have told nothing.
+        told_to_end: by a signal, at any time until now, so that nothing begins anew.
     """
 
     def __init__(self, ready: Ready) -> None:
@@ -100,6 +101,7 @@ class Session:
         self.axes = [AxisRun(axis, _header(ready, axis)) for axis in ready.axes]
         self.reports: list[setup.Report] = []
         self.effects: dict[str, Any] | None = None
+        self.told_to_end = False
 
     def run(self) -> Sequence[Lane]:
         """Run until told to stop.
@@ -140,7 +142,12 @@ class Session:
         for axis in self.axes:
             axis.ring.set_notes(setup.as_text(self.reports))
         loop = self._loop(ends, truths, taking, nodes)
-        stop_on_signals(loop.stop, console)
+
+        def stop() -> None:
+            self.told_to_end = True
+            loop.stop()
+
+        stop_on_signals(stop, console)
         return loop
 
     @property

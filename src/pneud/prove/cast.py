@@ -31,13 +31,14 @@ from pneud.prove.doors import TracebackDoor
 from pneud.prove.judge import Judge
 from pneud.prove.pipes import Listener, Socket
 from pneud.prove.plan import Item, Plan
-from pneud.prove.world import START_NS, Process, World
+from pneud.prove.world import FOREVER_NS, START_NS, Process, World
 from pneud.rig.node import PlantNode
 from pneud.rig.plant_process import Rig, answer
 from pneud.rt import setup
 from pneud.signals import Record
 
 SLOTS = 2048  # of the ring: seconds, at the rate of a run
+SETTLES_NS = 200_000_000  # from the rig's beginning until it answers
 LOADING_S = (0.0, 0.01, 0.1, 1.0)  # that a process takes at most to load what it needs
 AGAIN_S = 0.5  # from a daemon's death to the next one
 CREW = ("daemon", "recorder", "keeper", "console", "plant")
@@ -58,7 +59,7 @@ class Cast:
         self.finishing = False
         self._alone = len({i.what["who"] for i in plan.items if i.kind == "operator"}) == 1
         self._again_ns = 0
-        self._rig_again_ns = 0
+        self._rig_well_ns = FOREVER_NS
         judge.rig_is_well = self._rig_is_well
         disk.on_sync = self._on_sync
 
@@ -127,6 +128,8 @@ class Cast:
                 child.handlers[int(signal.SIGTERM)] = signal.SIG_DFL
             return self._lived(main, known)
 
+        if name == "plant":
+            self._rig_well_ns = FOREVER_NS  # until it has nodes
         child = world.spawn(life, name, parent.pid)
         child.orphaned = None if orphaned is None else int(orphaned)
         child.handlers, child.blocked = dict(parent.handlers), parent.blocked
@@ -166,6 +169,7 @@ class Cast:
 
     def _node(self, *args: Any, **kwargs: Any) -> PlantNode:
         self.judge.node = node = PlantNode(*args, **kwargs)
+        self._rig_well_ns = self.world.now_ns + SETTLES_NS
         return node
 
     def _on_sync(self, file: File) -> Callable[[], None]:
@@ -190,11 +194,11 @@ class Cast:
 
     def _rig_is_well(self) -> bool:
         rigs = self.world.named(("rig", "plant"))
-        return bool(rigs) and not any(one.stopped for one in rigs) and self.world.now_ns > self._rig_again_ns
+        return bool(rigs) and not any(one.stopped for one in rigs) and self.world.now_ns > self._rig_well_ns
 
     def _start_rig(self) -> None:
         self.rig = self.world.spawn(lambda: self._lived(self._be_the_rig), "rig")
-        self._rig_again_ns = self.world.now_ns + 500_000_000
+        self._rig_well_ns = FOREVER_NS  # until it has nodes
 
     def _be_the_rig(self) -> None:
         loaded = self.loaded
@@ -224,7 +228,7 @@ class Cast:
                 lanes = session.run()
                 status = tell(session, lanes)
             self.judge.ended(status)
-            if not any(lane.again for lane in lanes):
+            if session.told_to_end or not any(lane.again for lane in lanes):
                 return status
             self.world.me().process.handlers.clear()  # as a program that begins anew has none
 

@@ -155,6 +155,7 @@ class World:
         heap = self._heap
         while heap and not until() and self.steps < self._most_steps:
             t_ns, _, _, what, token = heapq.heappop(heap)
+            assert t_ns >= self.now_ns
             self.now_ns = t_ns
             if token < 0:
                 what()
@@ -213,15 +214,15 @@ class World:
         if me.done:
             raise GreenletExit
         self.steps += 1
-        t_ns = self.now_ns + next(self._costs)
         if me.fuse is not None:
-            self._burn(me, t_ns)
+            self._burn(me)
+        t_ns = self.now_ns + next(self._costs)
         if self._heap and self._heap[0][0] <= t_ns:
             self.wait(t_ns)
         else:
             self.now_ns = t_ns
 
-    def _burn(self, me: Actor, t_ns: int) -> None:
+    def _burn(self, me: Actor) -> None:
         """See whether something happens at this step."""
         assert me.fuse is not None
         left, happens = me.fuse
@@ -230,7 +231,7 @@ class World:
             happens()
             self._go_on(me)
             if me.process.stopped or me.process.todo:
-                self.wait(t_ns)
+                self.wait(self.now_ns)
 
     def wait(self, until_ns: int, *happenings: Happening) -> None:
         """Have others go until something happens, or until a time; it may be over sooner, too."""

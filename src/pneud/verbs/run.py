@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 
 from pneud.daemon.preparation import RunOptions, prepared
@@ -30,6 +31,10 @@ def run(o: RunOptions) -> int:
         status = tell(session, lanes)
     if any(lane.again for lane in lanes):
         sys.stdout.flush()
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT):
+            signal.signal(number, signal.SIG_DFL)  # from here on it ends at once
+        if session.told_to_end:
+            return status
         restarting()
         setup.leave(allowed)
         os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
