@@ -123,9 +123,9 @@ class Cast:
 
         def life() -> int:
             crew.ignore_group_signals()
-            world.sleep_until(world.now_ns + round(loading_s * 1e9))
             if orphaned is not None:
                 child.handlers[int(signal.SIGTERM)] = signal.SIG_DFL
+            world.sleep_until(world.now_ns + round(loading_s * 1e9))
             return self._lived(main, known)
 
         if name == "plant":

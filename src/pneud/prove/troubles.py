@@ -119,9 +119,10 @@ class Troubles:
             case "short":
                 disk.short = True
             case "removed":
-                if cast_sessions := self._cast.judge.sessions:
-                    cast_sessions[-1].log.unlink(missing_ok=True)
-                    cast_sessions[-1].removed = True
+                session = next(reversed(self._cast.judge.sessions), None)
+                if session is not None and not session.ring.status().finished:
+                    session.log.unlink(missing_ok=True)
+                    session.removed = True
             case "forgets":
                 disk.forgets = True
             case _:
