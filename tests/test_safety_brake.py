@@ -7,7 +7,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from pneud.safety.brake import Brake, BrakeRules, is_let_go, is_wanted, judge, proceed
+from pneud.safety.brake import Brake, BrakeRules, is_holding, is_let_go, is_wanted, judge, proceed
 from pneud.safety.faults import CENTRES, STOPS, F
 from pneud.safety.supervisor import INITIAL, Supervisor, advance, is_engaged
 from pneud.signals import Hold, RequestKind, State
@@ -84,6 +84,11 @@ def test_nobody_who_tells_nothing_is_stuck() -> None:
 def test_a_load_that_cannot_be_borne_is_a_fault() -> None:
     assert judge(Brake(BALANCING, 5), 0, 1000 * MS + 5, PLAIN)[1] == 0
     assert judge(Brake(BALANCING, 5), 0, 1000 * MS + 6, PLAIN)[1] == UNBALANCED
+
+
+def test_it_holds_until_it_has_let_go() -> None:
+    assert [h for h in Hold if h and not is_holding(Brake(h), PLAIN)] == [RELEASED]
+    assert not is_holding(Brake(ENGAGED), BrakeRules())
 
 
 def test_it_is_wanted_where_the_load_is_to_be_led() -> None:

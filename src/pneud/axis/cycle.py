@@ -11,13 +11,12 @@ from collections.abc import Callable
 from pneud.axis.doubt import listen
 from pneud.axis.guidance import NO_REFERENCE, Course, guide, redirect
 from pneud.axis.interlock import (
+    NOT_ASKED,
     attend,
     carried,
-    is_held,
     may_let_go,
     settled,
     stationed,
-    stilled,
     taken_over,
 )
 from pneud.axis.mileage import LOOK_NS, SETTLED_NS, Odometer, count
@@ -33,7 +32,7 @@ from pneud.control.plan import FOLLOWING, IDLE, LED, NONE, Plan
 from pneud.control.program import DUE, UNDER_WAY, Run, halted, look, progress, stopped
 from pneud.control.step import Controller, forget, unlearnt
 from pneud.safety import checks
-from pneud.safety.brake import ENGAGING, Brake
+from pneud.safety.brake import ENGAGING, Brake, is_holding
 from pneud.safety.faults import F
 from pneud.safety.output import emit
 from pneud.safety.station import Inputs, Judged
@@ -98,13 +97,15 @@ def cycle(
     belief, seen, lasting, present = sense(state, m, arming, t_ns, p)
     outside_m = outside(state.outside_m, m.position_m, is_engaged(before.state), p.limits)
     spared = excused(outside_m, m.position_m, belief.estimate, p.limits)
-    state, judged = attend(state, belief, heard, t_ns, p)
-    if spared or state.pressed or is_held(state.brake, p):
+    judged = NOT_ASKED
+    if p.roles.used or p.brake.used:
+        state, judged = attend(state, belief, heard, t_ns, p)
+    if spared or state.pressed or is_holding(state.brake, p.brake):
         lasting &= UNHELD
     watch, lasted = remember(state.watch, seen, lasting, m.t_ns, p.limits)
     present -= present & spared
     present |= lasted | doubtful | judged.faults | checks.of_host(m.host)
-    course = stilled(guide(state, belief, m, present, p, told), state, belief, p)
+    course = guide(state, belief, m, present, p, told)
     if course.found:
         watch = forget_position(watch)
     asked, run, inputs = heed(state, request, course, belief, judged, t_ns, p)
@@ -116,19 +117,16 @@ def cycle(
     course, driven = lead(course, asked, after.state, state, belief, m, law, outside_m, p)
     if driven.faults:
         after = trip(after, driven.faults)
-    present = course.present | asked.faults | driven.faults
-    if driven.command.saturated:
-        present |= SATURATED
+    present = found(course, asked, driven)
     if present & NOT_FINITE:
         driven = driven._replace(controller=None)  # it would remember
     if run.stage >= UNDER_WAY:
         run = observed(run, t_ns, after.state, course, belief.estimate, state.standing, inputs, law)
     reference = aim(course.reference, course.led, p.leading)
     stood = stand(state, after.state, belief, reference, course, driven.command, t_ns, p)
-    done = state.odometer
-    if t_ns - done.looked_ns >= LOOK_NS:
-        done = counted(state, belief, m, course.found, is_engaged(after.state), t_ns)
-    state = settled(state, inputs, m, belief, course, after.state, stood, t_ns, p)
+    done = counted(state, belief, m, course.found, is_engaged(after.state), t_ns)
+    if p.roles.used or p.brake.used:
+        state = settled(state, inputs, m, belief, course, after.state, stood, t_ns, p)
     tick = Tick(
         t_ns=t_ns,
         measurement=m,
@@ -219,7 +217,7 @@ def lead(
     if is_engaged(now):
         course = redirect(course, asked, now, state, belief, p)
         bounded = p if outside_m == INSIDE else gentle(p)
-        if is_held(state.brake, p) and state.brake.hold != ENGAGING:
+        if is_holding(state.brake, p.brake) and state.brake.hold != ENGAGING:
             return course, carried(state, course, m, belief, law, bounded)
         if state.brake.fresh != 0:
             course = taken_over(course, belief.estimate, law, p)
@@ -232,10 +230,24 @@ def lead(
     return course, driven
 
 
+def found(course: Course, asked: Asked, driven: Driven) -> int:
+    """Bits of all faults that hold in a tick.
+
+    Args:
+        course: where the axis is led.
+        asked: what becomes of a request.
+        driven: what leaves for the valve.
+    """
+    present = course.present | asked.faults | driven.faults
+    if driven.command.saturated:
+        present |= SATURATED
+    return present
+
+
 def counted(
     state: AxisState, belief: Belief, m: Measurement, found: bool, engaged: bool, t_ns: int
 ) -> Odometer:
-    """What the axis has done, with what it does now.
+    """What the axis has done, with what it does now; looked at now and then.
 
     Args:
         state: after the last tick.
@@ -245,6 +257,8 @@ def counted(
         engaged: the axis is.
         t_ns: instant of this tick's SYNC.
     """
+    if t_ns - state.odometer.looked_ns < LOOK_NS:
+        return state.odometer
     known = belief.controller is not None and not found
     settled = belief.sampled_ns - belief.started_ns > SETTLED_NS
     return count(state.odometer, t_ns, belief.estimate, m, known, settled, engaged, state.law)

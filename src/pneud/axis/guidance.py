@@ -15,6 +15,7 @@ from pneud.control.plan import IDLE, LED, Plan, follow, halting, resting
 from pneud.control.probe import Probe
 from pneud.control.reference import rest
 from pneud.control.step import ControllerState, change, forget, join, join_in_motion, resume
+from pneud.safety.brake import is_holding
 from pneud.safety.faults import F
 from pneud.safety.supervisor import HOLDING, HOMING, PRESSING, PROBING, STOPPING, is_engaged
 from pneud.signals import Measurement, Reference, Told
@@ -95,6 +96,8 @@ def guide(
         press, ended = force.proceed(press, e, belief.sampled_ns, (1 + m.skipped) * law.h, law, p.pressing)
         present |= given_up(ended)
         reference = force.motion_of(e, law, p.motion.acceleration_m_s2)
+        if is_holding(state.brake, p.brake):
+            reference = rest(e.position_m)  # whatever is estimated
     elif is_engaged(before):
         if plan.phase == LED:
             guided = leading.follow(

@@ -16,11 +16,10 @@ from pneud.control.force import Aim, Press
 from pneud.control.leading import aim
 from pneud.control.plan import GOING, JOINING
 from pneud.control.program import Run
-from pneud.control.reference import rest
 from pneud.control.step import Controller, as_learnt, join_in_motion
 from pneud.physics.valve import dead_zone_inverse
 from pneud.safety import brake, station
-from pneud.safety.brake import BALANCING, ENGAGED, RELEASED, RELEASING, Brake
+from pneud.safety.brake import BALANCING, ENGAGED, RELEASING, Brake, is_holding
 from pneud.safety.faults import STOPS
 from pneud.safety.output import emit
 from pneud.safety.station import Inputs, Judged
@@ -38,16 +37,6 @@ from pneud.safety.supervisor import (
 from pneud.signals import Command, Estimate, Heard, Measurement, Station
 
 NOT_ASKED = Judged(Inputs(), False, 0)  # of inputs that there are none
-
-
-def is_held(b: Brake, p: AxisParameters) -> bool:
-    """Whether the load may not be led, for the brake.
-
-    Args:
-        b: the brake.
-        p: parameters.
-    """
-    return p.brake.used and b.hold != RELEASED
 
 
 def waiting(state: AxisState, belief: Belief) -> AxisState:
@@ -69,20 +58,6 @@ def waiting(state: AxisState, belief: Belief) -> AxisState:
     if now != STOPPING and state.plan.phase in (GOING, JOINING):
         return state._replace(plan=state.plan._replace(since_ns=now_ns))
     return state
-
-
-def stilled(course: Course, state: AxisState, belief: Belief, p: AxisParameters) -> Course:
-    """The course of an axis that is to press and whose brake holds: it stands, whatever is estimated.
-
-    Args:
-        course: where the axis is led.
-        state: after the last tick, with the brake.
-        belief: what is known of the load.
-        p: parameters.
-    """
-    if state.supervisor.state != PRESSING or not is_held(state.brake, p):
-        return course
-    return course._replace(reference=rest(belief.estimate.position_m))
 
 
 def may_let_go(b: Brake, s: Supervisor, present: int, kind: int, p: AxisParameters) -> bool:
@@ -203,12 +178,10 @@ def attend(
         t_ns: instant of this tick's SYNC.
         p: parameters.
     """
-    if not p.roles.used and not p.brake.used:
-        return state, NOT_ASKED
     judged = station.judge(state.inputs, heard, t_ns, p.roles)
     if p.brake.used:
         now, faults = brake.judge(state.brake, judged.inputs.bits, t_ns, p.brake)
-        if is_held(now, p) and is_engaged(state.supervisor.state):
+        if is_holding(now, p.brake) and is_engaged(state.supervisor.state):
             state = waiting(state, belief)
         state = state._replace(brake=now)
         judged = judged._replace(faults=judged.faults | faults)
@@ -240,9 +213,9 @@ def settled(
         p: parameters.
     """
     if not p.brake.used:
-        return state._replace(inputs=inputs) if p.roles.used else state
+        return state._replace(inputs=inputs)
     balance = state.balance
-    if is_engaged(after) and is_held(state.brake, p):
+    if is_engaged(after) and is_holding(state.brake, p.brake):
         balance = balanced(state, m, belief, p)
     now = braked(state.brake, balance, after, course.at_rest, stood.in_position, inputs.bits, t_ns, p)
     return state._replace(inputs=inputs, brake=now, balance=balance)

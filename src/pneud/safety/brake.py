@@ -44,6 +44,16 @@ def is_let_go(hold: int) -> bool:
     return hold in (RELEASING, RELEASED)
 
 
+def is_holding(b: Brake, p: BrakeRules) -> bool:
+    """Whether there is a brake, and the load may not be led for it.
+
+    Args:
+        b: the brake.
+        p: what is known of it.
+    """
+    return p.used and b.hold != RELEASED
+
+
 def judge(b: Brake, inputs: int, t_ns: int, p: BrakeRules) -> tuple[Brake, int]:
     """Whether the brake does what it is told, and the load can be borne: faults as bits of the table.
 
