@@ -23,19 +23,21 @@ from pneud.config.toml import changed_text
 from pneud.console import programs
 from pneud.console.records import ProgramError
 from pneud.control.program import Step
-from pneud.loading import Loaded, devices_of, load
+from pneud.loading import Loaded, Together, devices_of, load, load_axes
 from pneud.log.files.naming import create_log
 from pneud.log.files.reader import LogReader, read_log
 from pneud.log.files.writer import LogWriter
 from pneud.physics.plant import Board
 from pneud.replay.lockstep import Simulation, header_of
 from pneud.replay.replaying import replay
+from pneud.replay.together import Together as SimulatedTogether
 from pneud.rig.station import StationNode
 from pneud.safety.faults import BLOCKS_ARM, F, names
 from pneud.safety.supervisor import is_engaged
 from pneud.safety.unnoticed import unnoticed
 from pneud.scenario.format import Scenario
 from pneud.signals import Frame, Hold, Record, Request, RequestKind, State
+from several import FOLDER, text_of
 
 MS = 1_000_000
 INPUTS = {
@@ -461,6 +463,55 @@ def test_whatever_is_asked_nothing_is_led_while_it_holds(seed: int) -> None:
         if "brake" in run.outputs():
             assert engaged
     assert engaged_ever and holds >= {Hold.ENGAGED, Hold.BALANCING, Hold.RELEASING}
+
+
+# several axes
+
+SHARED = """
+[bus.inputs]
+enable = "INPUTS.Enable"
+"""
+
+
+def two(folder: Path, more: str) -> Together:
+    own = (resources.configs() / "station.dbc").read_text()  # whose identifiers are other nodes' here
+    dbc = (FOLDER / "axes.dbc").read_text()
+    at = own.index("BO_ 388 ")
+    extra = own[at : own.index("BO_ 129 ")].replace("IO_NODE", "VALVE_NODE")
+    dbc += extra.replace("BO_ 388 ", "BO_ 400 ").replace("BO_ 516 ", "BO_ 656 ")
+    (folder / "axes.dbc").write_text(dbc)
+    text = text_of(2)
+    at = text.index("\n[[axis]]")
+    file = folder / "two.toml"
+    file.write_text(text[:at] + SHARED + text[at:] + more)
+    return load_axes(file)
+
+
+def test_one_enable_is_that_of_both_axes(tmp_path: Path) -> None:
+    axes = two(tmp_path, "")
+    run = SimulatedTogether(axes, 1.0, 0, [quick(), quick()])
+    stations = [lane.node.station for lane in run.lanes]
+    first, second = stations
+    assert first is not None and second is not None and second.speaker is first
+    states = []
+    for n, records in enumerate(run.records()):
+        states.append([State(r.tick.state) for r in records])
+        if n == 250:
+            assert states[-1] == [State.TRACKING] * 2
+            first.inputs = 0
+        if n == 400:
+            break
+    assert all(r.tick.latched >> F.ENABLE_OFF & 1 for r in records)
+    assert states[-1] == [State.FAULT] * 2
+
+
+def test_outputs_are_of_one_axis_alone(tmp_path: Path) -> None:
+    assert len(two(tmp_path, "")) == 2
+    file = tmp_path / "two.toml"
+    outputs = '[bus.outputs]\nready = "OUTPUTS.Ready"\n\n'
+    file.write_text(file.read_text().replace("[bus.inputs]", f"{outputs}[bus.inputs]"))
+    with pytest.raises(ConfigError, match="0x290 is OUTPUTS of axis a1 and OUTPUTS of axis a2"):
+        load_axes(file)
 
 
 # log, replay, and C

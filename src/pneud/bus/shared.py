@@ -19,11 +19,11 @@ _ONE = (  # of which there is one for all
 
 
 def identifiers(config: Config, codecs: Codecs) -> dict[int, str]:
-    """What each identifier that is an axis's alone is for."""
+    """What each identifier that is an axis's alone is for; messages with inputs may be those of several."""
     found = {answer.codec.can_id: answer.name for answer in codecs.answers}
     found[codecs.valve_command.can_id] = "the command"
     if codecs.switching is not None:
-        found |= {message.codec.can_id: message.name for message in codecs.switching.messages}
+        found |= {message.codec.can_id: message.name for message in codecs.switching.outputs}
     for device in config.bus.devices:
         if (node := device.node) is not None:
             found |= {_EMCY + node: f"EMCY of node {node}", _HEARTBEAT + node: f"heartbeat of node {node}"}
@@ -50,6 +50,12 @@ def why_not_together(axes: Axes) -> str:
                 f"0x{can_id:03X} is {own[can_id]} of axis {a.name} and {others[can_id]} of axis {b.name};"
                 " give each its own message and node under [axis.bus.frames]"
             )
+        for inputs, axis, known in ((a_codecs, a.name, others), (b_codecs, b.name, own)):
+            for message in inputs.switching.inputs if inputs.switching is not None else ():
+                if message.codec.can_id in known:
+                    what = known[message.codec.can_id]
+                    shown = f"0x{message.codec.can_id:03X} is {message.name}, inputs of axis {axis}"
+                    return f"{shown}, and {what} of the other; give each its own message"
         for name, known in ((b.name, own), (a.name, others)):
             if (sync := a_codecs.sync.can_id) in known:
                 return f"0x{sync:03X} is SYNC, and {known[sync]} of an axis beside {name}"

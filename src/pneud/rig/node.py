@@ -108,6 +108,9 @@ class PlantNode:
             from pneud.rig.station import StationNode  # noqa: PLC0415 - for axes with inputs or outputs alone
 
             self.station = StationNode(codecs.switching, p.board)
+            for other in segment.nodes if segment is not None else ():
+                if other.station is not None:
+                    self.station.join(other.station)
             self._taken |= self.station.ids
             told += [message.codec for message in codecs.switching.messages]
         self._data_bit_s = {codec.can_id: codec.data_bit_s for codec in told}

@@ -19,6 +19,7 @@ class StationNode:
         silent: the inputs' node sends nothing.
         stuck: how the brake stands whatever it is told: 1 released, 0 engaged; −1 where it does as told.
         outputs: bits that are on.
+        speaker: who sends the inputs: another rig's node on the same bus, where they share a message.
     """
 
     def __init__(self, switching: Switching, board: Board) -> None:
@@ -26,6 +27,7 @@ class StationNode:
         self.silent = False
         self.stuck = -1
         self.outputs = 0
+        self.speaker = self
         self._switching = switching
         self._board = board
         self._period_ns, self._timeout_ns = round(board.period_s * 1e9), round(board.timeout_s * 1e9)
@@ -41,6 +43,12 @@ class StationNode:
     def ids(self) -> frozenset[int]:
         """Identifiers of what it takes."""
         return frozenset(self._ids)
+
+    def join(self, other: StationNode) -> None:
+        """Another rig is on the same bus, and was there before: what both would send, it sends."""
+        theirs = {message.codec.can_id for message in other._switching.inputs}
+        if any(message.codec.can_id in theirs for message in self._switching.inputs):
+            self.speaker = other.speaker
 
     def bit_of(self, name: str) -> int:
         """The mask of an input.
@@ -83,7 +91,7 @@ class StationNode:
 
     def due(self, t_ns: int) -> list[Frame]:
         """The messages with inputs that are to be sent now."""
-        if t_ns < self._due_ns or self.silent:
+        if t_ns < self._due_ns or self.silent or self.speaker is not self:
             return []
         self._due_ns = t_ns + self._period_ns
         bits = self.inputs & ~self._board.feedback | (self._board.feedback if self._free else 0)

@@ -231,12 +231,13 @@ class Engine:
         station, fault = self.node.station, playing.fault
         assert station is not None
         if isinstance(fault, kinds.InputsLost):
-            station.silent = began
+            station.speaker.silent = began
         elif isinstance(fault, kinds.BrakeFault):
             station.stuck = int(fault.stuck == "released") if began else -1
         else:
-            bit = station.bit_of(fault.input)
-            station.inputs = station.inputs | bit if fault.on == began else station.inputs & ~bit
+            one = station.speaker
+            bit = one.bit_of(fault.input)
+            one.inputs = one.inputs | bit if fault.on == began else one.inputs & ~bit
 
     def _disturb(self, playing: _Playing, t_ns: int) -> None:
         """What others put on the bus in this period."""
