@@ -48,7 +48,7 @@ def why_not_together(axes: Axes) -> str:
         for can_id in sorted(own.keys() & others.keys()):
             return (
                 f"0x{can_id:03X} is {own[can_id]} of axis {a.name} and {others[can_id]} of axis {b.name};"
-                " give each its own message and node under [axis.bus.frames]"
+                " give each its own message and node under [axis.bus]"
             )
         for inputs, axis, known in ((a_codecs, a.name, others), (b_codecs, b.name, own)):
             for message in inputs.switching.inputs if inputs.switching is not None else ():
