@@ -421,7 +421,7 @@ def main() -> int:
             if not case["met"] and o.bus != "sim":
                 again = {"again": case["problems"]}
                 case = play(name, o.bus, folder, o.config) | again  # type: ignore[assignment]
-                cases.append(case)
+            cases.append(case)
             say(case)
         if o.bus != "sim" and not o.only:
             others = [*starts(folder), *full_disk(o.bus, folder), *(overflow(o.bus, folder) if real else [])]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -68,3 +69,22 @@ def test_the_page_shows_every_case_and_stands_alone(campaign: ModuleType) -> Non
     assert "1 of 2 came as expected" in page
     assert "<li>c: why</li>" in page
     assert "http" not in page.replace("http-equiv", "")
+
+
+def test_every_case_that_is_played_is_in_the_matrix(
+    campaign: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def play(name: str, *_: object) -> dict[str, object]:
+        return {"name": name, "met": name != "emcy", "problems": [], "expected": [], "faults": []}
+
+    monkeypatch.setattr(campaign, "play", play)
+    monkeypatch.setattr(campaign, "page", lambda *_: "")
+    monkeypatch.setattr(campaign, "say", lambda _: None)
+    words = ["campaign", "--bus", "unixcan", "--only", "babble,emcy", "-o", str(tmp_path)]
+    monkeypatch.setattr("sys.argv", words)
+    assert campaign.main() == 1
+    cases = json.loads((tmp_path / "matrix.json").read_text())["cases"]
+    assert [(case["name"], case["met"], "again" in case) for case in cases] == [
+        ("babble", True, False),
+        ("emcy", False, True),
+    ]
