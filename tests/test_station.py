@@ -15,7 +15,7 @@ from pneud import resources
 from pneud.bus.codec import Codecs, DatabaseError, codecs_from
 from pneud.bus.switching import Hearing, Saying
 from pneud.bus.wire import CAN_EFF_FLAG
-from pneud.compiled.backend import INTERPRETED
+from pneud.compiled.backend import FUNCTIONS, INTERPRETED
 from pneud.config.bus_tables import BusConfig
 from pneud.config.reading import parse
 from pneud.config.sections import ConfigError
@@ -32,11 +32,13 @@ from pneud.replay.lockstep import Simulation, header_of
 from pneud.replay.replaying import replay
 from pneud.replay.together import Together as SimulatedTogether
 from pneud.rig.station import StationNode
+from pneud.rt.folders import cache_folder
 from pneud.safety.faults import BLOCKS_ARM, F, names
 from pneud.safety.supervisor import is_engaged
 from pneud.safety.unnoticed import unnoticed
 from pneud.scenario.format import Scenario
 from pneud.signals import Frame, Hold, Record, Request, RequestKind, State
+from pure2c import compile_functions
 from several import FOLDER, text_of
 
 MS = 1_000_000
@@ -546,6 +548,18 @@ def test_python_and_c_do_the_same() -> None:
         return [r.tick for r in (*run.records, *run.ticks(200))]
 
     assert repr(ticks(INTERPRETED)) == repr(ticks(quick()))
+
+
+def test_ticks_with_inputs_and_a_brake_are_computed_in_c() -> None:
+    if quick() is INTERPRETED:
+        pytest.skip("no C compiler here")
+    left = compile_functions(FUNCTIONS, cache=cache_folder("compiled")).left
+    run, before = Run(axis(brake=True)), left()
+    run.armed(Request(RequestKind.ARM, (1.0,)))
+    run.until(lambda r: hold(r) == Hold.RELEASED)
+    run.ticks(300)
+    asked = left()[0] - before[0]
+    assert asked <= 0.02 * len(run.records), asked
 
 
 # what cannot be

@@ -106,7 +106,7 @@ def told(
         p: which outputs say what.
         b: of the brake.
     """
-    outputs = program & ~(p.in_position | p.ready | p.engaged | p.fault | p.brake)
+    outputs = program - (program & (p.in_position | p.ready | p.engaged | p.fault | p.brake))
     if in_position:
         outputs |= p.in_position
     if is_engaged(state):
