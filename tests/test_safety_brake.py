@@ -170,5 +170,5 @@ class Braked(RuleBasedStateMachine):
             assert not is_let_go(self.b.hold)
 
 
-Braked.TestCase.settings = settings(max_examples=40, stateful_step_count=30, deadline=None)
+Braked.TestCase.settings = settings(max_examples=15, stateful_step_count=25, deadline=None)
 TestBraked = Braked.TestCase

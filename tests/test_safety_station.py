@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pneud.safety.brake import BrakeRules
@@ -98,6 +98,7 @@ def test_without_a_brake_nothing_is_said_of_one() -> None:
     assert told(0, State.HOLDING, 0, 0, 0, 0, Hold.ENGAGED, Roles(used=True), NO_BRAKE).brake == Hold.NONE
 
 
+@settings(max_examples=30, deadline=None)
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 200)), max_size=30))
 def test_every_start_was_seen_off_before(ticks: list[tuple[bool, int]]) -> None:
     state, seen_off = Inputs(), False

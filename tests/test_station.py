@@ -446,12 +446,12 @@ def wild(run: Run, rng: random.Random, ticks: int) -> Iterator[Record]:
         yield run.tick()
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_whatever_is_asked_nothing_is_led_while_it_holds(seed: int) -> None:
     rng = random.Random(seed)
     run = Run(axis(brake=True, braking={"at_rest": seed % 2 == 1}))
     holds, engaged_ever = set(), False
-    for record in wild(run, rng, 3000):
+    for record in wild(run, rng, 1500):
         tick, station = record.tick, record.tick.station
         assert station is not None
         engaged = is_engaged(tick.state)
