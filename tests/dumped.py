@@ -10,16 +10,21 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+RECEIVE_BYTES = 8 * 1024 * 1024  # it may have to wait for its turn while thousands of frames come
+
 
 @contextmanager
 def dumped(file: Path) -> Iterator[None]:
     """Have candump write what is on vcan0 meanwhile."""
     with file.open("w") as seen:
-        candump = subprocess.Popen(["candump", "-L", "vcan0"], stdout=seen)
+        candump = subprocess.Popen(["candump", "-L", "-r", str(RECEIVE_BYTES), "vcan0"], stdout=seen)
         try:
             yield
         finally:
-            time.sleep(1.0)  # it may share the one CPU, and has yet to write what it received
+            size = -1
+            while size < file.stat().st_size:  # it may share the one CPU, and has yet to write all
+                size = file.stat().st_size
+                time.sleep(1.0)
             candump.send_signal(signal.SIGINT)
             candump.wait(10)
 
