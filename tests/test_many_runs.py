@@ -34,6 +34,7 @@ from pneud.campaign.record import NAME, Chunk, Record, RecordError, Span, missin
 from pneud.campaign.sensitivities import correlation, ranks, spread
 from pneud.campaign.workers import KILLED, ClusterError, fingerprint
 from pneud.config.sections import ConfigError
+from pneud.log.files.reader import read_log
 from pneud.view.progress import silent
 
 ROOT = Path(__file__).parent.parent
@@ -286,7 +287,7 @@ def chunk(begin: int, end: int) -> Chunk:
 COLUMNS: dict[str, type] = {"run": int, "x": float, "error": str}
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(st.data())
 def test_a_record_cut_off_anywhere_has_all_whole_chunks_and_takes_more(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
@@ -402,7 +403,7 @@ def a_plan(total: int) -> Any:
     )
 
 
-@settings(max_examples=20)
+@settings(max_examples=12)
 @given(st.integers(0, 1 << 30), st.integers(1, 80), st.sampled_from((Fallible, Deaf)))
 def test_whoever_dies_nothing_is_done_twice_and_nothing_is_missing(
     tmp_path_factory: pytest.TempPathFactory, seed: int, total: int, kind: type[Fallible]
@@ -517,6 +518,10 @@ def test_runs_that_fail_are_rows_commands_and_status_1(tmp_path: Path) -> None:
     done = pneud_here("campaign", file, "-o", tmp_path / "out", "--jobs", 1)
     assert done.returncode == 1
     assert f"pneud campaign {file} --run {failed[0]}" in done.stdout
+    told = json.loads(pneud_here("campaign", file, "-o", tmp_path / "out", "--jobs", 1, "--json").stdout)
+    assert [one["run"] for one in told["failures"]] == failed
+    assert told["failures"][0]["command"] == f"pneud campaign {file} --run {failed[0]}"
+    assert told["done_now"] == 0
     assert f"{len(failed)} of 4 runs failed" in (tmp_path / "out" / page.NAME).read_text()
     rows = pq.read_table(tmp_path / "out" / "rows.parquet").to_pylist()
     assert [row["run"] for row in rows if row["error"]] == failed
@@ -569,6 +574,16 @@ def test_workers_leave_when_who_began_them_is_killed_and_the_same_command_goes_o
     eventually(lambda: not any(Path(f"/proc/{pid}").exists() for pid in workers))
     found = object_of(pneud("campaign", file, "--jobs", 2, "-o", folder, "--json"))
     assert 0 < found["done_now"] < 300 == found["runs"]
+
+
+@pytest.mark.slow
+def test_the_worst_runs_have_a_report_each_to_which_the_page_leads(tmp_path: Path) -> None:
+    file, folder = written(tmp_path), tmp_path / "out"
+    found = object_of(pneud_here("campaign", file, "--jobs", 1, "-o", folder, "--reports", 2, "--json"))
+    for one in found["worst"][:2]:
+        assert read_log(folder / f"run-{one['run']}.mcap").metadata["campaign_run"] == str(one["run"])
+        assert (folder / f"run-{one['run']}.html").stat().st_size > 10_000
+        assert f'<a href="run-{one["run"]}.html">' in (folder / page.NAME).read_text()
 
 
 @pytest.mark.slow

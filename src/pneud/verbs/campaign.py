@@ -18,7 +18,7 @@ from pneud.campaign.plan import RUN, Plan, plan_of
 from pneud.campaign.record import Record, rows_of
 from pneud.campaign.rows import Rows
 from pneud.campaign.sensitivities import SHARES, spread, strongest
-from pneud.campaign.unit import ERROR
+from pneud.campaign.unit import ERROR, SEED
 from pneud.campaign.workers import DaskWorkers, LocalWorkers, Workers
 from pneud.loading import Loaded
 from pneud.log.files.naming import log_path, new_log
@@ -161,7 +161,7 @@ def _logged(plan: Plan, number: int, output: Path, report: Report) -> Path:
         writers: list[LogWriter] = []
 
         def begin(loaded: Loaded) -> LogWriter:
-            writers.append(LogWriter(descriptor, header_of(loaded, seed=str(seed), run=str(number))))
+            writers.append(LogWriter(descriptor, header_of(loaded, seed=str(seed), campaign_run=str(number))))
             return writers[0]
 
         def look(done_s: float, of_s: float) -> None:
@@ -204,6 +204,10 @@ def _summary(
         "page": str(told.folder / page.NAME),
         "runs": len(rows),
         "failed": len(rows.where(ERROR)),
+        "failures": [
+            {"run": row[RUN], "seed": row[SEED], "error": row[ERROR], "command": page.command(told, row[RUN])}
+            for row in map(rows.row, rows.where(ERROR)[: page.FAILED])
+        ],
         "done_now": found.runs,
         "took_s": found.took_s,
         "cost_s": found.cost_s,
