@@ -31,7 +31,8 @@ from pneud.campaign.draws import drawn, quantile, share
 from pneud.campaign.file import load_campaign
 from pneud.campaign.plan import Plan, plan_of
 from pneud.campaign.record import NAME, Chunk, Record, RecordError, Span, missing, rows_of
-from pneud.campaign.sensitivities import correlation, ranks, spread
+from pneud.campaign.rows import Rows
+from pneud.campaign.sensitivities import correlation, ranks, spread, strongest
 from pneud.campaign.workers import KILLED, ClusterError, fingerprint
 from pneud.config.sections import ConfigError
 from pneud.log.files.reader import read_log
@@ -458,6 +459,21 @@ def test_a_correlation_of_ranks_knows_neither_units_nor_curves() -> None:
     assert math.isnan(correlation(x, np.ones(40)))
     assert math.isnan(correlation(x[:5], x[:5]))
     assert spread(np.array([math.nan])) is None
+
+
+def test_a_time_that_never_comes_is_the_longest_and_one_of_a_run_that_failed_is_none() -> None:
+    rows = Rows({"run": int, "x": float, "move_settled_s": float, "error": str}, 12)
+    for number in range(12):
+        time_s = None if number in (3, 7) else 0.1 * number
+        rows.put(number, [number, float(number in (3, 7)), time_s, "failed" if number == 7 else ""])
+    assert rows.greatest("move_settled_s", 3) == [3, 11, 10]
+    found = spread(rows.ordered("move_settled_s"))
+    assert found is not None
+    assert (found.most, found.none) == (math.inf, 2)
+    (rank,) = strongest(rows, ["move_settled_s"], ["x"])
+    assert rank.correlation > 0.4
+    assert rank.runs == 11
+    assert page.in_words(found.most) == "never"
 
 
 @pytest.fixture(scope="module")

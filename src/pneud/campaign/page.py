@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import math
 import shlex
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -13,7 +14,7 @@ import numpy as np
 
 from pneud.campaign.plan import RUN, Plan
 from pneud.campaign.rows import Floats, Rows
-from pneud.campaign.sensitivities import SHARES, spread, strongest
+from pneud.campaign.sensitivities import MIDDLE, SHARES, spread, strongest
 from pneud.campaign.unit import ERROR, SEED
 from pneud.report.frame import BAD, GOOD, LOOK, Drawn, Section, Verdict, document, strip, table
 
@@ -83,20 +84,22 @@ def scaled(column: str) -> tuple[str, float]:
 def _figures(plan: Plan, rows: Rows) -> str:
     lines = []
     for column in plan.figures:
-        values = rows.numbers(column)
+        values = rows.ordered(column)
         found = spread(values)
         name, factor = scaled(column)
         if found is None:
             lines.append((name, Drawn(""), *("–",) * (len(SHARES) + 2), str(len(rows))))
             continue
         told = (found.least, *found.shares, found.most)
-        lines.append((name, _histogram(values), *(f"{factor * x:.4g}" for x in told), str(found.none)))
+        lines.append((name, _histogram(values), *(in_words(factor * x) for x in told), str(found.none)))
     head = ("figure", "", "least", *(f"{share:g} %" for share in SHARES), "greatest", "runs without")
     return table(head, lines, label="figures", words=2, name="figures")
 
 
 def _histogram(values: Floats) -> Drawn:
     found = values[np.isfinite(values)]
+    if not len(found):
+        return Drawn("")
     counts, _ = np.histogram(found, _BINS)
     step, most = _WIDTH / _BINS, max(1, int(counts.max()))
     bars = "".join(
@@ -128,9 +131,8 @@ def _combinations(plan: Plan, rows: Rows) -> str:
 
 def _medians(rows: Rows, group: list[int], columns: Sequence[str]) -> Iterator[str]:
     for column in columns:
-        values = rows.numbers(column)[group]
-        found = values[np.isfinite(values)]
-        yield f"{scaled(column)[1] * float(np.median(found)):.4g}" if len(found) else "–"
+        found = spread(rows.ordered(column)[group])
+        yield in_words(scaled(column)[1] * found.shares[MIDDLE]) if found is not None else "–"
 
 
 def command(told: Told, number: object) -> str:
@@ -151,14 +153,14 @@ def _worst(plan: Plan, rows: Rows, told: Told) -> str:
     if not told.worst:
         return ""
     name, factor = scaled(told.worst)
-    lines = []
+    lines, values = [], rows.ordered(told.worst)
     for row in map(rows.row, rows.greatest(told.worst, WORST)):
         beside = told.folder / report_name(row[RUN])
         number = str(row[RUN])
         link = Drawn(f'<a href="{beside.name}">{number}</a>') if beside.is_file() else number
         given = (_shown(row[column]) for column in plan.inputs)
         code = _code(command(told, number))
-        lines.append((link, f"{factor * float(row[told.worst] or 0.0):.4g}", *given, code))
+        lines.append((link, in_words(factor * values[int(number)]), *given, code))
     head = ("run", name, *plan.inputs, "to see it")
     return table(head, lines, label="worst runs", last=1, name="worst") if lines else ""
 
@@ -206,6 +208,11 @@ def _failed(rows: Rows, told: Told) -> str:
     ]  # fmt: skip
     more = f"<p>and {len(failed) - FAILED} more</p>" if len(failed) > FAILED else ""
     return table(("run", "seed", "why", "to see it"), lines, label="runs that failed", last=2) + more
+
+
+def in_words(value: float) -> str:
+    """A figure; a time may never come."""
+    return f"{value:.4g}" if math.isfinite(value) else "never"
 
 
 def _shown(value: object) -> str:

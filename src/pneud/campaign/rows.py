@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pneud.campaign.unit import Cell, Row
+from pneud.campaign.parts import ARRIVES, SETTLES
+from pneud.campaign.unit import ERROR, Cell, Row
 
 Floats = NDArray[np.float64]
+TIMES = (SETTLES, ARRIVES)  # ends of the columns of times that may never come
 
 
 class Rows:
@@ -59,6 +61,14 @@ class Rows:
             return column
         return np.array([float(x) if isinstance(x, int | float) else np.nan for x in column])
 
+    def ordered(self, name: str) -> Floats:
+        """As `numbers`; a time that never comes, in a run that was done, is infinite."""
+        values = self.numbers(name)
+        if not name.endswith(TIMES):
+            return values
+        done = np.array([not text for text in self.column(ERROR)], dtype=bool)
+        return np.where(np.isnan(values) & done, np.inf, values)
+
     def row(self, number: int) -> Row:
         """One row; None where a value is none."""
         return {name: self._cell(column[number]) for name, column in self._cells.items()}
@@ -80,6 +90,6 @@ class Rows:
 
     def greatest(self, name: str, count: int) -> list[int]:
         """The numbers of the rows with the greatest figures, the greatest first; of equal ones the first."""
-        values = self.numbers(name)
+        values = self.ordered(name)
         order = np.argsort(-values, kind="stable")  # what is no number comes last
         return [int(i) for i in order[:count] if not np.isnan(values[i])]

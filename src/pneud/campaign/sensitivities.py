@@ -10,6 +10,7 @@ import numpy as np
 from pneud.campaign.rows import Floats, Rows
 
 SHARES = (5.0, 50.0, 95.0, 99.0)
+MIDDLE = SHARES.index(50.0)
 FEWEST = 8  # runs from which ranks say anything
 
 
@@ -17,7 +18,7 @@ class Spread(NamedTuple):
     """How a figure is spread."""
 
     known: int
-    none: int  # runs without it
+    none: int  # runs without it, and those whose time never comes
     least: float
     shares: tuple[float, ...]  # percentiles, of `SHARES`
     most: float
@@ -33,12 +34,13 @@ class Rank(NamedTuple):
 
 
 def spread(values: Floats) -> Spread | None:
-    """How a column is spread; None where it has no number."""
-    found = values[np.isfinite(values)]
+    """How a column is spread, infinite ones at its end; None where it has no number."""
+    found = values[~np.isnan(values)]
     if not len(found):
         return None
-    shares = tuple(float(x) for x in np.percentile(found, SHARES))
-    return Spread(len(found), len(values) - len(found), float(found.min()), shares, float(found.max()))
+    shares = tuple(float(x) for x in np.percentile(found, SHARES, method="inverted_cdf"))
+    known = int(np.isfinite(values).sum())
+    return Spread(known, len(values) - known, float(found.min()), shares, float(found.max()))
 
 
 def ranks(values: Floats) -> Floats:
@@ -51,7 +53,7 @@ def ranks(values: Floats) -> Floats:
 
 def correlation(one: Floats, other: Floats) -> float:
     """Spearman's: that of the ranks, where both have numbers; NaN where one of them is always the same."""
-    both = np.isfinite(one) & np.isfinite(other)
+    both = ~np.isnan(one) & ~np.isnan(other)
     if both.sum() < FEWEST:
         return float("nan")
     return _alike(*(ranks(values[both]) for values in (one, other)))
@@ -65,12 +67,12 @@ def _alike(a: Floats, b: Floats) -> float:
 
 def strongest(rows: Rows, figures: Sequence[str], given: Sequence[str]) -> list[Rank]:
     """Every figure with everything that is given, the strongest first; what is no number is left out."""
-    columns = {name: rows.numbers(name) for name in (*figures, *given)}
+    columns = {name: rows.ordered(name) for name in (*figures, *given)}
     # to rank a column takes far longer than to compare two
     whole = {
         name: ranks(values)
         for name, values in columns.items()
-        if len(rows) >= FEWEST and np.isfinite(values).all()
+        if len(rows) >= FEWEST and not np.isnan(values).any()
     }
     found = []
     for figure in figures:
@@ -80,6 +82,6 @@ def strongest(rows: Rows, figures: Sequence[str], given: Sequence[str]) -> list[
             else:
                 value = correlation(columns[figure], columns[name])
             if not np.isnan(value):
-                runs = int((np.isfinite(columns[figure]) & np.isfinite(columns[name])).sum())
+                runs = int((~np.isnan(columns[figure]) & ~np.isnan(columns[name])).sum())
                 found.append(Rank(figure, name, value, runs))
     return sorted(found, key=lambda r: (-abs(r.correlation), r.figure, r.given))

@@ -195,7 +195,8 @@ def _reports(plan: Plan, worst: list[int], folder: Path, how: str) -> None:
 def _summary(
     c: Campaign, plan: Plan, rows: Rows, found: Conducted, told: Told, table: Path
 ) -> dict[str, Any]:
-    spreads = {name: spread(rows.numbers(name)) for name in plan.figures}
+    worst = rows.ordered(told.worst)
+    spreads = {name: spread(rows.ordered(name)) for name in plan.figures}
     return {
         "schema": 1,
         "name": c.name,
@@ -220,7 +221,7 @@ def _summary(
             for name, s in spreads.items()
         },
         "worst": [
-            {"run": number, told.worst: float(rows.numbers(told.worst)[number])}
+            {"run": number, told.worst: float(worst[number])}
             for number in rows.greatest(told.worst, page.WORST)
         ],
         "sensitivities": [r._asdict() for r in strongest(rows, plan.figures, plan.inputs)],
@@ -233,8 +234,8 @@ def _in_words(plan: Plan, rows: Rows, s: dict[str, Any], told: Told) -> str:
     for name in plan.figures[:_TELLING]:
         words, factor = scaled(name)
         if found := s["figures"][name]:
-            low, middle, high = (factor * found[key] for key in ("min", "p50", "max"))
-            lines.append(f"{words}: {low:.4g} … {high:.4g}, median {middle:.4g}")
+            low, middle, high = (page.in_words(factor * found[key]) for key in ("min", "p50", "max"))
+            lines.append(f"{words}: {low} … {high}, median {middle}")
     for rank in s["sensitivities"][:_TELLING]:
         lines.append(f"{scaled(rank['figure'])[0]} goes with {rank['given']}: {rank['correlation']:+.2f}")
     lines += [f"run {one['run']} is the worst: {page.command(told, one['run'])}" for one in s["worst"][:1]]
