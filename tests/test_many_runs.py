@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
 import random
+import resource
 import signal
 import subprocess
 import sys
@@ -308,6 +310,29 @@ def test_a_record_cut_off_anywhere_has_all_whole_chunks_and_takes_more(
     for begin, end in missing([(c.begin, c.end) for c in again.chunks()], 9):
         again.add(chunk(begin, end))
     assert [row["run"] for row in rows_of(again, COLUMNS, 9)] == list(range(9))
+    again.close()
+
+
+def test_what_is_no_record_stays_as_it_is(tmp_path: Path) -> None:
+    (tmp_path / NAME).write_text("somebody's notes\n")
+    with pytest.raises(RecordError, match="is no record of a campaign"):
+        Record(tmp_path, "digest", [*COLUMNS])
+    assert (tmp_path / NAME).read_text() == "somebody's notes\n"
+
+
+def test_a_disk_that_takes_no_more_is_named(tmp_path: Path) -> None:
+    record = Record(tmp_path, "digest", [*COLUMNS])
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (record.path.stat().st_size + 50, limit[1]))
+    try:
+        with pytest.raises(OSError, match=NAME) as e:
+            record.add(chunk(0, 9))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    assert e.value.errno == errno.EFBIG
+    record.close()
+    again = Record(tmp_path, "digest", [*COLUMNS])
+    assert list(again.chunks()) == []
     again.close()
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -19,6 +20,7 @@ from pneud.campaign.rows import Rows
 from pneud.campaign.unit import Cell
 
 NAME = "runs.jsonl"
+_CUT_HEAD = re.compile(rb'[0-9a-f]{0,8}|[0-9a-f]{8} (\{("c[^\n]*)?)?')  # of a record that has just been begun
 Span = tuple[int, int]
 """Runs from the first number to before the second one."""
 
@@ -62,7 +64,7 @@ class Record:
     def __init__(self, folder: Path, digest: str, columns: Sequence[str]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.path = folder / NAME
-        self._file = self.path.open("a+b")
+        self._file = self.path.open("a+b", buffering=0)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -80,6 +82,8 @@ class Record:
         for line, end in _whole_lines(self.path):
             first = first or line
             whole = end
+        if first is None and not _CUT_HEAD.fullmatch(self.path.read_bytes()):
+            raise RecordError(f"{self.path}: is no record of a campaign; name another folder with -o")
         # what a kill has cut off would stand before the next line
         self._file.truncate(whole)
         if first is None:
@@ -106,8 +110,9 @@ class Record:
     def _write(self, told: dict[str, Any]) -> None:
         text = json.dumps(told, separators=(",", ":"), allow_nan=False).encode()
         try:
-            self._file.write(b"%08x %s\n" % (zlib.crc32(text), text))
-            self._file.flush()
+            left = b"%08x %s\n" % (zlib.crc32(text), text)
+            while left:
+                left = left[os.write(self._file.fileno(), left) :]
             os.fsync(self._file.fileno())
         except OSError as e:
             raise OSError(e.errno, e.strerror, str(self.path)) from None
