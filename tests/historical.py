@@ -21,6 +21,7 @@ from pneud.loop.answers import Answers
 from pneud.loop.conditions import Conditions
 from pneud.loop.console_watch import CONSOLE_LOST, SILENT_NS, ConsoleWatch
 from pneud.loop.recorder_watch import RecorderWatch
+from pneud.prove.plan import Item, Plan
 from pneud.signals import Host
 
 
@@ -28,7 +29,7 @@ class Mistake(NamedTuple):
     """One of them."""
 
     oracles: tuple[str, ...]  # that may say no
-    seed: int  # that finds it
+    seed: int | Plan  # that finds it, or a schedule that does where few seeds come to such
     make: Callable[[pytest.MonkeyPatch], None]
 
 
@@ -90,27 +91,46 @@ def _late_requests_are_done(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(handoff, "_unpacked", unpacked)
 
 
+def _full_disk_is_no_fault(patch: pytest.MonkeyPatch) -> None:
+    honest = Ring.status
+    patch.setattr(
+        recorder_watch.RecorderWatch,
+        "look",
+        lambda self: setattr(self, "host", 0 if honest(self.ring).heartbeat else self.host),
+    )
+
+
 def _written_before_the_disk_has_it(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(LogWriter, "written", property(lambda self: self._accepted))
 
 
-def _state_overtakes_its_record(patch: pytest.MonkeyPatch) -> None:
-    """The state of a tick stood apart from the records, and a reader could take it for the next one's."""
-    honest = Ring.put_state
+def _operator(at_s: float, verb: str, **fields: Any) -> Item:
+    return Item(at_s, "operator", {"who": 0, "verb": verb, **fields})
 
-    def put_state(self: Any, t_ns: int, state: Any) -> None:
-        honest(self, t_ns + 4_000_000, state)
 
-    patch.setattr(Ring, "put_state", put_state)
-
+_WHILE_THE_LOOP_STANDS = Plan(
+    *(0, 4.0, False, False, "compact", 1.0),
+    (
+        _operator(1.2, "arm"),
+        _operator(1.3, "track", what="reference"),
+        Item(2.5, "stop", {"who": "daemon", "step": 0, "for_s": 0.045}),
+        Item(2.502, "kill", {"who": "console", "step": 0}),
+    ),
+)
 
 MISTAKES: dict[str, Mistake] = {
     "arming before the recorder has begun": Mistake(("arming",), 15, _begun_before_the_recorder),
-    "a console that has died is not missed": Mistake(("console",), 190, _console_not_watched),
-    "a removed log is whole": Mistake(("summary",), 2, _removed_log_is_whole),
+    "a console that has died is not missed": Mistake(("console",), 8, _console_not_watched),
+    "the next console undoes the end of the last": Mistake(
+        ("console",), _WHILE_THE_LOOP_STANDS, _next_console_undoes_the_end_of_the_last
+    ),
+    "an attended motion goes on": Mistake(("attended",), 84, _attended_motion_goes_on),
+    "a removed log is whole": Mistake(("summary",), 20, _removed_log_is_whole),
     "a set that comes past the deadline": Mistake(("deadline",), 64, _set_comes_whenever_its_stamp_says),
     "the wall clock is not followed": Mistake(("heard",), 1, _wall_clock_is_not_followed),
-    "a second controller": Mistake(("centre",), 83, _second_controller_is_no_fault),
+    "a second controller": Mistake(("centre",), 28, _second_controller_is_no_fault),
     "a recorder that is gone": Mistake(("recorder",), 29, _recorder_that_is_gone_is_not_missed),
+    "a full disk is no fault": Mistake(("recorder",), 12, _full_disk_is_no_fault),
+    "late requests are done": Mistake(("late",), 925, _late_requests_are_done),
     "written before the disk has it": Mistake(("log",), 29, _written_before_the_disk_has_it),
 }

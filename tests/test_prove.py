@@ -126,7 +126,7 @@ def test_another_process_makes_the_same_of_a_seed() -> None:
 def test_a_mistake_of_the_past_is_found(name: str, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     mistake = MISTAKES[name]
     mistake.make(monkeypatch)
-    outcome = bench.run(plan_of(mistake.seed))
+    outcome = bench.run(plan_of(mistake.seed) if isinstance(mistake.seed, int) else mistake.seed)
     assert outcome.found, name
     assert outcome.found[0].oracle in mistake.oracles
     assert outcome.steps <= 100_000

@@ -34,11 +34,13 @@ QUEUE_BYTES = 512 * 1024
 CALM_TICKS = 20  # without any trouble, before what comes without any has to be there
 STEP_TICKS = 4  # after which a step of the wall clock has to be followed
 SETTLES_NS = 50_000_000  # after a trouble of the bus: a frame may still be on its way
+LATE_NS = 205_000_000  # after which a request that waits for the loop is turned away
 DEATH_S = 0.9  # after which the loop has to have seen that a console or a recorder is gone
 ASKED_NS = 1_700_000_000  # console and loop turn away what is older
-_TAKEN, _ARM = int(Answer.TAKEN), int(RequestKind.ARM)
+_TAKEN = int(Answer.TAKEN)
+_NEVER_LATE = (int(RequestKind.STOP), int(RequestKind.DISARM))
 _UNPROVEN, _CONSOLE_LOST = int(Host.UNPROVEN), int(Host.CONSOLE_LOST)
-_RECORDER_LOST = int(Host.RECORDER_LOST)
+_RECORDER_LOST, _LOG_LOST = int(Host.RECORDER_LOST), int(Host.RECORDER_LOST | Host.DISK_FULL)
 _ENABLED = ValveState.ENABLED
 _COMMANDS = frozenset((*ENGAGES, *STEERS, int(RequestKind.RUN)))
 _LED = (int(State.MOVING), int(State.TRACKING), int(State.PRESSING))
@@ -137,6 +139,7 @@ class Judge:
         self._engaged = self._calm = self._to_blame = 0  # ticks in a row
         self._commanded = False  # an operator has engaged the axis, or led it
         self._console_died = self._recorder_died = self._left = 0  # ticks since then; 0 where it has not
+        self._failing = 0  # ticks in which the log is lost, and nobody says so
         self._foreign_ns = 0  # when somebody else's command was there
 
     def says_no(self, oracle: str, words: str) -> None:
@@ -190,6 +193,7 @@ class Judge:
         self._waiting(record)
         if tick.request is not None and tick.answer == _TAKEN:
             self._done[tick.request.kind] += 1
+            self._in_time(session, tick.request.kind)
         before = self._last
         if before is None or before.state != tick.state:
             self._world.note(f"{State(tick.state).label}, faults {tick.latched:x}")
@@ -299,12 +303,26 @@ class Judge:
                 self._recorder_died = 0
             elif self._recorder_died > most:
                 self.says_no("recorder", f"it has died, and nobody says so for {most} ticks")
+        if self._calm % 16 == 0 or self._failing:
+            failing = self.sessions[-1].ring.status().failing and not tick.measurement.host & _LOG_LOST
+            self._failing = self._failing + 1 if failing else 0
+            if self._failing > most:
+                self.says_no("recorder", f"the disk takes nothing, and nobody says so for {most} ticks")
         if self._left:
             self._left += 1
             if tick.state not in _LED or (tick.request is not None and tick.answer == _TAKEN):
                 self._left = 0
-            elif self._left > most:
-                self.says_no("attended", f"who has begun the motion is gone, and it goes on for {most} ticks")
+            elif self._left > most // 2:
+                self.says_no(
+                    "attended", f"who has begun the motion is gone, and it goes on for {most // 2} ticks"
+                )
+
+    def _in_time(self, session: Session, kind: int) -> None:
+        """What has waited for the loop for too long is not done."""
+        lane = session.loop.lanes[0]
+        age_ns = getattr(getattr(lane._console, "_end", None), "age_ns", 0)
+        if lane._asked and kind not in _NEVER_LATE and age_ns > LATE_NS:
+            self.says_no("late", f"a request has waited for {1e-6 * age_ns:.0f} ms, and is done")
 
     def _waiting(self, record: Record) -> None:
         """The loop waits for answers as long as it may, and no longer, unless it stands still."""

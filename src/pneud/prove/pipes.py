@@ -101,6 +101,8 @@ class Socket(Readable):
         self._messages = messages
         self._waiting: deque[bytes] = deque()
         self._bytes = 0
+        self._since_ns: deque[int] = deque()  # when each message came
+        self.age_ns = 0  # of the message that was taken last
         self._timeout_s: float | None = None  # for ever
 
     @property
@@ -167,7 +169,9 @@ class Socket(Readable):
                 return b""
             raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
         data = self._waiting.popleft()
-        if not self._messages:
+        if self._messages:
+            self.age_ns = world.now_ns - self._since_ns.popleft()
+        else:
             self._bytes -= min(len(data), most)
             if len(data) > most:
                 self._waiting.appendleft(data[most:])
@@ -197,6 +201,8 @@ class Socket(Readable):
         assert self.peer is not None
         self.peer._waiting.append(some)
         self.peer._bytes += len(some)
+        if self._messages:
+            self.peer._since_ns.append(self.world.now_ns)
         self.world.happens(self.peer.readable)
         return len(some)
 

@@ -52,6 +52,8 @@ def plan_of(seed: int) -> Plan:
     for kind in kinds:
         for _ in range(rng.choice((1, 1, 2, 3))):
             items.append(Item(rng.uniform(_RIG_BEGINS_S, length_s), kind, _FAULTS[kind](rng)))
+    if rng.random() < 0.2:
+        items += _at_once(rng, length_s)
     for operator in range(rng.choice((0, 1, 1, 1, 2, 2, 3)) if virtual else rng.choice((1, 1, 1, 2, 2, 3))):
         items += _operations(rng, operator, length_s)
     if rng.random() < 0.3:
@@ -73,6 +75,21 @@ def _at(item: Item) -> float:
 
 def _said(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+_PAIRS = (
+    *(("daemon", "console"), ("daemon", "console"), ("daemon", "recorder"), ("recorder", "daemon")),
+    *(("keeper", "console"), ("console", "keeper"), ("rig", "daemon")),
+)
+
+
+def _at_once(rng: random.Random, length_s: float) -> list[Item]:
+    """One process stands while another one dies."""
+    at_s = rng.uniform(_RIG_BEGINS_S, length_s)
+    stands, dies = rng.choice(_PAIRS)
+    stop = {"who": stands, "step": 0, "for_s": rng.choice((0.02, 0.045, 0.045, 1.0)) * rng.uniform(0.7, 1.0)}
+    kill = {"who": dies, "step": 0}
+    return [Item(at_s, "stop", stop), Item(at_s + rng.uniform(0.0, 0.01), "kill", kill)]
 
 
 def _victim(rng: random.Random) -> str:
@@ -137,16 +154,21 @@ def _operations(rng: random.Random, operator: int, length_s: float) -> list[Item
     def does(verb: str, **fields: Any) -> None:
         found.append(Item(at_s, "operator", {"who": operator, "verb": verb, **fields}))
 
+    if rng.random() < 0.7:
+        does("arm", unproven=True)
+        at_s += 0.05
     while at_s < length_s:
         draw = rng.random()
         if draw < 0.25:
             does("arm", **({"unproven": True} if rng.random() < 0.3 else {}))
         elif draw < 0.45:
             does("goto", x_mm=rng.uniform(100.0, 800.0), attended=rng.random() < 0.3)
+            at_s = _perhaps_leaves(rng, found, at_s)
         elif draw < 0.52:
             does("jog", velocity_mm_s=rng.uniform(-200.0, 200.0), lease_s=rng.uniform(0.05, 0.9))
         elif draw < 0.60:
             does("track", what="reference", attended=rng.random() < 0.3)
+            at_s = _perhaps_leaves(rng, found, at_s)
         elif draw < 0.90:
             does(rng.choice(("clear", "clear", "hold", "stop", "disarm", "status", "status", "tune_get")))
         elif draw < 0.93:
@@ -163,6 +185,16 @@ def _operations(rng: random.Random, operator: int, length_s: float) -> list[Item
             does("leave")
         at_s += rng.expovariate(1.0 / rng.choice((0.02, 0.3, 0.8)))
     return found
+
+
+def _perhaps_leaves(rng: random.Random, found: list[Item], at_s: float) -> float:
+    """Who has begun an attended motion may go in the middle of it; when the next thing is done."""
+    last = found[-1]
+    if not last.what["attended"] or rng.random() < 0.6:
+        return at_s
+    at_s += rng.uniform(0.05, 0.5)
+    found.append(Item(at_s, "operator", {"who": last.what["who"], "verb": "leave"}))
+    return at_s + 0.7
 
 
 def _nuisance(rng: random.Random, length_s: float) -> list[Item]:

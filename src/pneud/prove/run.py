@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import signal
 import tempfile
@@ -26,6 +27,7 @@ from pneud.prove.world import START_NS, World
 from pneud.replay.lockstep import backend_of
 
 MOST_STEPS = 20_000_000
+COLLECT = 8  # runs, from one collection of what is left of them to the next
 _NAME = "prove.toml"
 _CHANGES = {"loop": {"rate_hz": 1.0 / PERIOD_S}, "limits": {"slew_v_s": 1000.0}}
 
@@ -59,6 +61,7 @@ class Bench:
         self.folder = folder
         self.file = folder / _NAME
         self._loaded: dict[str, tuple[Loaded, Backend]] = {}
+        self._runs = 0
 
     def _load(self, detail: str) -> tuple[Loaded, Backend]:
         """What a run begins with; its text is in the file afterwards."""
@@ -79,8 +82,17 @@ class Bench:
             keep: an empty folder for its logs; without, they go.
         """
         loaded, how = self._load(plan.detail)
-        with _folder(keep) as folder:
-            return _run(plan, loaded, how, folder, most_steps)
+        self._runs += 1
+        if self._runs % COLLECT == 1:
+            gc.collect()
+        enabled = gc.isenabled()
+        gc.disable()  # a world is one knot, which is looked at when it is over
+        try:
+            with _folder(keep) as folder:
+                return _run(plan, loaded, how, folder, most_steps)
+        finally:
+            if enabled:
+                gc.enable()
 
 
 @contextmanager
