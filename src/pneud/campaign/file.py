@@ -19,6 +19,7 @@ from pneud.config.toml import TomlError, tables_of
 Value = float | int | bool | str
 Two = tuple[float, float]
 MOST_RUNS = 1 << 32
+STATISTIC = r"^(mean|max|p[1-9][0-9]?)$"  # over the runs of a trial
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 
 
@@ -63,6 +64,21 @@ class Parameter(Section):
         }
 
 
+class Tune(Section):
+    """What is looked for: values that make figures small, over all runs together."""
+
+    objectives: Annotated[dict[str, Annotated[str, Field(pattern=STATISTIC)]], Field(min_length=1)]
+    parameters: Annotated[dict[str, Parameter], Field(min_length=1)]
+    runs: Annotated[int | None, Field(ge=1, le=100_000)] = None  # draws of a trial; those of the file without
+
+    @model_validator(mode="after")
+    def _can_be_sought(self) -> Tune:
+        for name, p in self.parameters.items():
+            if p.normal is not None or p.each is not None or p.weights is not None:
+                raise ValueError(f"{name}: is sought in uniform, loguniform, or a choice")
+        return self
+
+
 def _as_table(value: Any) -> Any:
     """A list is each of its values in turn, a value alone is that."""
     if isinstance(value, list):
@@ -88,6 +104,7 @@ class Campaign(Section):
     play: tuple[AnyPart, ...] = ()
     parameters: dict[str, Annotated[Parameter, BeforeValidator(_as_table)]] = Field(default_factory=dict)
     metrics: tuple[str, ...] = ()  # columns or ends of columns that are kept; all without
+    tune: Tune | None = None
     worst: str = ""  # column by which runs are looked at, the greatest first; the first figure without
 
     @model_validator(mode="after")

@@ -74,6 +74,10 @@ class Plan(NamedTuple):
                 values[key] = of[which] * unit.base_of(config, key) if times else of[which]
         return {**config, "values": {**config["values"], **values}}, label
 
+    def with_all_columns(self) -> Plan:
+        """The same, of whose rows everything is kept."""
+        return self._replace(kept=tuple(self._columns()))
+
     @property
     def columns(self) -> dict[str, type]:
         """The columns of its rows that are kept, and the kind of value in each."""
@@ -127,6 +131,7 @@ def plan_of(c: Campaign, text: str, path: Path) -> Plan:
     fixed = {name: p for name, p in c.parameters.items() if p.each is not None}
     spread = {name: p.law for name, p in c.parameters.items() if p.each is None}
     bases, labels, played = [], [], _played(c)
+    sought = c.tune.parameters.items() if c.tune is not None else ()
     for file, scenario in product(c.config, c.scenarios or ("",)):
         beside = path.parent / file
         try:
@@ -137,7 +142,7 @@ def plan_of(c: Campaign, text: str, path: Path) -> Plan:
                 play=played if scenario in ("", NOBODY) else (),
                 scenario="" if scenario == NOBODY else scenario,
                 how=c.by,
-                times=[key for name, p in fixed.items() if p.times for key in p.keys or (name,)],
+                times=[key for name, p in [*fixed.items(), *sought] if p.times for key in p.keys or (name,)],
             )
         except (ConfigError, DatabaseError) as e:
             raise type(e)(f"{path}: {_where(c, str(e), lines)}{e}") from None

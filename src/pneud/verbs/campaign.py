@@ -34,6 +34,7 @@ from pneud.verbs import JsonOption, ProgressOption, VerbError, require_suffix
 from pneud.view.progress import Report, progress
 
 _BUCKETS, _CLOSEUP = 8192, 1_900_000  # of a report
+_FRONT = 12  # trials in words
 _TELLING = 5  # figures and sensitivities in words
 
 
@@ -60,6 +61,10 @@ def campaign(
     run: Annotated[
         int | None, typer.Option("--run", metavar="K", help="Do this run alone, and show its row.")
     ] = None,
+    tune: Annotated[
+        int | None,
+        typer.Option("--tune", metavar="N", help="Seek what its [tune] says, in so many trials."),
+    ] = None,
     reports: Annotated[
         int, typer.Option("--reports", metavar="N", help="Reports of so many of the worst runs.")
     ] = 0,
@@ -69,13 +74,14 @@ def campaign(
     """Do the runs that are missing, and write all of them as a table and a page.
 
     Returns:
-        Exit status: 0; 1 where a run failed.
+        Exit status: 0; 1 where a run failed, or no values were found with which none does.
 
     Raises:
         ConfigError: the campaign cannot be run.
         DatabaseError: a DBC cannot be used.
         RecordError: the folder has another campaign, or somebody is at work in it.
         ClusterError: there is no cluster, or nobody in it.
+        TuneError: Optuna is missing.
         VerbError: an option makes no sense.
     """
     c, text, path = load_campaign(file)
@@ -88,6 +94,12 @@ def campaign(
     if scheduler is not None and jobs:
         raise VerbError("--jobs: a cluster has as many as it has; leave it out beside --scheduler")
     plan = plan_of(c, text, path)
+    if tune is not None:
+        if scheduler is not None or run is not None or reports:
+            raise VerbError("--tune: is done here; leave out --scheduler, --run, --reports")
+        if c.tune is None or tune < 1:
+            raise VerbError(f"--tune {tune}: needs a table [tune] in {path}, and at least one trial")
+        return _tuned(c, plan, (output or Path(c.name)) / "tune", tune, jobs, json, how)
     if run is not None:
         if scheduler is not None or jobs or reports:
             raise VerbError("--run: is done here and alone; leave out --scheduler, --jobs, --reports")
@@ -107,6 +119,47 @@ def campaign(
     summary = _summary(c, plan, rows, found, told, table)
     print(json_.dumps(finite(summary)) if json else _in_words(plan, rows, summary, told))
     return 1 if summary["failed"] else 0
+
+
+def _tuned(c: Campaign, plan: Plan, folder: Path, total: int, jobs: int, json: bool, how: str) -> int:
+    """Trials until there are so many, then the table and the page of all."""
+    from pneud.campaign import tune_page  # noqa: PLC0415 - with an extra
+    from pneud.campaign.tuning import Tuning, front  # noqa: PLC0415
+
+    assert c.tune is not None
+    with closing(Tuning(c, plan, folder)) as tuning:
+        try:
+            with progress(how) as report:
+                trials = tuning.go(total, jobs, report, _say)
+        except KeyboardInterrupt:
+            _say(f"what is done is kept in {folder}; the same command goes on from there")
+            raise
+        best = front(trials)
+        shown = (*best, *(t for t in trials if t.configured))
+        texts = {t.number: tuning.toml_of(t) for t in shown}
+        told = tune_page.Tuned(c.name, folder, c.tune.objectives, trials, tuning.runs, texts)
+    table = tables.write(folder, told.rows)
+    if not tables.parquet():
+        print(f"pneud: {tables.LACKS}", file=sys.stderr)
+    write_whole(folder / tune_page.NAME, tune_page.page(told))
+    better = [t.number for t in tune_page.better(trials)]
+    if json:
+        found = [{"trial": t.number, "figures": t.figures, "values": texts[t.number]} for t in best]
+        result = {"objectives": c.tune.objectives, "trials": len(trials), "runs": told.runs, "front": found}
+        places = {"rows": str(table), "page": str(folder / tune_page.NAME)}
+        print(json_.dumps(finite({"schema": 1, "name": c.name, **result, "better": better, **places})))
+        return 0 if best else 1
+    print(f"{c.name}: {len(trials)} trials of {told.runs} runs; {len(best)} on the front")
+    print(f"{len(better)} of them better in everything than what is configured")
+    titles = tune_page.titles(c.tune.objectives)
+    for t in best[:_FRONT]:
+        figures = ", ".join(
+            f"{title} {tune_page.shown(column, x)}"
+            for column, title, x in zip(c.tune.objectives, titles, t.figures, strict=True)
+        )
+        print(f"trial {t.number}{' (configured)' if t.configured else ''}: {figures}")
+    print(table, folder / tune_page.NAME, sep="\n")
+    return 0 if best else 1
 
 
 def _conducted(
