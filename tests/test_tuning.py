@@ -200,6 +200,17 @@ def test_statistics_lie_among_the_values(values: list[float]) -> None:
     assert min(values) - 1e-9 <= statistic(values, "mean") <= max(values) + 1e-9
 
 
+def test_a_mean_with_a_figure_that_a_run_lacks_is_none() -> None:
+    assert statistic([1.0, NEVER], "mean") == statistic([1.0, NEVER], "max") == NEVER
+    assert statistic([1.0, NEVER], "p50") == 1.0
+    trials = [Trial(0, {"k": 1.0}, (1.0, NEVER), True), Trial(1, {"k": 2.0}, (2.0, 3.0))]
+    one, other = tune_page.Tuned("x", Path(), {"a_m": "max", "b_s": "max"}, trials, 1, {}).rows
+    assert (one["a_m max"], one["b_s max"], one["front"]) == (1.0, None, 0)
+    assert (other["a_m max"], other["b_s max"], other["front"]) == (2.0, 3.0, 1)
+    assert [tune_page.shown("b_s", x) for x in (NEVER, 3.0)] == ["–", "3"]
+    assert [t.number for t in tune_page.told(trials)] == [0, 1]
+
+
 def test_values_as_toml() -> None:
     assert tune_page.toml({"control.k1": 2.0, "plant.valve.x": 1, "control.k2": 3.0}).split("\n") == [
         "[control]", "k1 = 2.0", "k2 = 3.0", "[plant.valve]", "x = 1",

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from pneud.campaign.page import scaled
 from pneud.campaign.rows import Rows
 from pneud.campaign.sensitivities import strongest
-from pneud.campaign.tuning import Trial, Value, front
+from pneud.campaign.tuning import NEVER, Trial, Value, front
 from pneud.config.toml import toml_text
 from pneud.report.frame import GOOD, LOOK, Drawn, Section, Verdict, document, strip, table
 
@@ -43,20 +43,25 @@ class Tuned(NamedTuple):
         floats = dict.fromkeys(self.columns, float)
         found = Rows({"trial": int, **kinds, **floats, "front": int, "configured": int}, len(self.trials))
         for place, t in enumerate(self.trials):
-            figures = t.figures if t.whole else [None] * len(floats)
+            figures = (x if x < NEVER else None for x in t.figures)
             own = (*t.values.values(), *figures, int(t.number in best), int(t.configured))
             found.put(place, (t.number, *own))
         return found
 
 
 def shown(column: str, value: float) -> str:
-    """A figure in the unit that people have for it."""
-    return f"{scaled(column)[1] * value:.4g}"
+    """A figure in the unit that people have for it; of one that some run lacks, that it is not there."""
+    return "–" if value >= NEVER else f"{scaled(column)[1] * value:.4g}"
 
 
 def titles(objectives: Mapping[str, str]) -> list[str]:
     """What the objectives are called, with their units."""
     return [f"{which} of {scaled(column)[0]}" for column, which in objectives.items()]
+
+
+def told(trials: Sequence[Trial]) -> list[Trial]:
+    """What is configured, and the front."""
+    return [*(t for t in trials if t.configured), *(t for t in front(trials) if not t.configured)]
 
 
 def better(trials: Sequence[Trial]) -> list[Trial]:
@@ -99,9 +104,8 @@ def _verdict(t: Tuned) -> Verdict:
 def _front(t: Tuned) -> str:
     columns, parameters = list(t.objectives), list(t.trials[0].values) if t.trials else []
     lines = []
-    own = [one for one in t.trials if one.configured]
-    for one in (*own, *(f for f in front(t.trials) if not f.configured)):
-        figures = (shown(c, x) if x < 1e6 else "–" for c, x in zip(columns, one.figures, strict=True))
+    for one in told(t.trials):
+        figures = (shown(c, x) for c, x in zip(columns, one.figures, strict=True))
         given = (_value(one.values[name]) for name in parameters)
         text = Drawn(f"<pre>{html.escape(toml(t.texts.get(one.number, {})))}</pre>")
         lines.append(("configured" if one.configured else str(one.number), *figures, *given, text))

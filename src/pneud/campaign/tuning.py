@@ -72,7 +72,7 @@ def front(trials: Sequence[Trial]) -> list[Trial]:
 def statistic(values: Sequence[float], which: str) -> float:
     """The mean, the greatest, or the value that so many in a hundred do not exceed (nearest rank)."""
     if which == "mean":
-        return math.fsum(values) / len(values)
+        return NEVER if max(values) >= NEVER else math.fsum(values) / len(values)
     rank = len(values) if which == "max" else max(1, math.ceil(0.01 * int(which[1:]) * len(values)))
     return sorted(values)[rank - 1]
 

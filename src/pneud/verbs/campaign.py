@@ -135,8 +135,7 @@ def _tuned(c: Campaign, plan: Plan, folder: Path, total: int, jobs: int, json: b
             _say(f"what is done is kept in {folder}; the same command goes on from there")
             raise
         best = front(trials)
-        shown = (*best, *(t for t in trials if t.configured))
-        texts = {t.number: tuning.toml_of(t) for t in shown}
+        texts = {t.number: tuning.toml_of(t) for t in tune_page.told(trials)}
         told = tune_page.Tuned(c.name, folder, c.tune.objectives, trials, tuning.runs, texts)
     table = tables.write(folder, told.rows)
     if not tables.parquet():
@@ -152,7 +151,7 @@ def _tuned(c: Campaign, plan: Plan, folder: Path, total: int, jobs: int, json: b
     print(f"{c.name}: {len(trials)} trials of {told.runs} runs; {len(best)} on the front")
     print(f"{len(better)} of them better in everything than what is configured")
     titles = tune_page.titles(c.tune.objectives)
-    for t in best[:_FRONT]:
+    for t in tune_page.told(trials)[:_FRONT]:
         figures = ", ".join(
             f"{title} {tune_page.shown(column, x)}"
             for column, title, x in zip(c.tune.objectives, titles, t.figures, strict=True)
