@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hil.device_sets import device_sets
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -26,10 +27,12 @@ from pneud.loop.tally import Tally
 from pneud.loop.tracking import Led, Tracking
 from pneud.notebook.summary import SIMULATED, summary_of
 from pneud.replay.heard import Heard
-from pneud.replay.lockstep import header_of, simulate
+from pneud.replay.lockstep import Simulation, backend_of, header_of, simulate
 from pneud.rt.histogram import Histogram
 from pneud.signals import Answer, Frame, Record, Request, RequestKind, State
 
+SETS = device_sets()
+FEW = ("counts", "flexible", "multiplexed-counted", "two-encoders")
 GOLDEN = sorted(Path(__file__).with_name("golden").glob("*.mcap"))
 
 
@@ -126,6 +129,21 @@ def test_what_is_spoiled_counts_the_same(
             writer.flush()
     writer.close()
     assert summary_of(read_log(path)) == tick_by_tick(read_log(path))
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in FEW else pytest.mark.slow) for name in sorted(SETS)]
+)
+def test_devices_of_all_kinds_count_the_same(name: str, tmp_path: Path) -> None:
+    loaded = load(SETS[name].write(tmp_path, name))
+    records = list(Simulation(loaded, 0.15, how=backend_of(loaded)).records())
+    for often in (0.0, 0.1):
+        writer = LogWriter(create_log(tmp_path / f"{often}.mcap"), header_of(loaded))
+        for record in spoiled(records, 1, often):
+            writer.write(record)
+        writer.close()
+        log = tmp_path / f"{often}.mcap"
+        assert summary_of(read_log(log)) == tick_by_tick(read_log(log))
 
 
 def test_an_inbox_hears_little_of_what_is_alike(tmp_path: Path) -> None:

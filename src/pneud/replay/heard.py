@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pneud.bus.codec import Codec, Codecs
-from pneud.bus.inbox import Inbox
+from pneud.bus.codec import ROW, Codec, Codecs
 from pneud.bus.many import raw, valid
 from pneud.bus.mapped_inbox import inbox_of
 from pneud.config.bus_tables import BusConfig
@@ -21,6 +20,18 @@ HEARD = 4  # ticks in a row that tell all that an inbox remembers but its counts
 _NEAR_NS = 2  # so near to a bound the inbox decides, which computes in another order
 
 Flags = NDArray[np.bool_]
+
+
+def _are_plain(codecs: Codecs) -> bool:
+    """Whether all answers are of messages that come in every tick, and can be judged by the thousand."""
+    ages = [answer.codec.age_field for answer in codecs.answers]
+    if any(answer.codec.length > 8 or answer.kind is not None for answer in codecs.answers):
+        return False
+    if any(age is not None and (age.floating or age.code is not None) for age in ages):
+        return False
+    return (
+        codecs.row is None or not codecs.row.values[ROW.index("age_s")]
+    )  # else all are older than they look
 
 
 class Heard:
@@ -37,9 +48,7 @@ class Heard:
         self.inbox = inbox_of(codecs, bus)
         self.sent = self.fed = 0
         self._codecs = codecs
-        # another controller's SYNC, none at all, sources of several messages, long ones: ticks of other kinds
-        plain = type(self.inbox) is Inbox and all(answer.codec.length <= 8 for answer in codecs.answers)
-        self._passes = plain and self.inbox.makes_sync
+        self._passes = self.inbox.makes_sync and _are_plain(codecs)
 
     def add(self, block: Block) -> None:
         """Take the frames of a block."""
