@@ -30,7 +30,18 @@ from pneud.log.format.records import (
     varint,
 )
 from pneud.log.format.schema import Level, message_class, topics
-from pneud.signals import Command, Estimate, Frame, Measurement, Record, Reference, Timing
+from pneud.signals import (
+    Command,
+    Estimate,
+    Frame,
+    Measurement,
+    Record,
+    Reference,
+    Request,
+    RequestKind,
+    Station,
+    Timing,
+)
 
 NAMES: dict[Detail, str] = {"compact": "pneud.Tick", "full": "pneud.FullTick"}
 PARTS = (Measurement, Estimate, Reference, Command, Timing)
@@ -157,6 +168,18 @@ def test_full_detail_comes_back_to_the_bit(record: Record) -> None:
     assert bits(found.record) == bits(record)
     assert found.check == crc_of(record.tick)
     assert (found.skipped, found.host) == (record.tick.measurement.skipped, record.tick.measurement.host)
+
+
+@pytest.mark.parametrize("request_too", [False, True])
+@pytest.mark.parametrize("station", [(0, 0, 0), (3, 5, 1), (127, 127, 5), (128, 1, 1), (1, 2**31, 5)])
+def test_a_tick_with_inputs_comes_back_however_many_there_are(
+    station: tuple[int, int, int], request_too: bool
+) -> None:
+    (record,) = noisy(1)
+    asked = Request(RequestKind.ARM, (1.0,)) if request_too else None
+    record = record._replace(tick=record.tick._replace(request=asked, station=Station(*station)))
+    assert bits(logged(record, "pneud.FullTick", Packer("full").tick(record)).record) == bits(record)
+    assert logged(record, "pneud.Tick", Packer("compact").tick(record)).station == station
 
 
 @given(record=any_record(), detail=st.sampled_from(["compact", "full"]))

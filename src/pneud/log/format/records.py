@@ -173,6 +173,13 @@ class TickLayout:
         """The values in their order, and behind them what only some messages have."""
         if len(data) == self._struct.size and int.from_bytes(data, "little") & self._tags == self._constants:
             return (*self._struct.unpack(data), NOTHING_ELSE)
+        station = _station_at(data, self._struct.size)
+        if (
+            station is not None
+        ):  # which every tick of an axis with inputs or outputs has, and most nothing else
+            usual = data[: self._struct.size]
+            if int.from_bytes(usual, "little") & self._tags == self._constants:
+                return (*self._struct.unpack(usual), Else(station=station))
         # With something of that, or in another order of bytes, as a tool that wrote it anew may choose.
         t = self._class.FromString(data)
         asked = Request(t.request.kind, tuple(t.request.values)) if t.request.kind else None
@@ -182,6 +189,21 @@ class TickLayout:
         s = t.station if t.HasField(STATION) else None
         station = Station(s.inputs, s.outputs, s.brake) if s is not None else None
         return (*self._values(t), Else(asked, (t.present_more, t.latched_more), told, program, station))
+
+
+_STATION_HEAD = varint(1 + _FIELDS.index(STATION) << 3 | 2) + varint(2 * len(Station._fields))
+_STATION_TAGS = bytes(number << 3 for number in range(1, 1 + len(Station._fields)))
+
+
+def _station_at(data: bytes, begin: int) -> Station | None:
+    """The station that stands alone at the end of a message, if it is of small numbers; else None."""
+    first = begin + len(_STATION_HEAD)
+    if len(data) != first + 2 * len(_STATION_TAGS) or not data.startswith(_STATION_HEAD, begin):
+        return None
+    numbers = data[first + 1 :: 2]
+    if data[first::2] != _STATION_TAGS or max(numbers) > 0x7F:
+        return None
+    return Station._make(numbers)
 
 
 def _as_float(value: float) -> float:
