@@ -99,6 +99,7 @@ ASKING = [
     "home",
     "hold",
     "restart",
+    "prove",
     "goto 1",
     "jog 1",
     "mark x",
@@ -426,6 +427,7 @@ def streams(words: list[str], redirection: str, **more: Any) -> subprocess.Compl
 
 SAYING = ["--help", "--version", "check virtual.toml", "sim --duration 0.01", "replay LOG"]
 PROGRAM = Path(__file__).parents[1] / "examples" / "programs" / "pick-and-place.toml"
+CAMPAIGN = Path(__file__).parents[1] / "examples" / "campaigns" / "spread.toml"
 GOLDEN = Path(__file__).with_name("golden") / "composite.mcap"
 NEW = "new x -o OUT.toml --cylinder 25/10 --stroke 200 --mass 3 --valve 350 --yes"
 WORKING = [*SAYING, "sim --duration 0.01 --json", "sim --help", "doctor", "doctor --json", "check SCENARIO"]
@@ -433,6 +435,7 @@ WORKING += ["replay LOG --json", "replay LOG --against LOG", "replay LOG --set c
 WORKING += ["export LOG -o OUT.csv", "export LOG -o OUT.log", "import RECORDING --dbc DBC -o OUT.mcap"]
 WORKING += ["scenarios", "scenarios --json", "logs .", "logs . --json", "nodes explain canopen.toml"]
 WORKING += ["map RECORDING", "map LOG --json", f"run {PROGRAM} --dry-run"]
+WORKING += [f"campaign {CAMPAIGN} --runs 1 --jobs 1 -o OUT", f"campaign {CAMPAIGN} --run 0 --json"]
 WORKING += ["commission --virtual --movement-test", "commission --virtual --movement-test --json"]
 WORKING += ["recover LOG -o OUT.mcap", "report LOG -o OUT.html", "install-service --destdir OUT"]
 WORKING += [f"learnt {GOLDEN}", f"learnt {GOLDEN} --json", NEW, f"{NEW} --json"]
@@ -451,6 +454,7 @@ MUTE = {
     "reproduce",
     "identify",
     "restart",
+    "prove",
 }  # silent; they draw; take long
 
 
