@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 ENCODER_NODE, PRESSURE_NODE, VALVE_NODE = 0, 1, 2  # indices of the nodes
 PRESSURE_RANGE_PA = 1_310_700.0  # full scale of the pressure sensors, and of PRESSURE in pneud.dbc
 MAX_WAITING = 64  # frames from the bus that may wait for the wire; more are lost
+IDLE_NS = 10_000_000  # so long without a frame, the plant goes on by itself
 _START_NS, _NEVER_NS = -(1 << 62), 1 << 62
 
 Hook = Callable[[Frame, bool], Sequence[Frame]]
@@ -217,6 +218,8 @@ class PlantNode:
     def due(self) -> int | None:
         """Earliest time [ns] at which `poll` may have a frame; None as long as no frame comes in."""
         times = [end for end, _ in self._ended] + [frame.stamp_ns for frame in self._held]
+        if self.station is not None and self.started:
+            times.append(self.station.next_ns)
         if self.next_ns != _NEVER_NS:
             times.append(self.next_ns + self._delay_ns + self._shortest_ns)
         upcoming = self._wire.upcoming
@@ -242,6 +245,8 @@ class PlantNode:
         """
         if self._free_ns:
             self.begin(t_ns)
+        if self.station is not None and self.started:
+            self._switch(self.station, t_ns)
         self._run(t_ns)
         if not self._ended and not self._held:
             return []
@@ -254,6 +259,13 @@ class PlantNode:
         self._ended = later
         self._held = [frame for frame in frames if frame.stamp_ns > t_ns]
         return sorted((frame for frame in frames if frame.stamp_ns <= t_ns), key=_stamp)
+
+    def _switch(self, station: StationNode, t_ns: int) -> None:
+        """Inputs are sent, and a brake engages, also where the controller has gone."""
+        if t_ns - self._plant_ns > IDLE_NS:
+            self._integrate(t_ns)
+        for frame in station.due(t_ns):
+            self.put(frame)
 
     def advance(self, t_ns: int) -> None:
         """Deal with all events until `t_ns` and integrate the plant to it; starts time if need be."""
@@ -350,9 +362,6 @@ class PlantNode:
             if self._jitter_ns and self._free_ns:
                 ready_ns += round(abs(self._noise.draw()) * self._jitter_ns)
             self._wire.replace(Item(ready_ns, codec.can_id, self._durations[i], answer, i))
-        if self.station is not None:
-            for frame in self.station.due(t_ns):
-                self.put(frame._replace(stamp_ns=t_ns + self._delay_ns))
 
     def _sent(self, end_ns: int, answer: _Answer) -> Sequence[Frame]:
         codec = answer.codec

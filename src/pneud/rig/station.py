@@ -35,7 +35,8 @@ class StationNode:
         self._ids = {message.codec.can_id: message for message in switching.outputs}
         self._counters = [0] * len(switching.inputs)
         self._heard_ns: dict[int, int] = {}
-        self._due_ns = 0
+        self.next_ns = 0
+        """When inputs are sent next, whatever the controller does."""
         self._told_free, self._told_ns = not board.frees, 0  # without power
         self._free = self._told_free  # the brake has let go
 
@@ -91,9 +92,11 @@ class StationNode:
 
     def due(self, t_ns: int) -> list[Frame]:
         """The messages with inputs that are to be sent now."""
-        if t_ns < self._due_ns or self.silent or self.speaker is not self:
+        if t_ns < self.next_ns:
             return []
-        self._due_ns = t_ns + self._period_ns
+        self.next_ns = t_ns + self._period_ns
+        if self.silent or self.speaker is not self:
+            return []
         bits = self.inputs & ~self._board.feedback | (self._board.feedback if self._free else 0)
         found = []
         for i, message in enumerate(self._switching.inputs):
