@@ -99,7 +99,6 @@ ASKING = [
     "home",
     "hold",
     "restart",
-    "prove",
     "goto 1",
     "jog 1",
     "mark x",

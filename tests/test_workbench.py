@@ -7,6 +7,8 @@ import math
 import os
 import threading
 import time
+from collections.abc import Iterator
+from itertools import dropwhile
 from pathlib import Path
 
 import pytest
@@ -20,11 +22,12 @@ from pneud.config.reading import parse, with_settings
 from pneud.config.sections import ConfigError
 from pneud.loading import load
 from pneud.log.files.naming import LogError, create_log
-from pneud.log.files.reader import LoggedState, read_log
+from pneud.log.files.reader import LoggedState, LogReader, read_log
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import LogHeader, Rotation
-from pneud.replay import replaying
+from pneud.replay import feeding, replaying
 from pneud.replay.differences import POINTS, Differences, compare
+from pneud.replay.feeding import Fed
 from pneud.replay.lockstep import Simulation
 from pneud.replay.playing import play
 from pneud.safety.faults import FAULT_NAMES
@@ -100,16 +103,18 @@ def test_behind_a_part_that_is_gone_it_goes_on_at_the_next_snapshot(parts: Path,
 def test_a_snapshot_of_another_axis_is_refused_with_the_version(
     parts: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    log = read_log(parts)
-    items = [
-        item._replace(data=item.data.replace(b'"last_v"', b'"other"'))
-        if isinstance(item, LoggedState)
-        else item
-        for item in log.items()
-    ]
-    monkeypatch.setattr(type(log), "items", lambda *_: iter(items[SNAPSHOT:]))
+    heard = feeding.fed
+
+    def from_a_snapshot(log: LogReader, from_ns: int = 0) -> Iterator[Fed | LoggedState]:
+        for item in dropwhile(lambda item: not isinstance(item, LoggedState), heard(log, from_ns)):
+            if isinstance(item, LoggedState):
+                yield item._replace(data=item.data.replace(b'"last_v"', b'"other"'))
+            else:
+                yield item
+
+    monkeypatch.setattr(replaying, "fed", from_a_snapshot)
     with pytest.raises(LogError, match="of another version's axis: axis: has not the fields of AxisState"):
-        replaying.replay(log)
+        replaying.replay(read_log(parts))
 
 
 def test_what_if_tells_what_differs_and_since_when(parts: Path, tmp_path: Path) -> None:
