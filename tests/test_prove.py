@@ -36,7 +36,7 @@ def test_a_seed_is_the_same_again_to_the_last_byte(bench: Bench) -> None:
     one, again = bench.run(short(3)), bench.run(short(3))
     assert one.trace == again.trace
     assert one.digest == again.digest
-    assert one.ticks > 50
+    assert one.ticks > 20
 
 
 def test_a_run_in_which_nothing_goes_wrong_arms_and_ends(bench: Bench) -> None:
@@ -67,7 +67,7 @@ def test_a_mistake_is_found_and_shrunk_to_what_it_takes(
 
 def test_a_daemon_that_begins_anew_ends_where_it_is_told_to_meanwhile(bench: Bench) -> None:
     restart = Item(0.6, "operator", {"who": 0, "verb": "restart"})
-    plans = [Plan(seed, 0.74, False, False, "compact", 1.0, (restart,)) for seed in range(4)]
+    plans = [Plan(seed, 0.74, False, False, "compact", 1.0, 200.0, (restart,)) for seed in range(4)]
     outcomes = [bench.run(plan) for plan in plans]
     assert not any(outcome.found for outcome in outcomes)
     assert any("restart is done" in words for outcome in outcomes for words in outcome.trace)
@@ -75,7 +75,7 @@ def test_a_daemon_that_begins_anew_ends_where_it_is_told_to_meanwhile(bench: Ben
 
 def test_a_wall_clock_that_is_set_does_not_take_the_software_rig_along(bench: Bench) -> None:
     off = {"trouble": "stamp", "for_s": 0.1, "share": 0.5, "by_s": 6.0, "towards": "rig"}
-    plan = Plan(4, 1.2, False, False, "compact", 1.0, (Item(0.5, "bus", off),))
+    plan = Plan(4, 1.2, False, False, "compact", 1.0, 200.0, (Item(0.5, "bus", off),))
     assert not bench.run(plan).found
 
 
@@ -126,7 +126,7 @@ def test_another_process_makes_the_same_of_a_seed() -> None:
 def test_a_mistake_of_the_past_is_found(name: str, bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     mistake = MISTAKES[name]
     mistake.make(monkeypatch)
-    outcome = bench.run(plan_of(mistake.seed) if isinstance(mistake.seed, int) else mistake.seed)
+    outcome = bench.run(plan_of(mistake.seed))
     assert outcome.found, name
     assert outcome.found[0].oracle in mistake.oracles
     assert outcome.steps <= 100_000

@@ -13,7 +13,7 @@ from pneud.prove.pipes import Readable
 from pneud.prove.world import FOREVER_NS, World
 from pneud.signals import Frame
 
-EMPTY_LOOK_NS = 8_000  # that a look at an empty queue takes
+EMPTY_LOOK_NS = 30_000  # that a look at an empty queue takes
 MOST_WAITING = 4096  # frames, at a party that does not read
 _ARRIVES_NS = 3_000
 

@@ -148,7 +148,8 @@ class Cast:
             raise
         except Exception as e:
             if isinstance(e, (OSError, *known)):
-                world.note(f"refused: {e}")
+                # where the folder lies is not the seed's
+                world.note(f"refused: {str(e).replace(f'{self.disk.root}/', '')}")
             else:
                 TracebackDoor(world).print_exc()
         return 1
@@ -218,7 +219,7 @@ class Cast:
         def life() -> int:
             return self._lived(self._be_the_daemon, (LinkError, LogError))
 
-        self.daemon = self.world.spawn(life, "daemon")
+        self.daemon = self.judge.daemon = self.world.spawn(life, "daemon")
 
     def _be_the_daemon(self) -> int:
         """As `pneud` does it, from what it has prepared on."""

@@ -99,6 +99,7 @@ class Judge:
         found: what has been found; the first one ends a run.
         sessions: of the daemon, one after the other.
         node: the rig's nodes.
+        daemon: the process of the loop that runs.
         engaged_ticks: of all sessions.
     """
 
@@ -115,6 +116,7 @@ class Judge:
         self.found: list[Finding] = []
         self.sessions: list[Session] = []
         self.node: PlantNode | None = None
+        self.daemon: Process | None = None
         self.rig_is_well: Callable[[], bool] = lambda: True
         self.engaged_ticks = 0
         self._world, self._bus, self._config, self._codecs = world, bus, config, codecs
@@ -204,8 +206,7 @@ class Judge:
         m = tick.measurement
         calm = not (self._bus.troubles or m.skipped or m.host & ~_UNPROVEN)
         calm = calm and self._world.now_ns - self._bus.troubled_ns > SETTLES_NS
-        daemon = next(iter(self._world.named(("daemon",))), None)
-        held = daemon is None or daemon.continued_ns > tick.t_ns - 2 * self._period_ns
+        held = self.daemon is None or self.daemon.continued_ns > tick.t_ns - 2 * self._period_ns
         calm = calm and not held and self.rig_is_well()
         calm = calm and self._world.now_ns - self._last_ns < 2 * self._period_ns
         self._calm = self._calm + 1 if calm else 0
@@ -326,8 +327,7 @@ class Judge:
 
     def _waiting(self, record: Record) -> None:
         """The loop waits for answers as long as it may, and no longer, unless it stands still."""
-        daemon = next(iter(self._world.named(("daemon",))), None)
-        if daemon is None or daemon.continued_ns > record.tick.t_ns:
+        if self.daemon is None or self.daemon.continued_ns > record.tick.t_ns:
             return
         over_ns = record.timing[1] - self._wait_ns
         if over_ns > self._period_ns:

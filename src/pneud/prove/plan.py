@@ -6,7 +6,8 @@ import random
 from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
-PERIOD_S = 0.005
+RATES_HZ = (100.0, 200.0)
+PERIOD_S = 0.005  # that troubles are measured by
 TROUBLES = ("drop", "twice", "late", "behind", "shuffle", "stamp", "corrupt")
 VICTIMS = ("daemon", "recorder", "keeper", "console", "rig")
 _RIG_BEGINS_S = 0.1  # the manager starts the daemon somewhat later
@@ -34,6 +35,7 @@ class Plan(NamedTuple):
     unproven: bool  # the movement test is to be passed
     detail: str  # of the log
     slowness: float  # factor of what steps take
+    rate_hz: float  # of the loop
     items: tuple[Item, ...]
 
     def only(self, numbers: Collection[int]) -> Plan:
@@ -65,6 +67,7 @@ def plan_of(seed: int) -> Plan:
         not virtual and rng.random() < 0.3,
         rng.choice(("compact", "compact", "full")),
         rng.choice((0.5, 1.0, 1.0, 3.0, 10.0)),
+        rng.choice(RATES_HZ),
         tuple(sorted(items, key=_at)),
     )
 

@@ -20,7 +20,7 @@ from pneud.prove.cast import CREW, Cast
 from pneud.prove.disk import Disk
 from pneud.prove.doors import doors
 from pneud.prove.judge import END_S, Finding, Judge
-from pneud.prove.plan import PERIOD_S, Plan
+from pneud.prove.plan import Plan
 from pneud.prove.seams import opened
 from pneud.prove.troubles import Troubles
 from pneud.prove.world import START_NS, World
@@ -29,7 +29,7 @@ from pneud.replay.lockstep import backend_of
 MOST_STEPS = 20_000_000
 COLLECT = 8  # runs, from one collection of what is left of them to the next
 _NAME = "prove.toml"
-_CHANGES = {"loop": {"rate_hz": 1.0 / PERIOD_S}, "limits": {"slew_v_s": 1000.0}}
+_LIMITS = {"slew_v_s": 500.0}  # so that it bounds the command
 
 
 class Outcome(NamedTuple):
@@ -60,18 +60,19 @@ class Bench:
         """
         self.folder = folder
         self.file = folder / _NAME
-        self._loaded: dict[str, tuple[Loaded, Backend]] = {}
+        self._loaded: dict[tuple[str, float], tuple[Loaded, Backend]] = {}
         self._runs = 0
 
-    def _load(self, detail: str) -> tuple[Loaded, Backend]:
+    def _load(self, plan: Plan) -> tuple[Loaded, Backend]:
         """What a run begins with; its text is in the file afterwards."""
-        if detail not in self._loaded:
-            text = changed_text(load("virtual.toml").text, {**_CHANGES, "log": {"detail": detail}})
-            self.file.write_text(text, encoding="utf-8")
+        key = plan.detail, plan.rate_hz
+        if key not in self._loaded:
+            change = {"loop": {"rate_hz": plan.rate_hz}, "limits": _LIMITS, "log": {"detail": plan.detail}}
+            self.file.write_text(changed_text(load("virtual.toml").text, change), encoding="utf-8")
             loaded = load(self.file)
-            self._loaded[detail] = loaded, backend_of(loaded)
-        self.file.write_text(self._loaded[detail][0].text, encoding="utf-8")
-        return self._loaded[detail]
+            self._loaded[key] = loaded, backend_of(loaded)
+        self.file.write_text(self._loaded[key][0].text, encoding="utf-8")
+        return self._loaded[key]
 
     def run(self, plan: Plan, most_steps: int | None = None, keep: Path | None = None) -> Outcome:
         """Make a run.
@@ -81,7 +82,7 @@ class Bench:
             most_steps: end after so many; what is judged at the end is not, then.
             keep: an empty folder for its logs; without, they go.
         """
-        loaded, how = self._load(plan.detail)
+        loaded, how = self._load(plan)
         self._runs += 1
         if self._runs % COLLECT == 1:
             gc.collect()
