@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from pneud.control.reference import (
@@ -160,6 +160,9 @@ def test_no_distance_is_no_way(b: Bounds) -> None:
     assert set(look(still(0.3))) == {rest(0.3)}
 
 
+@example(Reference(0.5, -0.0, 1.0, -5e-167), 0.75, Bounds(1.0, 1.0, 1.0))
+@example(Reference(0.5, 1e-200, -1e-200, 0.0), 0.75, Bounds(1.0, 1.0, 1.0))
+@example(Reference(0.5, 1.0, -1.0, 1.0), 0.5 + 1e-16, Bounds(1.0, 1.0, 1.0))
 @given(start=motions, end=position, b=bounds)
 def test_a_motion_is_led_anywhere_without_a_jump(start: Reference, end: float, b: Bounds) -> None:
     w = move(start, end, b)

@@ -225,7 +225,8 @@ def _even(
         most_a, most_j = _most(start, bounds)
         longest = 6.75 * (most_a - abs(a)) / abs(j) if j != 0.0 else LEAST_S
         T = max(_least_ease_s(a, j, most_j), min(LEAST_S, longest))
-    ease, eased = _eased(start, min(T, _unturned_s(start, bounds, hardest)))
+    T = max(LEAST_CRUISE_S, min(T, _unturned_s(start, bounds, hardest)))
+    ease, eased = _eased(start, T)
     return (ease,), eased.position_m, eased.velocity_m_s
 
 
@@ -334,10 +335,10 @@ def _least_ease_s(a: float, j: float, most_j: float) -> float:
 
     One that takes the acceleration back is greatest, at (1 + c)²/(4 c) |j|, where T = 6 |a|/(|j| (3 + c)).
     """
-    if a * j < 0.0:
-        m = 2.0 * most_j / abs(j) - 1.0
-        return 6.0 * abs(a) / (abs(j) * (3.0 + m + math.sqrt(m * m - 1.0)))
-    return 1.5 * abs(a) / (most_j - abs(j) / 3.0)
+    J = abs(j)
+    if (a > 0.0) != (j > 0.0):
+        return 3.0 * abs(a) / (J + most_j + math.sqrt(most_j * (most_j - J)))
+    return 1.5 * abs(a) / (most_j - J / 3.0)
 
 
 def _eased(start: Reference, T: float) -> tuple[Septic, Reference]:
@@ -361,7 +362,7 @@ def _unturned_s(start: Reference, bounds: Bounds, hardest: Bounds) -> float:
     side = math.copysign(1.0, v)
     A = -side * a
     root = A * A - 4.0 / 3.0 * side * j * KEPT * abs(v)
-    if A <= 0.0 or root < 0.0:
+    if A <= 0.0 or root < 0.0 or v == 0.0:
         return LONGEST_S
     most_j = max(_most(start, bounds)[1], hardest.jerk_m_s3)
     return max(_least_ease_s(a, j, most_j), 4.0 * KEPT * abs(v) / (A + math.sqrt(root)))
@@ -372,7 +373,7 @@ def _braked(start: Reference, end_m: float, bounds: Bounds, hardest: Bounds) -> 
     x, v, _, _ = start
     side = math.copysign(1.0, v)
     ahead_m = side * (end_m - x)
-    if not ahead_m > 0.0 or v == 0.0:
+    if not ahead_m > LEAST_CRUISE_S * abs(v) or v == 0.0:
         return None
     most_a, most_j = _most(start, bounds)
     most = Bounds(
