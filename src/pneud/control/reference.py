@@ -26,7 +26,7 @@ SAMPLES = 32
 KEPT = 0.92  # of its speed that a motion which brakes may lose while its deceleration ends
 LEAST_TIME, TIME_STEP, TIMES = 1.4, 1.07, 22  # of distance over speed: times tried for a piece that brakes
 GLANCES = 16  # points of it that are looked at
-ROUNDED = 1.0 + 1e-6
+ROUNDED, BETWEEN = 1.0 + 1e-6, 0.985  # of bounds that are reached exactly, or perhaps between two glances
 MOST_OMEGA_RAD_S = 2.0 * math.pi * 20.0  # of a sine
 
 
@@ -377,14 +377,15 @@ def _braked(start: Reference, end_m: float, bounds: Bounds, hardest: Bounds) -> 
         return None
     most_a, most_j = _most(start, bounds)
     most = Bounds(
-        ROUNDED * max(abs(v), hardest.speed_m_s),
-        ROUNDED * max(most_a, hardest.acceleration_m_s2),
-        ROUNDED * max(most_j, hardest.jerk_m_s3),
+        max(abs(v), hardest.speed_m_s),
+        max(most_a, hardest.acceleration_m_s2),
+        max(most_j, hardest.jerk_m_s3),
     )
     times = [ahead_m / abs(v) * LEAST_TIME * TIME_STEP**i for i in range(TIMES)]
-    for T in (*_as_ramps(start, end_m, times), *times):
+    ramps = _as_ramps(start, end_m, times)
+    for T in (*ramps, *times):
         piece = septic(T, start, rest(end_m))
-        if _goes_on(piece, side, most):
+        if _goes_on(piece, side, most, ROUNDED if T in ramps else BETWEEN):
             return piece
     return None
 
@@ -409,13 +410,13 @@ def _as_ramps(start: Reference, end_m: float, times: list[float]) -> list[float]
     return []
 
 
-def _goes_on(p: Septic, side: float, most: Bounds) -> bool:
-    """Whether a piece that ends at rest never turns, and keeps to the bounds."""
+def _goes_on(p: Septic, side: float, most: Bounds, share: float) -> bool:
+    """Whether a piece that ends at rest never turns, and keeps to a share of the bounds at some points."""
     for i in range(1, GLANCES):
         _, v, a, j = at(p.T * i / GLANCES, p)
-        if not 0.0 <= side * v <= most.speed_m_s:
+        if not 0.0 <= side * v <= ROUNDED * most.speed_m_s:
             return False
-        if abs(a) > most.acceleration_m_s2 or abs(j) > most.jerk_m_s3:
+        if abs(a) > share * most.acceleration_m_s2 or abs(j) > share * most.jerk_m_s3:
             return False
     return True
 
