@@ -25,7 +25,7 @@ MAX_HARDENINGS = 10
 SAMPLES = 32
 KEPT = 0.92  # of its speed that a motion which brakes may lose while its deceleration ends
 LEAST_TIME, TIME_STEP, TIMES = 1.4, 1.07, 22  # of distance over speed: times tried for a piece that brakes
-GLANCES = 16  # points of it that are looked at
+GLANCES = 32  # points of it that are looked at
 ROUNDED, BETWEEN = 1.0 + 1e-6, 0.985  # of bounds that are reached exactly, or perhaps between two glances
 MOST_OMEGA_RAD_S = 2.0 * math.pi * 20.0  # of a sine
 
