@@ -19,10 +19,12 @@ from pneud.safety.supervisor import ENGAGES, STEERS, is_engaged
 from pneud.signals import (
     ALL_SOURCES,
     Answer,
+    Defect,
     Host,
     Record,
     Request,
     RequestKind,
+    Source,
     State,
     Tick,
     ValveState,
@@ -42,6 +44,7 @@ _NEVER_LATE = (int(RequestKind.STOP), int(RequestKind.DISARM))
 _UNPROVEN, _CONSOLE_LOST = int(Host.UNPROVEN), int(Host.CONSOLE_LOST)
 _RECORDER_LOST, _LOG_LOST = int(Host.RECORDER_LOST), int(Host.RECORDER_LOST | Host.DISK_FULL)
 _ENABLED = ValveState.ENABLED
+_ENCODER, _PRESSURE, _ODD = int(Source.ENCODER), int(Source.PRESSURE), int(Defect.ODD)
 _COMMANDS = frozenset((*ENGAGES, *STEERS, int(RequestKind.RUN)))
 _LED = (int(State.MOVING), int(State.TRACKING), int(State.PRESSING))
 _ACKNOWLEDGED = {
@@ -286,8 +289,11 @@ class Judge:
             return
         if self._engaged > PATIENCE_TICKS + 1 and node.valve.state != _ENABLED:
             self.says_no("valve", f"engaged, and the valve is {node.valve.state.name.lower()}")
-        if tick.measurement.fresh & ALL_SOURCES != ALL_SOURCES:
-            self.says_no("heard", f"all answer, and but {tick.measurement.fresh} is heard")
+        m = tick.measurement  # what is held back as odd was heard
+        heard = m.fresh | (_ENCODER if m.encoder_defects & _ODD else 0)
+        heard |= _PRESSURE if m.pressure_defects & _ODD else 0
+        if heard & ALL_SOURCES != ALL_SOURCES:
+            self.says_no("heard", f"all answer, and but {m.fresh} is heard")
 
     def _watches(self, tick: Tick, *, engaged: bool) -> None:
         """The loop sees who has died."""
