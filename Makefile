@@ -12,7 +12,7 @@ DOCS := $(VENV)/.docs
 DEBIAN_PYTHON := /usr/bin/python3
 # The tests that reach every branch of safety/ and control/.
 COVERING := $(addprefix tests/test_,control_*.py safety_*.py $(addsuffix .py,axis_faults axis_parts asking homing laws \
-  cause pressing probing profiles program program_axis reference reload adaptation standstill))
+  cause load_cell pressing probing profiles program program_axis reference reload adaptation standstill))
 PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 
 .DEFAULT_GOAL := help

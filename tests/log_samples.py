@@ -38,6 +38,7 @@ from pneud.signals import (
     Tick,
     Timing,
     Told,
+    Weighed,
 )
 from pure2c import load_source
 
@@ -175,6 +176,7 @@ _ticks = st.builds(
     st.none() | _filled(Told),
     st.none() | st.builds(Progress, _word, _word, st.sampled_from(Stage).map(int), _word),
     st.none() | st.builds(Station, _word, _word, st.sampled_from(Hold).map(int)),
+    st.none() | st.builds(Weighed, _floats, _ns),
 )
 
 

@@ -62,7 +62,8 @@ def test_every_other_row_is_provoked_too() -> None:
         F.PROGRAM_LATE,
         *(F.FORCE_WINDOW, F.FORCE_SPEED, F.FORCE_TIMEOUT, F.FORCE_DIRECTION),
         *(F.INPUT_LOST, F.ENABLE_OFF, F.BRAKE_STUCK, F.BRAKE_UNBALANCED),
-    }  # by tests of axes that are led, of programs, of pressing, and of inputs and a brake
+        *(F.LOAD_MISSING, F.LOAD_DISAGREES),
+    }  # by tests of axes that are led, of programs, of pressing, of inputs and a brake, and of a load cell
     stopping = {f.bit for f in TABLE if f.reaction == Reaction.STOP}
     assert {case.fault for case in STOPPING} | elsewhere == stopping
     assert {case.fault for case in BLOCKING} == {f.bit for f in TABLE if f.reaction == Reaction.NO_ARM}

@@ -44,7 +44,7 @@ Reals are floats of 32 bits in `pneud.Tick` (of estimate and reference but their
 last byte is zero) and doubles in `pneud.FullTick`; `check` is of the doubles in both, so that a replay compares to the
 bit. Units are SI and stand at the end of each name. Negative times mean that there was none;
 an age of 2⁶² ns means that the source has never been heard. Logs of schema 2 lack `in_position` and `hunting`, which read as 0 then; those of schema 3
-lack the comments in their schemas; before schema 6 there was no fault beyond bit 62, which `present_more` and `latched_more` are for, and no program; before schema 7 there were no inputs and outputs, which are in `station`.
+lack the comments in their schemas; before schema 6 there was no fault beyond bit 62, which `present_more` and `latched_more` are for, and no program; before schema 7 there were no inputs and outputs, which are in `station`, and no load cell, in `weighed`.
 
 | field | unit | type | meaning |
 |---|---|---|---|

@@ -310,10 +310,22 @@ NO_PROGRESS = Progress(0, 0, 0, 0)
 
 
 class Heard(NamedTuple):
-    """What the inputs say in a tick."""
+    """What inputs and a load cell say in a tick."""
 
     inputs: int  # bits, in the order in which the configuration names them
     age_ns: int  # of the message that was heard longest ago
+    force_n: float = float("nan")  # of the load cell; NaN where there is none
+    force_age_ns: int = 1 << 62  # how old that is
+
+
+NOTHING_HEARD = Heard(0, 1 << 62)
+
+
+class Weighed(NamedTuple):
+    """What a load cell says in a tick."""
+
+    force_n: float  # with which the load presses, outwards positive; NaN before it has said anything
+    age_ns: int  # from when that came to this tick's SYNC
 
 
 class Hold(IntEnum):
@@ -358,6 +370,7 @@ class Tick(NamedTuple):
     told: Told | None = None  # by another axis, to one that is led by it
     program: Progress | None = None  # where there is one
     station: Station | None = None  # where there are inputs or outputs
+    weighed: Weighed | None = None  # where there is a load cell
 
     @property
     def error_m(self) -> float:

@@ -6,7 +6,9 @@ function, and its whole state is one record.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 from pneud.axis.doubt import listen
 from pneud.axis.guidance import NO_REFERENCE, Course, guide, redirect
@@ -27,6 +29,7 @@ from pneud.axis.standing import AT_WORK, Standing, judge
 from pneud.axis.state import INSIDE, AxisParameters, AxisState, Doubt, learnt_so_far, switched_on
 from pneud.axis.stops import UNHELD, excused, gentle, outside
 from pneud.control import force, homing, probe
+from pneud.control.force import Pressing
 from pneud.control.leading import ALONE, NOT_LED, aim, is_at_rest
 from pneud.control.plan import FOLLOWING, IDLE, LED, NONE, Plan
 from pneud.control.program import DUE, UNDER_WAY, Run, halted, look, progress, stopped
@@ -60,13 +63,25 @@ from pneud.signals import (
     RequestKind,
     Tick,
     Told,
+    Weighed,
 )
 
 __all__ = ["FOLLOWING", "Axis", "AxisParameters", "AxisState"]
 
-SATURATED, NOT_FINITE = 1 << F.SATURATED, 1 << F.NOT_FINITE
+NOT_FINITE, LOAD_MISSING = 1 << F.NOT_FINITE, 1 << F.LOAD_MISSING
 CENTRED_COMMAND = Command(voltage_v=0.0, enable=0, saturated=0, law_v=NAN, s=NAN, ustar=NAN)
 REACHED = AT_WORK._replace(in_position=1)  # the force that is asked for
+
+
+class Scale(NamedTuple):
+    """What a load cell says."""
+
+    force_n: float  # NaN where nothing is to be believed
+    weighed: Weighed | None  # as it is recorded
+    faults: int  # bits of those that this is
+
+
+NOT_WEIGHED = Scale(NAN, None, 0)
 
 
 def cycle(
@@ -87,11 +102,10 @@ def cycle(
         t_ns: instant of this tick's SYNC.
         p: parameters.
         told: by the axis that leads this one, or is beside it; None where there is none.
-        heard: from the inputs; None where there are none.
+        heard: from inputs and load cell; None where there are none.
     """
     before = state.supervisor
-    if p.homing.incremental:
-        m = homing.placed(m, state.zero_m, state.referenced)
+    m = homing.placed(m, state.zero_m, state.referenced) if p.homing.incremental else m
     m, doubt, doubtful = listen(state, m, t_ns, p)
     arming = request is not None and request.kind in (ARM, HOME, PROBE) and before.state == DISARMED
     belief, seen, lasting, present = sense(state, m, arming, t_ns, p)
@@ -104,8 +118,9 @@ def cycle(
         lasting &= UNHELD
     watch, lasted = remember(state.watch, seen, lasting, m.t_ns, p.limits)
     present -= present & spared
-    present |= lasted | doubtful | judged.faults | checks.of_host(m.host)
-    course = guide(state, belief, m, present, p, told)
+    scale = weigh(heard, p.pressing) if p.pressing.cell else NOT_WEIGHED
+    present |= lasted | doubtful | judged.faults | scale.faults | checks.of_host(m.host)
+    course = guide(state, belief, m, present, p, told, scale.force_n)
     if course.found:
         watch = forget_position(watch)
     asked, run, inputs = heed(state, request, course, belief, judged, t_ns, p)
@@ -143,11 +158,27 @@ def cycle(
         told=told,
         program=progress(run),
         station=stationed(state, after, present, stood, run, p),
+        weighed=scale.weighed,
     )
     state = put_away(
         state, t_ns, belief, watch, course, asked, law, after, driven, doubt, outside_m, stood, done, run, p
     )
     return state, tick
+
+
+def weigh(heard: Heard | None, p: Pressing) -> Scale:
+    """What the load cell says in a tick.
+
+    Args:
+        heard: in this tick.
+        p: how old it may be.
+    """
+    if heard is None or not math.isfinite(heard.force_n):
+        return Scale(NAN, None, LOAD_MISSING)
+    weighed = Weighed(heard.force_n, heard.force_age_ns)
+    if heard.force_age_ns > p.cell_ns:
+        return Scale(NAN, weighed, LOAD_MISSING)
+    return Scale(heard.force_n, weighed, 0)
 
 
 def heed(
@@ -238,10 +269,7 @@ def found(course: Course, asked: Asked, driven: Driven) -> int:
         asked: what becomes of a request.
         driven: what leaves for the valve.
     """
-    present = course.present | asked.faults | driven.faults
-    if driven.command.saturated:
-        present |= SATURATED
-    return present
+    return course.present | asked.faults | driven.faults | driven.command.saturated << F.SATURATED
 
 
 def counted(

@@ -30,6 +30,7 @@ TRAVEL, TRACKING_ERROR, OPERATOR_LOST = 1 << F.TRAVEL, 1 << F.TRACKING_ERROR, 1 
 SKEW, LED_BEYOND = 1 << F.SKEW, 1 << F.LED_BEYOND
 FORCE_WINDOW, FORCE_SPEED = 1 << F.FORCE_WINDOW, 1 << F.FORCE_SPEED
 FORCE_TIMEOUT, FORCE_DIRECTION = 1 << F.FORCE_TIMEOUT, 1 << F.FORCE_DIRECTION
+LOAD_DISAGREES = 1 << F.LOAD_DISAGREES
 NO_REFERENCE = Reference(NAN, NAN, NAN, NAN)
 
 
@@ -58,6 +59,7 @@ def guide(
     present: int,
     p: AxisParameters,
     told: Told | None = None,
+    cell_n: float = NAN,
 ) -> Course:
     """Go on as the ticks before have set it.
 
@@ -68,6 +70,7 @@ def guide(
         present: bits of the faults that it shows.
         p: parameters.
         told: by another axis.
+        cell_n: what a load cell says; NaN where nothing does.
     """
     law, limits, e, before = state.law, p.limits, belief.estimate, state.supervisor.state
     plan, reference, at_rest, way, found = state.plan, NO_REFERENCE, False, state.homing, False
@@ -93,7 +96,8 @@ def guide(
         present |= (probed.lease < 0) << F.OPERATOR_LOST
         probed, at_rest = probe.proceed(probed, e, m, belief.sampled_ns, law.h, law.cylinder, law.gas)
     elif before == PRESSING:
-        press, ended = force.proceed(press, e, belief.sampled_ns, (1 + m.skipped) * law.h, law, p.pressing)
+        dt = (1 + m.skipped) * law.h
+        press, ended = force.proceed(press, e, belief.sampled_ns, dt, law, p.pressing, cell_n)
         present |= given_up(ended)
         reference = force.motion_of(e, law, p.motion.acceleration_m_s2)
         if is_holding(state.brake, p.brake):
@@ -143,6 +147,8 @@ def given_up(ended: int) -> int:
         return FORCE_WINDOW
     if ended == force.SPEED:
         return FORCE_SPEED
+    if ended == force.APART:
+        return LOAD_DISAGREES
     return FORCE_TIMEOUT if ended == force.TIMEOUT else FORCE_DIRECTION
 
 

@@ -23,10 +23,12 @@ from pneud.config.models import GasConfig
 from pneud.rt.inputs import read_whole
 
 if TYPE_CHECKING:
+    from pneud.bus.load_cell import LoadCell
     from pneud.bus.switching import Switching
 
 _KILO, _MILLI, _MICRO = Fraction(1000), Fraction(1, 1000), Fraction(1, 1_000_000)
 UNITS: dict[str, dict[str, Fraction]] = {
+    "n": {"N": Fraction(1), "kN": _KILO, "mN": _MILLI},
     "m": {"m": Fraction(1), "mm": _MILLI, "um": _MICRO, "µm": _MICRO, "μm": _MICRO},
     "pa": {
         "Pa": Fraction(1),
@@ -140,6 +142,7 @@ class Codecs:
     row: Row | None = None
     fd: Fd | None = None  # what is sent as frames of CAN FD; None on a bus without
     switching: Switching | None = None  # inputs and outputs, where there are any
+    load_cell: LoadCell | None = None  # where there is one
 
     def telling(self, *keys: str) -> tuple[Answer, ...]:
         """The answers that tell any of these values."""
@@ -203,13 +206,17 @@ def codecs_from(
     """
     messages = _messages(path, dbc, keep)
     codecs = _of_axis(bus, path, messages, gas)
-    if not bus.inputs and not bus.outputs:
-        return codecs
-    from pneud.bus import switching  # noqa: PLC0415 - for axes with inputs or outputs alone
+    if bus.inputs or bus.outputs:
+        from pneud.bus import switching  # noqa: PLC0415 - for axes with inputs or outputs alone
 
-    found = switching.loaded(bus, path, messages, codecs)
-    fd = codecs.fd and codecs.fd._replace(ids=codecs.fd.ids | found.fd_ids)
-    return replace(codecs, switching=found, fd=fd)
+        found = switching.loaded(bus, path, messages, codecs)
+        fd = codecs.fd and codecs.fd._replace(ids=codecs.fd.ids | found.fd_ids)
+        codecs = replace(codecs, switching=found, fd=fd)
+    if bus.load_cell is not None:
+        from pneud.bus import load_cell  # noqa: PLC0415 - for axes with one alone
+
+        codecs = replace(codecs, load_cell=load_cell.loaded(bus, path, messages, codecs))
+    return codecs
 
 
 def _of_axis(bus: BusConfig, path: Path, messages: list[MessageSpec], gas: GasConfig | None) -> Codecs:

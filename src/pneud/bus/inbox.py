@@ -30,6 +30,7 @@ from pneud.config.bus_tables import BusConfig
 from pneud.signals import ALL_SOURCES, Defect, Frame, Host, Measurement, Source
 
 if TYPE_CHECKING:
+    from pneud.bus.load_cell import Weighing
     from pneud.bus.switching import Hearing
 
 NEVER_NS = 1 << 62  # the age of a source that has not been heard of yet
@@ -85,6 +86,17 @@ class InputState(NamedTuple):
     bits: int = 0
 
 
+class CellState(NamedTuple):
+    """What is known of a load cell between two ticks."""
+
+    counter: int = -1
+    stamp_ns: int = -NEVER_NS
+    force_n: float = math.nan
+
+
+NO_CELL = CellState()
+
+
 class InboxState(NamedTuple):
     """All that measurements depend on between two ticks; the counts, which are for people, are not in it."""
 
@@ -101,6 +113,7 @@ class InboxState(NamedTuple):
     echo: tuple[float, int] = (0.0, 0)  # the last command: voltage [V], enable
     offset_ns: int = 0  # from the last tick's SYNC to its newest position, where sensors run free
     inputs: tuple[InputState, ...] = ()  # of the messages with inputs
+    cell: CellState = NO_CELL  # of the load cell
 
 
 class Origin:
@@ -252,6 +265,12 @@ class Inbox:
             from pneud.bus.switching import Hearing  # noqa: PLC0415 - for axes with inputs alone
 
             self.hearing = Hearing(codecs.switching.inputs)
+        self.weighing: Weighing | None = None
+        """Of the load cell, where there is one."""
+        if codecs.load_cell is not None:
+            from pneud.bus.load_cell import Weighing  # noqa: PLC0415 - for axes with one alone
+
+            self.weighing = Weighing(codecs.load_cell)
 
     def _listened(self, codecs: Codecs, bus: BusConfig) -> Sequence[Origin]:
         """What is listened to, the encoder first."""
@@ -449,10 +468,14 @@ class Inbox:
             self._readings,
             offset_ns=self._known_offset_ns,
             inputs=self._frozen_inputs(),
+            cell=self._frozen_cell(),
         )
 
     def _frozen_inputs(self) -> tuple[InputState, ...]:
         return () if self.hearing is None else self.hearing.freeze()
+
+    def _frozen_cell(self) -> CellState:
+        return NO_CELL if self.weighing is None else self.weighing.freeze()
 
     def thaw(self, state: InboxState) -> None:
         """Go on from a frozen state."""
@@ -466,15 +489,17 @@ class Inbox:
         self._known_offset_ns = state.offset_ns
         if self.hearing is not None:
             self.hearing.thaw(state.inputs)
+        if self.weighing is not None:
+            self.weighing.thaw(state.cell)
 
     def counts(self) -> Counts:
         """What has come in since the start."""
-        hearing = self.hearing
+        beside = [one for one in (self.hearing, self.weighing) if one is not None]
         return Counts(
             self._rx,
             sum(o.lost + o.doubted for o in self._sources),
-            self._crc + (hearing.crc if hearing is not None else 0),
-            self._stale + (hearing.stale if hearing is not None else 0),
+            self._crc + sum(one.crc for one in beside),
+            self._stale + sum(one.stale for one in beside),
             self._late,
             self.foreign,
             self._errors,
@@ -489,6 +514,8 @@ class Inbox:
         self._rx += 1
         if self.hearing is not None and self.hearing.hears(can_id):
             self.hearing.take(Frame(stamp_ns, can_id, data))
+        elif self.weighing is not None and can_id == self.weighing.can_id:
+            self.weighing.take(Frame(stamp_ns, can_id, data))
         elif can_id in self._own:
             self.foreign += 1
         elif can_id == self._heard_id:

@@ -66,6 +66,8 @@ def load_of(config: Config, *axes: Codecs) -> Load:
         answers_s += sum(taken_s(answer.codec) for answer in codecs.answers)
         if codecs.switching is not None:
             answers_s += sum(taken_s(message.codec) for message in codecs.switching.messages)
+        if codecs.load_cell is not None:
+            answers_s += taken_s(codecs.load_cell.codec)
     # the next axis computes while a command is on the wire
     commands = [taken_s(codecs.valve_command) for codecs in axes]
     waits_s = sum(max(command_s, COMPUTING_S) for command_s in commands[:-1])

@@ -184,6 +184,7 @@ class MappedInbox(Inbox):
             self.echo,
             self._known_offset_ns,
             self._frozen_inputs(),
+            self._frozen_cell(),
         )
 
     def thaw(self, state: InboxState) -> None:

@@ -24,6 +24,8 @@ def identifiers(config: Config, codecs: Codecs) -> dict[int, str]:
     found[codecs.valve_command.can_id] = "the command"
     if codecs.switching is not None:
         found |= {message.codec.can_id: message.name for message in codecs.switching.outputs}
+    if codecs.load_cell is not None:
+        found[codecs.load_cell.codec.can_id] = codecs.load_cell.name
     for device in config.bus.devices:
         if (node := device.node) is not None:
             found |= {_EMCY + node: f"EMCY of node {node}", _HEARTBEAT + node: f"heartbeat of node {node}"}

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
-from pneud.config.mapping import Mapped, MessageConfig, SignalsConfig
+from pneud.config.mapping import Mapped, MessageConfig, SignalsConfig, check_cell
 from pneud.config.nodes import GENERATED, NodeConfig, check_nodes, messages_of, signals_of
 from pneud.config.sections import MaybeInfinite, Positive, Section, Timeout, check_channel
 
@@ -64,6 +64,7 @@ class BusConfig(Section):
     messages: dict[str, MessageConfig] = Field(default_factory=dict)
     inputs: dict[str, Mapped] = Field(default_factory=dict)  # by name, which may be a role
     outputs: dict[str, Mapped] = Field(default_factory=dict)  # likewise
+    load_cell: Mapped | None = None  # force with which the load presses, outwards positive; none: from x3
     nodes: tuple[NodeConfig, ...] = ()  # CANopen nodes, which have to be configured
 
     @model_validator(mode="before")
@@ -118,6 +119,8 @@ class BusConfig(Section):
         others = [name for name in self.messages if name not in self.io_messages]
         if self.signals is None and others:
             raise ValueError("messages goes with signals; with frames, these keys stand in each frame")
+        if self.load_cell is not None:
+            check_cell(self.load_cell)
         if self.inputs or self.outputs:
             from pneud.config.station import check_io  # noqa: PLC0415 - for a few axes only
 
@@ -132,7 +135,8 @@ class BusConfig(Section):
     @property
     def io_messages(self) -> tuple[str, ...]:
         """The messages with inputs and outputs."""
-        told = (*self.inputs.values(), *self.outputs.values())
+        cell = () if self.load_cell is None else (self.load_cell,)
+        told = (*self.inputs.values(), *self.outputs.values(), *cell)
         return tuple(dict.fromkeys(str(value.signal).partition(".")[0] for value in told))
 
     @property

@@ -55,6 +55,7 @@ JERK_SHARE = 0.15  # of what the open valve does to the force, that the jerk of 
 BLOCKED_KG = 1e9  # nothing moves that
 FORCE_SHARE = 0.9  # of the piston's greatest force that may be asked for
 FREE_SHARE = 0.15  # of it: what opposes a load that is pressed against nothing is less, its weight apart
+APART_SHARE = 0.1  # of the piston's force: a load cell may differ by so much
 RAMP_S, RAMP_SHARE = 0.05, 1.5  # in which that force comes, or the part of the valve's flow that it takes
 LEAST_FORCE_N, FORCE_TOLERANCE = 2.0, 0.01  # tolerance of a force: at least, and as a part of it
 BLEND_S = 0.1  # in which one set of gains gives way to another
@@ -438,6 +439,9 @@ def pressing_of(c: Config) -> Pressing:
         tolerance_n=asked.tolerance_n or LEAST_FORCE_N,
         share=0.0 if asked.tolerance_n else FORCE_TOLERANCE,
         settled_ns=round(c.in_position.time_s * 1e9),
+        cell=c.bus.load_cell is not None,
+        cell_ns=round(c.bus.sensor_timeout_ms * 1e6),
+        apart_n=asked.apart_n or APART_SHARE * max(out_n, in_n) + 2.0 * c.control.friction.static_n,
         free_n=min(FREE_SHARE * max(out_n, in_n), 0.5 * c.limits.disagreement_n),
         valve_n_s=math.inf if asked.rate_n_s else RAMP_SHARE * k.F1_nominal * c.valve.u_max_v,
     )

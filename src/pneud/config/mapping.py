@@ -129,3 +129,15 @@ class SignalsConfig(Section):
 
 
 OWN = ("voltage_v", "enable", "sequence", "sync")  # what the controller sends
+
+
+def check_cell(told: SignalConfig) -> None:
+    """Refuse what is no signal with a force.
+
+    Raises:
+        ValueError: says what, and the cure.
+    """
+    if told.signal is None or "." not in told.signal:
+        raise ValueError('load_cell: give "MESSAGE.SIGNAL"')
+    if told != SignalConfig(signal=told.signal, unit=told.unit, offset=told.offset):
+        raise ValueError("load_cell: is a force; it takes signal, unit and offset")

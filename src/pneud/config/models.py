@@ -378,6 +378,7 @@ class PressConfig(Section):
     speed_m_s: Positive = 0.2  # of the load, until it is pressed against something; faster is a fault
     time_s: Annotated[float, Field(gt=0, le=3600)] = 5.0  # until the force is reached; longer is a fault
     tolerance_n: Positive | None = None  # of the force; none: 2 N, or 1 % of it
+    apart_n: Positive | None = None  # load cell from the piston's force; none: 0.1 of that and friction
 
 
 class LimitsConfig(Section):

@@ -84,6 +84,7 @@ class StatusWatch:
             "hunting": None,
             "program": None,
             "station": None,
+            "load_cell_n": None,
             "pressures_bar": None,
             "command_v": None,
             "silent_s": None,
@@ -124,6 +125,8 @@ class StatusWatch:
         if tick.progress.stage:
             stage = _STAGES.get(tick.progress.stage, Stage.UNDER_WAY.label)
             fields["program"] = {"stage": stage, "record": tick.progress.step, "cycle": tick.progress.lap}
+        if tick.weighed is not None and math.isfinite(tick.weighed.force_n):
+            fields["load_cell_n"] = round(tick.weighed.force_n, 2)
         if tick.station is not None:
             fields["station"] = tick.station._asdict()
         pressures = (("p1", m.p1_pa), ("p2", m.p2_pa), ("supply", m.supply_pa))

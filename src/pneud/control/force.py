@@ -19,7 +19,7 @@ from pneud.control.step import SLIDES_M_S, Controller, ControllerState, as_learn
 from pneud.physics.valve import dead_zone_inverse
 from pneud.signals import Estimate, Reference
 
-FINE, WINDOW, SPEED, TIMEOUT, DIRECTION = range(5)
+FINE, WINDOW, SPEED, TIMEOUT, DIRECTION, APART = range(6)
 
 LOOP_RAD_S = 150.0  # bandwidth of the loop on x3, at most
 LEADS = 0.5  # of that bandwidth, in terms of the time until a command has its effect
@@ -42,6 +42,10 @@ WRONG_SHARE, WRONG_MOST = 0.2, 0.05  # of the way of the force, and of the pisto
 WRONG_M = 0.01  # likewise of the load
 LEAST_RATE_N_S = 1.0
 LEAST_PLACE = 0.02  # of the stroke and its dead lengths: no chamber counts as shorter
+CELL_M_S = 0.02  # the slower the load is than this, the more is believed of the load cell
+CELL_S = 0.03  # in which what x3 and a load cell differ by is believed
+APART_NS = 100_000_000  # x3 and the load cell, for so long
+APART_M_S = 0.05  # while the load is slower
 FREE_M_S = 0.01
 
 
@@ -58,6 +62,9 @@ class Pressing(NamedTuple):
     settled_ns: int = 0  # for so long
     free_n: float = 0.0  # beside its load, what moves with less is not pressed against anything
     valve_n_s: float = math.inf  # without a ramp asked for: no faster at mid-stroke
+    cell: bool = False  # a load cell says what the force is
+    cell_ns: int = 0  # no older may that be
+    apart_n: float = 0.0  # the piston's force may differ from it by no more
 
 
 class Aim(NamedTuple):
@@ -91,6 +98,8 @@ class Press(NamedTuple):
     ever: int = 0  # it has been once
     fast_ns: int = -1  # since when too fast
     wrong_ns: int = -1  # since when the wrong way
+    bias_n: float = 0.0  # of the piston's force beyond what a load cell says
+    apart_ns: int = -1  # since when the two are too far apart
 
 
 NO_PRESS = Press(Aim(0.0, 1.0, 0.0, 0.0, 1.0, 1.0), 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -176,6 +185,7 @@ def begin(aim: Aim, before: Press, goes_on: bool, e: Estimate, now_ns: int, c: C
             ever=0,
             fast_ns=-1,
             wrong_ns=-1,
+            apart_ns=-1,
         )
     return Press(
         aim, now_ns, e.position_m, force_n, force_n, 0.0, aim.force_n - force_n, e.position_m, e.force_n
@@ -226,8 +236,13 @@ def bounds_n(s: Press, force_n: float, v: float, c: Controller) -> tuple[float, 
     return force_n - M * (held + GUARD_RAD_S * v), force_n + M * (held - GUARD_RAD_S * v)
 
 
-def proceed(s: Press, e: Estimate, now_ns: int, dt: float, c: Controller, p: Pressing) -> Progress:
+def proceed(
+    s: Press, e: Estimate, now_ns: int, dt: float, c: Controller, p: Pressing, cell_n: float = math.nan
+) -> Progress:
     """One tick on.
+
+    With a load cell the piston's force is led to what is asked for and what the two differ by: friction,
+    weight, and where the pressures are wrong.
 
     Args:
         s: after the last tick.
@@ -236,19 +251,29 @@ def proceed(s: Press, e: Estimate, now_ns: int, dt: float, c: Controller, p: Pre
         dt: time since the last tick [s].
         c: the controller's parameters.
         p: what counts as reached.
+        cell_n: what the load cell says; NaN where there is none, or it says nothing.
     """
     aim, force_n = s.aim, piston_n(e, c)
-    rate_n_s = max(-aim.rate_n_s, min(aim.rate_n_s, (aim.force_n - s.wanted_n) / max(SOFT_S, dt)))
+    bias_n, told_n, apart_ns = s.bias_n, force_n, -1
+    if math.isfinite(cell_n):
+        told_n = cell_n
+        differ_n = e.force_n - cell_n
+        slow = max(0.0, 1.0 - abs(e.velocity_m_s) / CELL_M_S)
+        bias_n += slow * min(1.0, dt / CELL_S) * (max(-p.apart_n, min(p.apart_n, differ_n)) - bias_n)
+        if abs(differ_n) > p.apart_n and abs(e.velocity_m_s) <= APART_M_S:
+            apart_ns = s.apart_ns if s.apart_ns >= 0 else now_ns
+    goal_n = aim.force_n + bias_n
+    rate_n_s = max(-aim.rate_n_s, min(aim.rate_n_s, (goal_n - s.wanted_n) / max(SOFT_S, dt)))
     wanted_n = s.wanted_n + dt * rate_n_s
     least_n, most_n = bounds_n(s, e.force_n, e.velocity_m_s, c)
     if (rate_n_s > 0.0 and wanted_n > most_n) or (rate_n_s < 0.0 and wanted_n < least_n):
         # a ramp that ran on would be a step where the load comes to what it is to press against
         wanted_n, rate_n_s = max(least_n, min(most_n, wanted_n)), 0.0
-    slow_n = s.slow_n + min(1.0, dt / SLOW_S) * (aim.force_n - force_n - s.slow_n)
+    slow_n = s.slow_n + min(1.0, dt / SLOW_S) * (aim.force_n - told_n - s.slow_n)
     kept = max(0.0, 1.0 - dt / SPRING_S)
     dx = e.position_m - s.at_m
     tolerance = tolerance_n(aim, p)
-    near = abs(aim.force_n - wanted_n) <= SHUTS * tolerance and abs(e.velocity_m_s) <= SHUT_M_S
+    near = abs(goal_n - wanted_n) <= SHUTS * tolerance and abs(e.velocity_m_s) <= SHUT_M_S
     shut = 1 if near and abs(slow_n) <= (OPENS if s.shut else SHUTS) * tolerance else 0
     within_ns = -1
     if abs(slow_n) <= tolerance:
@@ -278,6 +303,8 @@ def proceed(s: Press, e: Estimate, now_ns: int, dt: float, c: Controller, p: Pre
         1 if reached or s.ever else 0,
         fast_ns,
         wrong_ns,
+        bias_n,
+        apart_ns,
     )
     return Progress(after, ended(after, e, now_ns))
 
@@ -299,6 +326,8 @@ def ended(s: Press, e: Estimate, now_ns: int) -> int:
         return SPEED
     if s.wrong_ns >= 0 and now_ns - s.wrong_ns >= DIRECTION_NS:
         return DIRECTION
+    if s.apart_ns >= 0 and now_ns - s.apart_ns >= APART_NS:
+        return APART
     if not s.ever and now_ns - s.since_ns > aim.time_s * 1e9:
         return TIMEOUT
     return FINE

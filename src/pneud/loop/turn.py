@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from pneud.axis.cycle import Axis, AxisState
 from pneud.bus.codec import Codecs
 from pneud.bus.inbox import Inbox, InboxState
-from pneud.signals import Frame, Record, Request, Tick, Timing, Told
+from pneud.signals import NOTHING_HEARD, Frame, Record, Request, Tick, Timing, Told
 
 if TYPE_CHECKING:
     from pneud.bus.switching import Saying, SwitchMessage
@@ -39,7 +39,7 @@ class Turn:
 
     __slots__ = (
         *("_counts", "_cycle", "_echoes", "_encode", "_take", "axis", "before", "command_id", "data"),
-        *("_hearing", "_outputs", "_said", "_saying", "frames", "inbox"),
+        *("_hearing", "_weighing", "_outputs", "_said", "_saying", "frames", "inbox"),
         *("sent_ns", "speaks", "t_ns", "tick"),
     )
     tick: Tick
@@ -59,6 +59,7 @@ class Turn:
         self._take = inbox.feed
         self._cycle = axis.cycle
         self._hearing = inbox.hearing
+        self._weighing = inbox.weighing
         self._said: list[Frame] = []
         self._saying: Saying | None = None
         self._outputs: tuple[SwitchMessage, ...] = ()
@@ -107,6 +108,9 @@ class Turn:
             told: by the axis that leads this one, or is beside it.
         """
         heard = None if self._hearing is None else self._hearing.heard(self.t_ns)
+        if self._weighing is not None:
+            force_n, age_ns = self._weighing.force_n, self._weighing.age_ns(self.t_ns)
+            heard = (heard or NOTHING_HEARD)._replace(force_n=force_n, force_age_ns=age_ns)
         self.tick = tick = self._cycle(self.inbox.measurement(skipped, host), request, self.t_ns, told, heard)
         return tick
 

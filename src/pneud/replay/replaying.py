@@ -309,6 +309,8 @@ def _difference(
             return Difference(number, name, f"{getattr(logged, name)}", f"{getattr(tick, name)}")
     if logged.program != tick.program:
         return Difference(number, "program", f"{logged.program}", f"{tick.program}")
+    if logged.weighed != tick.weighed:
+        return Difference(number, "weighed", f"{logged.weighed}", f"{tick.weighed}")
     if logged.station != tick.station:
         return Difference(number, "station", f"{logged.station}", f"{tick.station}")
     return Difference(number, "the checksum of the states", f"{logged.check:08x}", f"{crc_of(tick):08x}")

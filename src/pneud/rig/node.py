@@ -13,6 +13,7 @@ from pneud.bus.wire import CAN_ERR_FLAG, wire_time_ns
 from pneud.physics.plant import PlantParameters
 from pneud.rig import dynamics
 from pneud.rig.damage import SEIZED_KG
+from pneud.rig.detail import touching
 from pneud.rig.dynamics import PlantState, initial_state, stroke_position
 from pneud.rig.segment import Segment
 from pneud.rig.sensors import Noise, PressureSensor, quantised, sensed
@@ -114,6 +115,12 @@ class PlantNode:
                     self.station.join(other.station)
             self._taken |= self.station.ids
             told += [message.codec for message in codecs.switching.messages]
+        self._cell = None if codecs.load_cell is None else codecs.load_cell.codec
+        self._cell_counter = 0
+        self.cell_silent = False  # a load cell says nothing
+        self.cell_zero_n = 0.0  # or is off by so much
+        if self._cell is not None:
+            told.append(self._cell)
         self._data_bit_s = {codec.can_id: codec.data_bit_s for codec in told}
         self._durations = tuple(self._duration_ns(a.codec.length, a.codec.can_id) for a in codecs.answers)
         self._ids = ids_of_nodes(codecs)
@@ -362,6 +369,20 @@ class PlantNode:
             if self._jitter_ns and self._free_ns:
                 ready_ns += round(abs(self._noise.draw()) * self._jitter_ns)
             self._wire.replace(Item(ready_ns, codec.can_id, self._durations[i], answer, i))
+        if self._cell is not None and not self.cell_silent:
+            self._weigh(self._cell, t_ns)
+
+    def _weigh(self, codec: Codec, t_ns: int) -> None:
+        """What a load cell between the load and what it presses against says."""
+        state, detail = self._state, self.p.detail
+        force_n = touching(state.x1, state.v, detail) + self.cell_zero_n
+        try:
+            data = codec.encode(force_n, counter=self._cell_counter % codec.counter_values)
+        except ValueError:
+            self.unsendable += 1
+            return
+        self._cell_counter += 1
+        self.put(Frame(t_ns + self._delay_ns, codec.can_id, data))
 
     def _sent(self, end_ns: int, answer: _Answer) -> Sequence[Frame]:
         codec = answer.codec

@@ -92,6 +92,8 @@ class F(IntEnum):
     START_REFUSED = 75
     BRAKE_STUCK = 76
     BRAKE_UNBALANCED = 77
+    LOAD_MISSING = 78
+    LOAD_DISAGREES = 79
 
 
 TABLE: tuple[Fault, ...] = (
@@ -544,6 +546,18 @@ TABLE: tuple[Fault, ...] = (
         "the piston's force has not come to what the load takes within brake.balance_s; the brake stays"
         " engaged",
         "check the supply, cylinder.load_n and inclination_deg, and the mass that is carried",
+    ),
+    Fault(
+        F.LOAD_MISSING,
+        Reaction.STOP,
+        "the load cell of bus.load_cell has not been heard for bus.sensor_timeout_ms, or never",
+        "check the cell's amplifier, its power and wiring; without a cell take bus.load_cell out",
+    ),
+    Fault(
+        F.LOAD_DISAGREES,
+        Reaction.STOP,
+        "while it presses, the piston's force and the load cell differ by more than limits.force.apart_n",
+        "check the cell's zero, sign and unit (bus.load_cell), the pressures, and what else bears the load",
     ),
 )
 

@@ -47,8 +47,8 @@ MEANINGS: dict[str, str] = {
     "command.enable": "1 where the valve may follow, else 0",
     "command.saturated": "1 where the law asked for more than the output chain let through",
     "command.law_v": "what the law asked for; NaN where it was not asked",
-    "command.s": "sliding variable",
-    "command.ustar": "u* of the law",
+    "command.s": "sliding variable; in `pressing` the force that is wanted less that of the piston, N",
+    "command.ustar": "u* of the law; in `pressing` the force that is wanted, on its ramp, N",
     "timing.lateness_ns": "wake-up after the ideal grid",
     "timing.set_ns": "SYNC sent to set complete, or given up",
     "timing.cycle_ns": "the cycle itself",
@@ -85,6 +85,8 @@ MEANINGS: dict[str, str] = {
     "station.outputs": "bits of the outputs, as bus.outputs names them",
     "station.brake": "0 there is none, 1 engaged, 2 engaged while the piston comes to bear the load,"
     " 3 releasing, 4 released, 5 engaging",
+    "weighed.force_n": "what the load cell said last, outwards positive; only an axis with one has this",
+    "weighed.age_ns": "from when that came to SYNC",
     "request.kind": "what was asked for; only ticks with a request have it",
     "request.values": "its numbers",
 }

@@ -21,6 +21,7 @@ from pneud.signals import (
     Tick,
     Timing,
     Told,
+    Weighed,
 )
 
 PARTS: dict[str, Any] = {
@@ -108,6 +109,7 @@ def record_of(
     told: Told | None = None,
     program: Progress | None = None,
     station: Station | None = None,
+    weighed: Weighed | None = None,
 ) -> Record:
     """The record with these numbers and `beyond`; what stands behind those of `NUMBERS` is left out."""
     m, e, r, c, timing = [of._make(numbers[place]) for of, place in _PLACES]
@@ -115,5 +117,6 @@ def record_of(
     present, latched = present | more[0] << WORD_BITS, latched | more[1] << WORD_BITS
     tick = Tick(numbers[0], m, request, e, r, c, state, present, latched, answer, in_position, hunting)
     return Record(
-        tick._replace(told=told, program=program, station=station), timing, frames, before, sent, truth_m
+        tick._replace(told=told, program=program, station=station, weighed=weighed),
+        *(timing, frames, before, sent, truth_m),
     )

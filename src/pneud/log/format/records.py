@@ -24,6 +24,7 @@ from pneud.log.format.schema import (
     SOMETIMES,
     STATION,
     TOLD,
+    WEIGHED,
     Field,
     Level,
     message_class,
@@ -42,6 +43,7 @@ from pneud.signals import (
     Tick,
     Timing,
     Told,
+    Weighed,
     state_name,
 )
 
@@ -56,6 +58,7 @@ _CODES = {
 _FIELDS = [field.name for field in tick_fields("compact")[1]]
 _REQUEST = 1 + _FIELDS.index(REQUEST)  # number of its field
 _TOLD = struct.Struct("<Bq" + "Bd" * (len(Told._fields) - 1))
+_WEIGHED = struct.Struct("<BdBq")
 _TOLD_TAGS = [number << 3 | 1 for number in range(1, 1 + len(Told._fields))]
 _SHORT = [bytes((i,)) for i in range(128)]
 _NO_MORE = (0, 0)
@@ -129,6 +132,7 @@ class Else(NamedTuple):
     told: Told | None = None
     program: Progress | None = None
     station: Station | None = None
+    weighed: Weighed | None = None
 
 
 NOTHING_ELSE = Else()
@@ -188,7 +192,10 @@ class TickLayout:
         program = Progress(p.step, p.lap, p.stage, p.outputs) if p is not None else None
         s = t.station if t.HasField(STATION) else None
         station = Station(s.inputs, s.outputs, s.brake) if s is not None else None
-        return (*self._values(t), Else(asked, (t.present_more, t.latched_more), told, program, station))
+        w = t.weighed if t.HasField(WEIGHED) else None
+        weighed = Weighed(w.force_n, w.age_ns) if w is not None else None
+        more = (t.present_more, t.latched_more)
+        return (*self._values(t), Else(asked, more, told, program, station, weighed))
 
 
 _STATION_HEAD = varint(1 + _FIELDS.index(STATION) << 3 | 2) + varint(2 * len(Station._fields))
@@ -230,6 +237,11 @@ def _told(told: Told) -> bytes:
     return varint(1 + _FIELDS.index(TOLD) << 3 | 2) + varint(len(body)) + body
 
 
+def _weighed(weighed: Weighed) -> bytes:
+    body = _WEIGHED.pack(1 << 3 | 1, weighed.force_n, 2 << 3 | 1, weighed.age_ns)
+    return varint(1 + _FIELDS.index(WEIGHED) << 3 | 2) + varint(len(body)) + body
+
+
 def _small(name: str, numbers: tuple[int, ...]) -> bytes:
     """A part of a few numbers, none of them negative."""
     body = b"".join(bytes((number << 3,)) + varint(value) for number, value in enumerate(numbers, 1))
@@ -263,7 +275,9 @@ class Packer:
             packed += _beyond(more)
         if tick.program is not None:
             packed += _small(PROGRAM, tick.program)
-        return packed if tick.station is None else packed + _small(STATION, tick.station)
+        if tick.station is not None:
+            packed += _small(STATION, tick.station)
+        return packed if tick.weighed is None else packed + _weighed(tick.weighed)
 
 
 _Log = message_class("foxglove.Log")
@@ -314,6 +328,7 @@ class LoggedTick(NamedTuple):
     told: Told | None
     program: Progress | None
     station: Station | None
+    weighed: Weighed | None
     # as in `Record`
     timing: Timing
     frames: tuple[Frame, ...]
@@ -420,8 +435,8 @@ def logged(
         first_ns: where `t_s` begins.
         fault_names: by bit.
     """
-    check, (request, more, told, program, station) = values[len(NUMBERS) :]
-    record = record_of(values, request, *frames, more, told, program, station)
+    check, (request, *others) = values[len(NUMBERS) :]
+    record = record_of(values, request, *frames, *others)
     t_s, bits = 1e-9 * (values[0] - first_ns), record.tick.present | record.tick.latched
     names = names_of(bits, fault_names)
     return LoggedTick(message.number, message.log_time_ns, check, *record.tick, *record[1:], t_s, names)

@@ -57,9 +57,9 @@ _TYPES = {"q": F.TYPE_SFIXED64, "Q": F.TYPE_FIXED64, "I": F.TYPE_FIXED32, "B": F
 _ENUMS = {"state": "State", "answer": "Answer", "hunting": "Hunting"}
 STANDING = ("in_position", "hunting")  # fields that messages of schema 2 lack: they stand behind the others
 WITHOUT_STANDING = frozenset({"2"})
-TOLD, PROGRAM, STATION = "told", "program", "station"
+TOLD, PROGRAM, STATION, WEIGHED = "told", "program", "station", "weighed"
 BEYOND = ("present_more", "latched_more")
-SOMETIMES = (REQUEST, TOLD, *BEYOND, PROGRAM, STATION)
+SOMETIMES = (REQUEST, TOLD, *BEYOND, PROGRAM, STATION, WEIGHED)
 """Fields that only ticks have in which there is something to say: a request, another axis, and so on."""
 
 
@@ -98,6 +98,8 @@ def tick_fields(detail: Detail) -> tuple[str, list[Field], dict[str, list[Field]
     fields += [Field(TOLD, F.TYPE_MESSAGE, f"{name}.Told"), *(Field(more, F.TYPE_FIXED64) for more in BEYOND)]
     fields.append(Field(PROGRAM, F.TYPE_MESSAGE, f"{name}.Progress"))
     fields.append(Field(STATION, F.TYPE_MESSAGE, f"{name}.Station"))
+    fields.append(Field(WEIGHED, F.TYPE_MESSAGE, f"{name}.Weighed"))
+    nested["Weighed"] = [Field("force_n", F.TYPE_DOUBLE), Field("age_ns", F.TYPE_SFIXED64)]
     nested["Request"] = [
         Field("kind", F.TYPE_ENUM, "RequestKind"),
         Field("values", F.TYPE_DOUBLE, repeated=True),

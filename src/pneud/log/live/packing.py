@@ -26,6 +26,7 @@ from pneud.signals import (
     Tick,
     Timing,
     Told,
+    Weighed,
 )
 
 SOURCE = Path(__file__).with_name("pack.c")
@@ -64,7 +65,7 @@ def unpacked(data: bytes) -> Record:
         EOFError, TypeError or ValueError: it is none.
     """
     tick, timing, frames, before, sent, truth_m = loads(data)
-    t_ns, measurement, request, estimate, reference, command, *rest, told, program, station = tick
+    t_ns, measurement, request, estimate, reference, command, *rest, told, program, station, weighed = tick
     parts = (
         t_ns,
         Measurement._make(measurement),
@@ -76,6 +77,7 @@ def unpacked(data: bytes) -> Record:
         None if told is None else Told._make(told),
         None if program is None else Progress._make(program),
         None if station is None else Station._make(station),
+        None if weighed is None else Weighed._make(weighed),
     )
     return Record(
         Tick._make(parts),
