@@ -469,4 +469,5 @@ def test_a_state_without_the_field_is_that_of_an_axis_with_the_configured_refere
     (first, *_) = (item.data for item in read_log(parts).items() if isinstance(item, LoggedState))
     without = first.replace(b',"reference":null', b"")
     assert without != first
-    assert from_json(replaying.Snapshot, without) == from_json(replaying.Snapshot, first)
+    # by their words: a load cell that there is not weighs NaN, which equals nothing
+    assert repr(from_json(replaying.Snapshot, without)) == repr(from_json(replaying.Snapshot, first))
