@@ -162,18 +162,24 @@ class DaskWorkers:
     Args:
         plan: the runs.
         address: of the scheduler, such as tcp://10.0.0.1:8786.
+        say: told what a person should know, in one line.
 
     Raises:
         ClusterError: Dask is missing, or nobody answers.
     """
 
-    def __init__(self, plan: Plan, address: str) -> None:
+    def __init__(self, plan: Plan, address: str, say: Callable[[str], None] = lambda _: None) -> None:
         if importlib.util.find_spec("distributed") is None:
             raise ClusterError("--scheduler needs Dask; install it with: pip install 'pneud[cluster]'")
         self._plan, self._address = plan, address
         self._client: Any = None
         self._width, self._counted_s = 0, -1.0
         self._connect(TRY_S)
+        if self._threads() > 1:
+            say(
+                "there are workers with several threads, of which one works at a time;"
+                " begin them with --nthreads 1 --nworkers N"
+            )
 
     def _connect(self, patience_s: float) -> None:
         from distributed import Client  # noqa: PLC0415 - an extra, and slow to load
@@ -187,6 +193,10 @@ class DaskWorkers:
             raise ClusterError(f"--scheduler {self._address}: nobody answers there: {said}") from None
         self._pool = self._client.get_executor(pure=False)
         self._scheduler = self._identity()
+
+    def _threads(self) -> int:
+        """The most that a worker has."""
+        return max(self._client.nthreads().values(), default=1)
 
     def _identity(self) -> object:
         """Of the scheduler that the client is connected to, as far as it knows."""

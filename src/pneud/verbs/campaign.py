@@ -171,7 +171,9 @@ def _conducted(
         _say(f"this is slow, since nothing can be compiled: {why}")
     try:
         with progress(how) as report:
-            begun: Workers = LocalWorkers(plan, jobs) if scheduler is None else DaskWorkers(plan, scheduler)
+            begun: Workers = (
+                LocalWorkers(plan, jobs) if scheduler is None else DaskWorkers(plan, scheduler, _say)
+            )
             workers = begun
             found = Conductor(plan, record, workers, report, _say).go()
     except KeyboardInterrupt:
