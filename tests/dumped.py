@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 RECEIVE_BYTES = 8 * 1024 * 1024  # it may have to wait for its turn while thousands of frames come
+WRITES_S = 4.0  # for which it may have to write, sharing the one CPU; where a rig runs on, it never stops
 
 
 @contextmanager
@@ -21,8 +22,8 @@ def dumped(file: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            size = -1
-            while size < file.stat().st_size:  # it may share the one CPU, and has yet to write all
+            size, deadline = -1, time.monotonic() + WRITES_S
+            while size < file.stat().st_size and time.monotonic() < deadline:
                 size = file.stat().st_size
                 time.sleep(1.0)
             candump.send_signal(signal.SIGINT)
