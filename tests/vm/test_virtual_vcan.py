@@ -32,7 +32,7 @@ def test_a_virtual_run_over_vcan0_tracks_and_candump_sees_the_frames(tmp_path: P
     seen = tmp_path / "candump.log"
     with dumped(seen):
         done = pneud(
-            "--virtual", "--config", gentle, "--bus", "socketcan:vcan0", "--duration", 8, "--headless",
+            "--virtual", "--config", gentle, "--bus", "socketcan:vcan0", "--duration", 10, "--headless",
             "--json", "--log", log,
         )  # fmt: skip
     ids = identifiers(seen)
