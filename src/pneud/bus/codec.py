@@ -381,12 +381,16 @@ class Loader:
         self._data_bit_s(message)
         if message.length == 0 and (role != "sync" or frame.counter is not None):
             raise self._error(name, None, "has no bytes; give the message its length")
-        if message.multiplexed:
-            raise self._error(name, None, "is multiplexed; name a message that always has the same signals")
+        self._refuse_kinds(message)
         other = self._taken.setdefault(message.can_id, role)
         if other != role:
             raise self._error(name, None, f"0x{message.can_id:03X} is {other} and {role}; each needs its own")
         return message
+
+    def _refuse_kinds(self, message: MessageSpec) -> None:
+        if message.multiplexed:
+            words = "is multiplexed; name a message that always has the same signals"
+            raise self._error(message.name, None, words)
 
     def _signal(self, message: MessageSpec, name: str) -> Signal:
         for signal in message.signals:

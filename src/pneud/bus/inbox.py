@@ -78,11 +78,16 @@ class OriginState(NamedTuple):
     cadence: CadenceState = CadenceState()
 
 
+def age_ns(stamp_ns: int, t_ns: int) -> int:
+    """How old at a SYNC is what came, or was sampled, at a stamp [ns]; `NEVER_NS` of what never did."""
+    return NEVER_NS if stamp_ns == UNHEARD_NS else max(0, t_ns - stamp_ns)
+
+
 class InputState(NamedTuple):
     """What is known of a message with inputs between two ticks."""
 
     counter: int = -1
-    stamp_ns: int = -NEVER_NS
+    stamp_ns: int = UNHEARD_NS
     bits: int = 0
 
 
@@ -90,7 +95,7 @@ class CellState(NamedTuple):
     """What is known of a load cell between two ticks."""
 
     counter: int = -1
-    stamp_ns: int = -NEVER_NS
+    stamp_ns: int = UNHEARD_NS
     force_n: float = math.nan
 
 
@@ -202,11 +207,7 @@ class Origin:
 
     def age_ns(self, t_ns: int, fresh: int) -> int:
         """How old the newest value is at a SYNC, by the bits of what is fresh there [ns]."""
-        if fresh & self.bit:
-            return 0
-        if self.sample_ns == UNHEARD_NS:
-            return NEVER_NS
-        return max(0, t_ns - self.sample_ns)
+        return 0 if fresh & self.bit else age_ns(self.sample_ns, t_ns)
 
 
 class Inbox:

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 from pneud.bus.codec import UNITS, Codec, Codecs
 from pneud.bus.database import MessageSpec
-from pneud.bus.inbox import NEVER_NS, CellState
+from pneud.bus.inbox import CellState, age_ns
 from pneud.bus.mapping import SignalLoader
-from pneud.bus.switching import Switching
+from pneud.bus.switching import Listener, messages_of
 from pneud.bus.wire import CAN_EFF_FLAG
 from pneud.config.bus_tables import BusConfig
 from pneud.config.mapping import SignalConfig
@@ -52,8 +52,7 @@ class _CellLoader(SignalLoader):
         """The load cell."""
         name, _, signal_name = str(told.signal).partition(".")
         message = self._named(name)
-        if message.multiplexed:
-            raise self._error(name, None, "is multiplexed; name a message that always has the same signals")
+        self._refuse_kinds(message)
         signal = self._signal(message, signal_name)
         self._take(message, signal, "the load cell's force")
         units, text = UNITS["n"], told.unit or signal.unit or ""
@@ -66,49 +65,31 @@ class _CellLoader(SignalLoader):
             raise self._error(name, signal_name, "has the factor 0; give it its resolution")
         field = self._placed(message, signal, units[text], integer=False)
         codec = self._codec(message, [field._replace(offset=field.offset + told.offset)], [None], None)
-        for other, can_id in _taken(codecs):
-            if can_id == codec.can_id:
-                shown = f"0x{can_id & ~CAN_EFF_FLAG:03X}"
-                raise self._error(
-                    name, None, f"{shown} is {other}, too; a load cell has a message of its own"
-                )
+        other = messages_of(codecs).get(codec.can_id)
+        if other is not None:
+            shown = f"0x{codec.can_id & ~CAN_EFF_FLAG:03X}"
+            raise self._error(name, None, f"{shown} is {other}, too; a load cell has a message of its own")
         return LoadCell(name, codec)
 
 
-def _taken(codecs: Codecs) -> list[tuple[str, int]]:
-    switching = codecs.switching or Switching((), (), 0)
-    return [
-        ("SYNC", codecs.sync.can_id),
-        ("the valve's command", codecs.valve_command.can_id),
-        *((answer.name, answer.codec.can_id) for answer in codecs.answers),
-        *((message.name, message.codec.can_id) for message in switching.messages),
-    ]
-
-
-class Weighing:
+class Weighing(Listener):
     """What a load cell has said, and when.
 
     Attributes:
         can_id: of its message.
-        crc: frames with a wrong checksum or length.
-        stale: frames whose counter stood still.
     """
 
     def __init__(self, cell: LoadCell) -> None:
+        super().__init__()
         self.can_id = cell.codec.can_id
         self._codec = cell.codec
         self._known = CellState()
-        self.crc = self.stale = 0
 
     def take(self, frame: Frame) -> None:
         """A frame of it; one that is not valid changes nothing."""
         stamp_ns, _, data = frame
-        counter = self._codec.check(data)
-        if counter < 0:
-            self.crc += 1
-        elif self._codec.counter_values > 1 and counter == self._known.counter:
-            self.stale += 1
-        else:
+        counter = self._counter(self._codec, self._known.counter, data)
+        if counter >= 0:
             self._known = CellState(counter, stamp_ns, self._codec.decode(data)[0])
 
     @property
@@ -118,8 +99,7 @@ class Weighing:
 
     def age_ns(self, t_ns: int) -> int:
         """How old that is at a tick's SYNC."""
-        stamp_ns = self._known.stamp_ns
-        return NEVER_NS if stamp_ns == -NEVER_NS else max(0, t_ns - stamp_ns)
+        return age_ns(self._known.stamp_ns, t_ns)
 
     def freeze(self) -> CellState:
         """The state between two ticks, to be logged."""

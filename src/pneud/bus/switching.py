@@ -14,7 +14,7 @@ from typing import NamedTuple
 from pneud.bus.codec import Codec, Codecs
 from pneud.bus.database import MessageSpec, Signal
 from pneud.bus.dbc_layout import reader
-from pneud.bus.inbox import NEVER_NS, InputState
+from pneud.bus.inbox import NEVER_NS, InputState, age_ns
 from pneud.bus.mapping import SignalLoader
 from pneud.bus.wire import CAN_EFF_FLAG
 from pneud.config.bus_tables import BusConfig
@@ -106,8 +106,7 @@ class _SwitchLoader(SignalLoader):
         inputs, outputs = self._bus.inputs, self._bus.outputs
         period_ns = round(self._bus.output_period_ms * 1e6)
         found = Switching(self._messages("inputs", inputs), self._messages("outputs", outputs), period_ns)
-        taken = {codecs.sync.can_id: "SYNC", codecs.valve_command.can_id: "the valve's command"}
-        taken |= {answer.codec.can_id: answer.name for answer in codecs.answers}
+        taken = messages_of(codecs)
         for message in found.messages:
             other = taken.setdefault(message.codec.can_id, message.name)
             if other != message.name or (message in found.inputs and message.name in _names(found.outputs)):
@@ -125,8 +124,7 @@ class _SwitchLoader(SignalLoader):
 
     def _message_of(self, what: str, name: str, told: list[tuple[str, int, SignalConfig]]) -> SwitchMessage:
         message = self._named(name)
-        if message.multiplexed:
-            raise self._error(name, None, "is multiplexed; name a message that always has the same signals")
+        self._refuse_kinds(message)
         places: dict[str, int] = {}
         used: dict[str, int] = {}  # bits of each signal that are somebody's already
         signals: list[Signal] = []
@@ -171,18 +169,43 @@ def _names(messages: tuple[SwitchMessage, ...]) -> tuple[str, ...]:
     return tuple(message.name for message in messages)
 
 
-class Hearing:
-    """What input messages have said, and when.
+def messages_of(codecs: Codecs) -> dict[int, str]:
+    """What each identifier is that an axis has so far."""
+    taken = {codecs.sync.can_id: "SYNC", codecs.valve_command.can_id: "the valve's command"}
+    taken |= {answer.codec.can_id: answer.name for answer in codecs.answers}
+    switches = () if codecs.switching is None else codecs.switching.messages
+    return taken | {message.codec.can_id: message.name for message in switches}
+
+
+class Listener:
+    """Who hears messages that no tick waits for; a frame that is not valid changes nothing.
 
     Attributes:
         crc: frames with a wrong checksum or length.
         stale: frames whose counter stood still.
     """
 
+    def __init__(self) -> None:
+        self.crc = self.stale = 0
+
+    def _counter(self, codec: Codec, known: int, data: bytes) -> int:
+        """The counter of a frame that says something, behind a known one; −1 of any other."""
+        counter = codec.check(data)
+        if counter < 0:
+            self.crc += 1
+        elif codec.counter_values > 1 and counter == known:
+            self.stale += 1
+            return -1
+        return counter
+
+
+class Hearing(Listener):
+    """What input messages have said, and when."""
+
     def __init__(self, messages: tuple[SwitchMessage, ...]) -> None:
+        super().__init__()
         self._messages = {message.codec.can_id: message for message in messages}
         self._known = dict.fromkeys(self._messages, InputState())
-        self.crc = self.stale = 0
 
     def hears(self, can_id: int) -> bool:
         """Whether a frame with this identifier is one of inputs."""
@@ -192,12 +215,8 @@ class Hearing:
         """A frame of inputs; one that is not valid changes nothing."""
         stamp_ns, can_id, data = frame
         message = self._messages[can_id]
-        counter = message.codec.check(data)
-        if counter < 0:
-            self.crc += 1
-        elif message.codec.counter_values > 1 and counter == self._known[can_id].counter:
-            self.stale += 1
-        else:
+        counter = self._counter(message.codec, self._known[can_id].counter, data)
+        if counter >= 0:
             self._known[can_id] = InputState(counter, stamp_ns, message.bits(data))
 
     def heard(self, t_ns: int) -> Heard:
@@ -206,7 +225,7 @@ class Hearing:
         for state in self._known.values():
             bits |= state.bits
             oldest_ns = min(oldest_ns, state.stamp_ns)
-        return Heard(bits, NEVER_NS if oldest_ns == -NEVER_NS else max(0, t_ns - oldest_ns))
+        return Heard(bits, age_ns(oldest_ns, t_ns))
 
     def freeze(self) -> tuple[InputState, ...]:
         """The state between two ticks, to be logged."""
