@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any, get_args
 
 _WORD = re.compile(r"\w+")
-_HAS_NO_PARTS = (types.FunctionType, types.NoneType, int, float, str, tuple, dict)
+_CONSTANTS: frozenset[type] = frozenset((bool, int, float, str, types.NoneType))
+_NUMBERS = frozenset(("bool", "int", "float", "str", "None"))  # as hints
+_HAS_NO_PARTS: tuple[type, ...] = (types.FunctionType, *_CONSTANTS, tuple, dict)
 
 
 class Reach:
@@ -28,7 +30,7 @@ class Reach:
             OSError: a source cannot be read.
         """
         self.classes: dict[str, type] = {}  # by name, as `name_of` has it
-        self._digest = hashlib.sha256()
+        self._parts: list[bytes] = []  # in the order in which they were come by
         self._seen: set[Any] = set()
         for function in functions:
             self._note("one of them")
@@ -36,26 +38,28 @@ class Reach:
 
     def digest(self) -> bytes:
         """Another one where anything is different."""
-        return self._digest.digest()
+        return hashlib.sha256(b"".join(self._parts)).digest()
 
     def _add(self, value: Any) -> None:
-        match value:
-            case types.FunctionType():
-                self._add_function(value)
-            case type():
-                self._add_class(value)
-            case bool() | int() | float() | str() | None:
-                self._note(repr(value))
-            case tuple():
-                self._add(type(value))
-                for part in value:
-                    self._add(part)
-            case dict():
-                for item in value.items():
-                    self._add(item)
-            case _:
-                for inner in get_args(value):  # an alias of a type
-                    self._add(inner)
+        kind = type(value)
+        if kind in _CONSTANTS:
+            self._note(repr(value))
+        elif kind is types.FunctionType:
+            self._add_function(value)
+        elif isinstance(value, type):
+            self._add_class(value)
+        elif isinstance(value, (int, float, str)):  # of a class of its own, as of an enumeration
+            self._note(repr(value))
+        elif isinstance(value, tuple):
+            self._add(kind)
+            for part in value:
+                self._add(part)
+        elif kind is dict:
+            for item in value.items():
+                self._add(item)
+        elif kind is not types.ModuleType:
+            for inner in get_args(value):  # an alias of a type
+                self._add(inner)
 
     def _add_function(self, f: types.FunctionType) -> None:
         self._note(f"{f.__module__}:{f.__qualname__}")
@@ -83,22 +87,24 @@ class Reach:
             self._add(value)
             if not isinstance(value, _HAS_NO_PARTS) and not hasattr(value, "_fields"):
                 for inner in names:
-                    self._add(getattr(value, inner, None))
+                    part = getattr(value, inner, None)
+                    if part is not None:
+                        self._add(part)
 
     def _add_hints(self, hints: Mapping[str, Any], scope: Mapping[str, Any]) -> None:
         for hint in hints.values():
-            text = getattr(hint, "__forward_arg__", hint)
-            if isinstance(text, str):
-                self._add_named(_WORD.findall(text), scope)  # to evaluate it would take much longer
-            else:
+            text = hint if type(hint) is str else getattr(hint, "__forward_arg__", None)
+            if text is None:
                 self._add(hint)
+            elif text not in _NUMBERS and not self._is_known((text, id(scope))):
+                self._add_named(_WORD.findall(text), scope)  # to evaluate it would take much longer
 
     def _add_module(self, name: str) -> None:
         if self._is_known(name):
             return
         file = getattr(sys.modules.get(name), "__file__", None)
         if file is not None and file.endswith(".py"):
-            self._digest.update(Path(file).read_bytes())
+            self._parts.append(Path(file).read_bytes())
 
     def _is_known(self, what: Any) -> bool:
         known = what in self._seen
@@ -106,7 +112,7 @@ class Reach:
         return known
 
     def _note(self, text: str) -> None:
-        self._digest.update(f"{text}\n".encode())
+        self._parts.append(f"{text}\n".encode())
 
 
 def name_of(class_: type) -> str:
