@@ -7,7 +7,7 @@ where whoever is to answer needs the very processor that is looking; then it is 
 
 from __future__ import annotations
 
-MARGIN_NS = 40_000  # how long before a set to be awake: its first frames need no wake-up of their own
+MARGIN_NS = 60_000  # how long before a set to be awake: to wake up late, and to rehearse, takes half of it
 STEP_NS = 2_000  # by which a set may come later from tick to tick
 LOOK_NS = 120_000  # the longest look; it ends when the set is there
 VAIN = 4  # looks in a row without a set
