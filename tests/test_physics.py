@@ -15,6 +15,7 @@ from pneud.config.reading import load_config
 from pneud.physics.cylinder import F0, F1_FLOOR, F1_exhaust, F1_fill
 from pneud.physics.friction import Friction, friction_force, relaxation_rate, slide, stribeck
 from pneud.physics.gas import LINEAR_FROM, Gas, flow_factor, iso6358, signed_flow, subsonic_factor
+from pneud.physics.series import NEAR, SHORT, decay, power, raised
 from pneud.physics.valve import Valve, dead_zone_inverse, opening, spool_transition
 from pneud.rig.chamber import exchange, inflow
 
@@ -98,10 +99,34 @@ def test_sliding_settles_at_the_steady_friction() -> None:
         )
 
 
+@given(st.floats(0.0, 3.0))
+def test_a_decay_is_that_of_libm_to_the_last_digits(x: float) -> None:
+    mean, away = decay(x)
+    if x < 1e-3:
+        assert mean == pytest.approx(1.0 - x / 2 + x * x / 6, rel=1e-10)
+        assert away == pytest.approx(0.5 - x / 6, rel=1e-6)
+    else:
+        assert mean == pytest.approx(-math.expm1(-x) / x, rel=4e-16)
+        assert away == pytest.approx((1.0 - mean) / x, rel=1e-12)
+
+
+def test_a_series_is_as_good_at_its_end_as_what_follows() -> None:
+    below, above = math.nextafter(SHORT, 0.0), SHORT
+    assert decay(below) == pytest.approx(decay(above), rel=1e-15)
+    for n in (1.0, 1.2, 1.4):
+        for d in (NEAR, -NEAR):
+            assert raised(math.nextafter(d, 0.0), power(n)) == pytest.approx(math.pow(1.0 + d, n), rel=4e-16)
+
+
+@given(st.floats(-0.1, 0.1), st.floats(1.0, 1.67))
+def test_a_power_is_that_of_libm_to_the_last_digits(d: float, n: float) -> None:
+    assert raised(d, power(n)) == pytest.approx(math.pow(1.0 + d, n), rel=6e-16)
+
+
 def test_slow_and_fast_relaxation_of_the_bristles_meet() -> None:
-    guess = 1e-5 * 55.0 / (1e-4 * 1e5)  # where a·h = 1e-5
+    guess = SHORT * 40.0 / (1e-4 * 1e5)  # where the series of the decay ends
     below, above = (
-        slide(0.01, 2e-4, guess * factor, 500.0, 15.0, 1e-4, SEALS) for factor in (0.999999, 1.000001)
+        slide(0.01, 2e-4, guess * factor, 500.0, 15.0, 1e-4, SEALS) for factor in (1.0 - 1e-12, 1.0 + 1e-12)
     )
     assert below == pytest.approx(above, rel=1e-9)
     stiff = SEALS._replace(sigma0_n_m=1e9)  # the trapezium rule where nothing slips

@@ -3,6 +3,19 @@
 #include <math.h>
 #include <stdlib.h>
 
+/* Functions of their arguments alone: the same call need not be made twice. */
+#define OF_ITS_ARGUMENTS(name) extern double name(double) __attribute__((const));
+OF_ITS_ARGUMENTS(atan)
+OF_ITS_ARGUMENTS(cos)
+OF_ITS_ARGUMENTS(exp)
+OF_ITS_ARGUMENTS(expm1)
+OF_ITS_ARGUMENTS(log)
+OF_ITS_ARGUMENTS(log1p)
+OF_ITS_ARGUMENTS(sin)
+OF_ITS_ARGUMENTS(tanh)
+extern double atan2(double, double) __attribute__((const));
+extern double pow(double, double) __attribute__((const));
+
 _Static_assert(sizeof(long) == 8, "integers have 64 bits here");
 
 static int failed_;

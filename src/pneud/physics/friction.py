@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from pneud.physics.series import decay
+
 NO_FRICTION_N = 1e-6  # dry friction below this is none: its bristles would relax infinitely fast
 
 
@@ -71,15 +73,9 @@ def slide(
     a = relaxation_rate(guess, f)
     if a < 0.0:
         return (v + gain * force_n) / (1.0 + gain * f.viscous_n_s_m), 0.0
-    ah = a * h
-    if ah < 1e-5:
-        decay = 1.0 - 0.5 * ah
-        lag = h * (0.5 - ah / 6.0)
-    else:
-        decay = -math.expm1(-ah) / ah
-        lag = (1.0 - decay) / a
-    # over the step: mean z = decay z + lag mean, mean ż = decay (mean − a z)
-    mean = (v + gain * (force_n - decay * z * (f.sigma0_n_m - f.sigma1_n_s_m * a))) / (
-        1.0 + gain * (f.sigma0_n_m * lag + f.sigma1_n_s_m * decay + f.viscous_n_s_m)
+    left, away = decay(a * h)
+    # over the step: mean z = left z + h away mean, mean ż = left (mean − a z)
+    mean = (v + gain * (force_n - left * z * (f.sigma0_n_m - f.sigma1_n_s_m * a))) / (
+        1.0 + gain * (f.sigma0_n_m * (h * away) + f.sigma1_n_s_m * left + f.viscous_n_s_m)
     )
-    return mean, z + h * decay * (mean - a * z)
+    return mean, z + h * left * (mean - a * z)

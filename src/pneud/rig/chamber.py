@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from pneud.physics.gas import LINEAR_FROM, Gas
+from pneud.physics.series import decay
 
 
 def inflow(pressure_pa: float, other_pa: float, g: Gas) -> tuple[float, float]:
@@ -54,8 +55,7 @@ def exchange(
         g: the gas.
     """
     flow, slope = inflow(pressure_pa, other_pa, g)
-    z = rate_1_s * slope * h
-    mean = math.expm1(z) / z if z < -1e-9 else 1.0
+    mean, _ = decay(-rate_1_s * slope * h)
     after = pressure_pa + h * mean * (rate_1_s * flow + drift_pa_s)
     if pressure_pa < other_pa < after:
         return min(after, other_pa + h * max(drift_pa_s, 0.0))

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from pneud.physics.friction import slide
 from pneud.physics.plant import PlantParameters
+from pneud.physics.series import power, raised
 from pneud.physics.slip import slip
 from pneud.physics.valve import opening, spool_transition
 from pneud.rig.chamber import exchange
@@ -127,6 +128,7 @@ def _march(
     load = c.rod_force_n + p.load_n + force_ext_n
     disturbed, reverse = p.disturbance != 0, p.reverse_flow
     d1 = d2 = 0.0
+    compressed = power(n)
     ee, er, re, rr = spool_transition(0.5 * h, valve)
     e = y - command_v
     for i in range(count + 1):
@@ -136,8 +138,8 @@ def _march(
             x = rear if x < rear else front
             v = a = 0.0  # inelastic end stops
         if x != x1:
-            p1 *= math.pow(x1 / x, n)
-            p2 *= math.pow((length - x1) / (length - x), n)
+            p1 *= raised((x1 - x) / x, compressed)
+            p2 *= raised((x - x1) / (length - x), compressed)
             x1 = x
         if i == count:
             break
@@ -200,12 +202,12 @@ def _march_in_detail(
     c, d, n = p.cylinder, p.detail, p.polytropic_exponent
     rear, front, length = c.x_e1, c.x_e1 + c.stroke_m, c.L
     load = c.rod_force_n + p.load_n + force_ext_n
-    half = spool_transition(0.5 * h, p.valve)
+    half, compressed = spool_transition(0.5 * h, p.valve), power(n)
     e = y - command_v
     for i in range(count):
         x, v, a = _drifted(x1, v, a, 0.5 * h, rear, front)
-        p1 *= math.pow(x1 / x, n)
-        p2 *= math.pow((length - x1) / (length - x), n)
+        p1 *= raised((x1 - x) / x, compressed)
+        p2 *= raised((x - x1) / (length - x), compressed)
 
         middle = half.ee * e + half.er * ydot
         ydot = half.re * e + half.rr * ydot
@@ -240,8 +242,8 @@ def _march_in_detail(
             v, z, elements = v_new, z_new, bent
 
         x1, v, a = _drifted(x, v, a, 0.5 * h, rear, front)
-        p1 *= math.pow(x / x1, n)
-        p2 *= math.pow((length - x) / (length - x1), n)
+        p1 *= raised((x - x1) / x1, compressed)
+        p2 *= raised((x1 - x) / (length - x1), compressed)
         shown1, shown2 = shown(shown1, p1, h, d), shown(shown2, p2, h, d)
         shown_supply = shown(shown_supply, supply, h, d)
     depth = Depth(behind, mass1, mass2, supply, shown1, shown2, shown_supply, elements, hoses)
