@@ -36,7 +36,7 @@ from pneud.replay.lockstep import Simulation
 from pneud.rig import dynamics
 from pneud.rt.folders import cache_folder
 from pneud.safety.supervisor import INITIAL, advance
-from pneud.signals import Frame, Reference, RequestKind, State
+from pneud.signals import Frame, Host, Reference, RequestKind, State
 from pure2c import BuildError, Built, compile_functions
 from pure2c.types import plain
 from test_homing import unhomed
@@ -417,6 +417,18 @@ def test_python_is_called_for_requests_and_changes_of_state_only() -> None:
         State.STOPPING,
     }
     assert {phase for _, phase in seen} >= {NONE, JOINING, FOLLOWING, COMING_TO_REST, GOING, RESTING}
+
+
+def test_c_goes_on_whatever_the_machine_lacks() -> None:
+    left = compile_functions(FUNCTIONS, cache=cache_folder("compiled")).left
+    rig, python = Rig(), Rig()
+    rig.axis = compiled().axis(PARAMETERS)
+    for condition in (one for one in Host if one != Host.SYNC_LOST):
+        rig.host = python.host = int(condition)
+        for i in range(5):
+            before = left()
+            assert repr(rig.tick()) == repr(python.tick())
+            assert i < 2 or left() == before, condition.name
 
 
 def test_a_tick_can_be_rehearsed_and_changes_nothing() -> None:

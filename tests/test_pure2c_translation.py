@@ -210,6 +210,26 @@ def with_a_bit_beyond(n: int) -> int:
     return n
 
 
+ROWS = ((1, 2.5), (4, -1.0), (1 << 62, 0.0))
+TOO_WIDE = ((1, 2), (4, WIDE))
+
+
+def by_rows_of_the_module(n: int) -> float:
+    total = 0.0
+    for bit, weight in ROWS:
+        if n & bit:
+            total += weight
+    return total
+
+
+def rows_that_c_has_not_in_a_rare_branch(n: int) -> int:
+    bits = 0
+    if n > 60:
+        for bit, more in TOO_WIDE:
+            bits |= bit & more
+    return bits + n
+
+
 def masked_by_a_table(n: int) -> bool:
     return n in WIDE_MASKS and not n & WIDE_MASKS[n]
 
@@ -247,6 +267,8 @@ SAME: dict[Callable[..., Any], tuple[tuple[Any, ...], ...]] = {
     negated: NUMBERS,
     masked: NUMBERS,
     with_a_bit_beyond: NUMBERS,
+    by_rows_of_the_module: (*NUMBERS, (5,), (1 << 62,)),
+    rows_that_c_has_not_in_a_rare_branch: (*NUMBERS, (61,)),
     masked_by_a_table: NUMBERS,
     perhaps_shifted_far: NUMBERS,
     first_and_last: ((START,), (LOOSE,), (LONG,), (WRONG,)),

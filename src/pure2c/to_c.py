@@ -23,7 +23,7 @@ from types import NoneType
 from typing import Any, TypeGuard, get_type_hints
 
 from pure2c.arithmetic import binary, builtin
-from pure2c.types import MOST, PLAIN, Many, Maybe, TranslationError, Type, Typed, fields_of, is_whole, plain
+from pure2c.types import MOST, PLAIN, Many, Maybe, TranslationError, Type, Typed, are_rows, fields_of, is_whole, plain
 
 _HELPERS = Path(__file__).with_name("helpers.h")
 _PLACE = re.compile(r"(\w+|\(\*\w+\))(\.\w+)*")  # C that stands for a variable or a part of one
@@ -232,11 +232,12 @@ class _Function:
 
     def _for(self, s: ast.For, depth: int) -> str:
         pad, i = "  " * depth, self._new("i")
-        if isinstance(s.target, ast.Tuple) and isinstance(s.iter, ast.Tuple):
+        rows = self._rows(s.iter)
+        if isinstance(s.target, ast.Tuple) and isinstance(rows, ast.Tuple):
             if any(isinstance(inner, (ast.Break, ast.Continue)) for inner in ast.walk(s)):
                 raise self._fail(s)
             # each round may have its own types
-            rounds = (f"{self._assign(s.target, e, pad)}{self._block(s.body, depth)}" for e in s.iter.elts)
+            rounds = (f"{self._assign(s.target, e, pad)}{self._block(s.body, depth)}" for e in rows.elts)
             return "".join(rounds)
         if not isinstance(s.target, ast.Name):
             raise self._fail(s.target)
@@ -262,6 +263,11 @@ class _Function:
             case _:
                 raise self._fail(s.iter)
         return f"{head}{first}{self._block(s.body, depth + 1)}{pad}}}\n"
+
+    def _rows(self, node: ast.expr) -> ast.expr:
+        """A module's tuple of tuples of numbers as if it were written out."""
+        found = self._globals.get(node.id) if isinstance(node, ast.Name) and node.id not in self._own else 0
+        return ast.parse(repr(found), mode="eval").body if are_rows(found) else node
 
     def _many(self, node: ast.expr) -> Typed:
         found = self._expr(node)

@@ -53,6 +53,12 @@ def is_whole(value: int) -> bool:
     return -MOST <= value <= MOST
 
 
+def are_rows(value: object) -> bool:
+    """Whether it is a tuple of tuples of numbers."""
+    rows = value if isinstance(value, tuple) else (value,)
+    return all(isinstance(row, tuple) and all(type(number) in (int, float) for number in row) for row in rows)
+
+
 def fields_of(t: Type) -> list[tuple[str, Type]]:
     """Names and types of what a NamedTuple class or a tuple of types holds."""
     if isinstance(t, Maybe):

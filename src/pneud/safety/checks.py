@@ -38,8 +38,8 @@ _HOST = (
     (int(Host.RECEIVE_OVERFLOW), 1 << F.RECEIVE_OVERFLOW),
     (int(Host.CONSOLE_LOST), 1 << F.CONSOLE_LOST),
     (int(Host.UNPROVEN), 1 << F.UNPROVEN),
-    (int(Host.SYNC_LOST), 1 << F.SYNC_LOST),
 )
+_SYNC_LOST = int(Host.SYNC_LOST)
 
 
 class Limits(NamedTuple):
@@ -139,6 +139,8 @@ def of_host(host: int) -> int:
         for flag, fault in _HOST:
             if host & flag:
                 bits |= fault
+        if host & _SYNC_LOST:  # apart: C's integers do not have this one's bit
+            bits |= 1 << F.SYNC_LOST
     return bits
 
 
