@@ -15,10 +15,13 @@ from pneud.config.conversions import axis_of, plant_of
 from pneud.control import standstill
 from pneud.control.adaptation import Adaptation
 from pneud.control.feedforward import recalled
+from pneud.control.model import calmer
+from pneud.control.motion import at_rest, correct, triple_pole
 from pneud.control.reference import Sine, rest, septic, sine, way
 from pneud.control.standstill import CLOSED, LAW, NUDGED, Standstill, StandstillState
 from pneud.control.step import Controller
 from pneud.loading import load
+from pneud.physics.friction import Friction
 from pneud.physics.plant import PlantParameters
 from pneud.rt.folders import cache_folder
 from pneud.signals import Reference
@@ -33,9 +36,7 @@ P = Standstill(
     far_m=3e-4,
     hunts_m=1e-4,
     leave_m_s=4e-3,
-    omega_rad_s=80.0,
-    stiffness_n_m=1e5,
-    static_n=60.0,
+    mass_kg=1e5 / 80.0**2,
     swing=80,
     smooth=1.0,
     stuck=20,
@@ -48,6 +49,7 @@ P = Standstill(
     stick=10,
     held=0.1,
 )
+F = Friction(40.0, 60.0, 0.02, 50.0, 1e5, 300.0)
 STILL = rest(0.4)
 NOSINE = Sine(0.4, 0.0, 0.0)
 SWING = Sine(0.4, 0.1, math.pi)
@@ -64,7 +66,7 @@ def stand(s: StandstillState, **changes: Any) -> StandstillState:
         "friction_n": 0.0,
         "still": True,
     }
-    return standstill.stand(s, **(seen | changes), p=P)
+    return standstill.stand(s, **(seen | {"f": F} | changes), p=P)
 
 
 def test_a_reference_stands_still_when_nothing_of_it_moves_now_or_later() -> None:
@@ -94,8 +96,60 @@ def test_readings_are_the_same_within_a_step_of_the_first() -> None:
 
 def test_the_law_has_a_while_before_it_gives_way() -> None:
     p = P._replace(settle=1000)
-    assert standstill.stand(StandstillState(ticks=998), 0.0, 0.0, 0.0, 0.0, 0.0, True, p).mode == LAW
-    assert standstill.stand(StandstillState(ticks=999), 0.0, 0.0, 0.0, 0.0, 0.0, True, p).mode == CLOSED
+    assert standstill.stand(StandstillState(ticks=998), 0.0, 0.0, 0.0, 0.0, 0.0, True, F, p).mode == LAW
+    assert standstill.stand(StandstillState(ticks=999), 0.0, 0.0, 0.0, 0.0, 0.0, True, F, p).mode == CLOSED
+
+
+def test_the_law_has_its_while_again_until_giving_way_was_of_no_use_too_often() -> None:
+    p = P._replace(settle=1000, again=2)
+    s = StandstillState(mode=CLOSED, ticks=P.grace)
+    for tries, mode in ((1, LAW), (2, CLOSED), (2, CLOSED)):
+        s = standstill.stand(s, 4e-4, 0.0, 0.0, 0.0, 0.0, True, F, p)
+        assert (s.mode, s.ticks, s.tries) == (LAW, 0, tries)
+        assert standstill.is_firm(s, p) == (tries < 2)
+        s = standstill.stand(s, 0.0, 0.0, 0.0, 0.0, 0.0, True, F, p)
+        assert s.mode == mode
+        s = s._replace(mode=CLOSED, ticks=P.grace)
+    assert standstill.given_back(s._replace(tries=5), p).tries == 5
+
+
+def test_a_load_hardly_off_the_band_is_left_to_swing_out_the_first_time() -> None:
+    p, s = P._replace(wait_m=16e-6), StandstillState(mode=CLOSED, ticks=P.grace)
+    assert standstill.stand(s, 15e-6, 0.0, 0.0, 0.0, 0.0, True, F, p).mode == CLOSED
+    assert standstill.stand(s, 17e-6, 0.0, 0.0, 0.0, 0.0, True, F, p).mode == LAW
+    late = s._replace(ticks=P.grace + 4 * P.swing)
+    assert standstill.stand(late, 15e-6, 0.0, 0.0, 0.0, 0.0, True, F, p).mode == LAW
+
+
+def test_a_load_is_heard_of_calmly_once_it_has_stood_for_a_while() -> None:
+    p, s = P._replace(calm=100), StandstillState(ticks=99)
+    assert not standstill.is_calm(s, p)
+    assert standstill.is_calm(s._replace(ticks=100), p)
+    assert standstill.is_calm(s._replace(mode=CLOSED, ticks=0), p)
+    assert not standstill.is_calm(s._replace(mode=CLOSED), P)
+
+
+def test_coarse_encoders_are_heard_of_calmly_where_the_law_can_damp_a_swing() -> None:
+    coarse, fine = rig(5e-6, 1e5)[0], rig(4.9e-6, 1e5)[0]
+    s = coarse.standstill
+    assert (s.calm, s.again, s.trusts) == (100, 2, True)
+    assert s.leave_m < s.wait_m < s.near_m
+    assert s.filter[:3] == pytest.approx(triple_pole(316.0 / 2.5, coarse.h)[:3])
+    assert s.filter.more_gamma + s.filter.gamma == pytest.approx(coarse.motion.gamma)
+    for other in (fine, rig(5e-6, 1e5, moving_mass_kg=3.0)[0], rig(5e-6, 1e5, law_bristles_n_m=4e5)[0]):
+        s = other.standstill
+        assert (s.calm, s.again, s.trusts, s.wait_m, s.filter) == (0, 1, False, 0.0, other.motion)
+
+
+@given(st.floats(-1e-3, 1e-3), st.floats(0.0, 5e-5))
+def test_a_calmer_filter_takes_no_more_of_a_reading_than_the_usual_one(off_m: float, blind_m: float) -> None:
+    usual = triple_pole(316.0, 1e-3, blind_m)
+    calm = calmer(usual._replace(noise_m=1e-5), 1e-3)
+    before = at_rest(0.4, 100.0, 0.0)
+    a, b = (correct(before, 0.4 + off_m, 15.0, 1e-3, p) for p in (calm, usual))
+    for x, y, at in ((a.x, b.x, 0.4), (a.v, b.v, 0.0), (a.F, b.F, before.F)):
+        assert abs(x - at) <= abs(y - at) + 1e-9
+        assert (x - at) * (y - at) >= 0.0
 
 
 def test_the_law_keeps_the_valve_shut_within_the_band_where_it_asks_for_little() -> None:
@@ -144,7 +198,7 @@ def test_a_load_that_has_hunted_is_given_time_to_come_to_rest() -> None:
     assert stand(hunting, error_m=1.1e-4).mode == LAW
     assert stand(closed, velocity_m_s=0.1).mode == CLOSED
     assert stand(closed, error_m=3.1e-4).mode == LAW
-    farther = standstill.stand(hunting, 2.9e-4, 0.0, 0.0, 0.0, 0.0, True, P._replace(hunts_m=3e-4))
+    farther = standstill.stand(hunting, 2.9e-4, 0.0, 0.0, 0.0, 0.0, True, F, P._replace(hunts_m=3e-4))
     assert (farther.mode, farther.ticks) == (CLOSED, 0)
 
 
@@ -232,10 +286,10 @@ def test_whatever_comes_the_state_is_sound(
     s = StandstillState()
     for error, velocity, net, force, friction, still in ticks:
         s = standstill.read(s, error * 1e-6, P)
-        s = standstill.stand(s, error * 1e-6, velocity * 1e-5, net, force, friction, still, P)
+        s = standstill.stand(s, error * 1e-6, velocity * 1e-5, net, force, friction, still, F, P)
         assert s.mode in (LAW, CLOSED, NUDGED)
         assert all(math.isfinite(x) for x in s)
-        assert abs(s.step_n) <= 0.3 * P.static_n + 1e-9
+        assert abs(s.step_n) <= 0.3 * F.static_n + 1e-9
         assert s.stiffness_n_m == 0.0 or 0.3e5 <= s.stiffness_n_m <= 40e5
         assert abs(standstill.nudge(s, force, 1e-3, 500.0, 400.0, P)) <= P.nudge_v
         if not still or abs(error) > 300.0:

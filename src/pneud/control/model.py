@@ -42,6 +42,9 @@ BEYOND = 0.55  # of the motion filter's bandwidth, above which a swing is seen t
 SHUT = 0.02  # of the greatest command, up to which the law keeps the valve shut at rest
 FIRM = 1.4  # times the law's bandwidth at rest: bristles that swing as fast as the law make it ring
 BRISK_S = 5e-3  # sample time with which there is room for that
+COARSE_M = 5e-6  # step of an encoder, from which on it keeps the law busy at rest
+CALM_S = 0.1  # when the motion filter is calmer there, as far as both have a Lyapunov function in common
+AGAIN, WAIT = 2, 1.5  # times that giving way may be of no use there; of the band that is left, where it waits
 GRACE_S = 0.08  # that a load has to come to rest when the valve is closed
 RESTLESS_V = 0.03  # mean step of the command that is hunting
 STEEPEST = 0.858  # slope of exp(−(v/v_s)²), times v_s
@@ -192,6 +195,12 @@ def seen_rad_s(motion: MotionFilter, h: float) -> float:
     return omega_rad_s
 
 
+def calmer(motion: MotionFilter, h: float) -> MotionFilter:
+    """A filter that takes less of what noise explains, and as much as before of what lies beyond."""
+    omega_rad_s = -math.log1p(-seen_rad_s(motion, h) * h) / h
+    return quickened(triple_pole(omega_rad_s / MOST_PUSH_RATIO, h, motion.blind_m), motion, motion.noise_m)
+
+
 def creeping(m: Model, lag: float) -> Creep:
     """Where the load's own speed is fed forward: as far as the motion filter knows it in time.
 
@@ -206,7 +215,8 @@ def standing(m: Model, motion: MotionFilter, M: float, step_m: float, h: float, 
     """When a load counts as standing still: from mass, friction and the encoder's step.
 
     Where a swing on the bristles dies at once, or is too fast for the motion filter, the law does no good: it
-    soon gives way, and to a load that hunts at any error from which nudges find home.
+    soon gives way, and to a load that hunts at any error from which nudges find home. Elsewhere a coarse
+    encoder is what keeps the law busy, and the load swinging: there it hears less of it.
     """
     if not m.standstill or m.stiffness_n_m <= 0.0 or m.coulomb_n <= 0.0:
         return Standstill()
@@ -216,17 +226,18 @@ def standing(m: Model, motion: MotionFilter, M: float, step_m: float, h: float, 
     stick = max(8, math.ceil(math.sqrt(2.0 * M * stick_m / (BALANCE * m.coulomb_n)) / h))
     swing_s = 2.0 * math.pi / omega
     dies_out = 0.5 * m.damping_n_s_m / M * GRACE_S >= DIED
-    beyond = dies_out or omega > BEYOND * seen_rad_s(motion, h)
+    seen = seen_rad_s(motion, h)
+    beyond = dies_out or omega > BEYOND * seen
+    coarse = step_m >= COARSE_M and not beyond
+    leave_m = max(11e-6, 1.3 * step_m)
     return Standstill(
         enter_m=enter_m,
-        leave_m=max(11e-6, 1.3 * step_m),
+        leave_m=leave_m,
         near_m=NEAR_M,
         far_m=FAR_M,
         hunts_m=FAR_M if beyond else NEAR_M,
         leave_m_s=4e-3 + 50.0 * step_m,
-        omega_rad_s=omega,
-        stiffness_n_m=m.stiffness_n_m,
-        static_n=m.static_n,
+        mass_kg=M,
         swing=max(1, round(max(0.02, swing_s) / h)),
         smooth=1.0 - math.exp(-h / SMOOTH_S),
         stuck=max(round(1.5 * stick), round(0.6 * swing_s / h)),
@@ -241,4 +252,9 @@ def standing(m: Model, motion: MotionFilter, M: float, step_m: float, h: float, 
         settle=round((GRACE_S if beyond else SETTLE_S) / h),
         shut_v=SHUT * u_max_v,
         firm=FIRM if h <= BRISK_S else 1.0,
+        again=AGAIN if coarse else 1,
+        wait_m=WAIT * leave_m if coarse else 0.0,
+        trusts=coarse,
+        calm=round(CALM_S / h) if coarse else 0,
+        filter=calmer(motion, h) if coarse else motion,
     )

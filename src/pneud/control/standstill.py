@@ -15,8 +15,11 @@ and has the load back when it leaves a wider band, or moves.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
+from pneud.control.motion import MotionFilter
+from pneud.physics.friction import Friction
 from pneud.signals import Reference
 
 # modes
@@ -30,7 +33,7 @@ MOST = 0.3  # of static friction that one step may be
 LEAST = 0.01  # of static friction that any step may be
 TELLING = 0.02  # of static friction, below which a step teaches nothing
 FOLLOWED = 0.3  # of a step of force that has to have come before anything is learnt of it
-STIFFEST, SOFTEST = 40.0, 0.3  # stiffness that may be found, in terms of the configured one
+STIFFEST, SOFTEST = 40.0, 0.3  # stiffness that may be found, in terms of that of the bristles
 RISE, FALL = 2.0, 0.5  # by which what was found may change from step to step
 FORCE_RAD_S = 40.0  # bandwidth of the force that is led along a step
 LEAST_V = 0.01  # opening that is not worth a way across the dead zone
@@ -49,9 +52,7 @@ class Standstill(NamedTuple):
     far_m: float = 0.0  # error beyond which the law has the load back
     hunts_m: float = 0.0  # error within which the valve is closed on a load that hunts
     leave_m_s: float = 0.0  # and speed
-    omega_rad_s: float = 1.0  # of the load on its bristles
-    stiffness_n_m: float = 1.0  # of the bristles, as configured
-    static_n: float = 0.0  # static friction
+    mass_kg: float = 1.0  # that swings on the bristles
     swing: int = 1  # ticks of one swing on the bristles
     smooth: float = 1.0  # share of a change of force and speed that is believed in a tick
     stuck: int = 1  # ticks without a reading that differs, until the load may be nudged
@@ -66,6 +67,11 @@ class Standstill(NamedTuple):
     settle: int = 0  # ticks that the law has, before it gives way
     shut_v: float = 0.0  # opening up to which it keeps the valve shut within the band
     firm: float = 1.0  # times the law's bandwidth, with which it brings the load to rest
+    again: int = 1  # times that giving way has to be of no use, until the law has neither
+    wait_m: float = 0.0  # error within which a load is left to swing out the first time, too
+    trusts: bool = False  # what has been learnt of friction, rather than what is configured
+    calm: int = 0  # ticks after which the law hears of the load through a calmer filter; 0: never
+    filter: MotionFilter = MotionFilter(0.0, 0.0, 0.0, 0.0)  # that one
 
 
 class StandstillState(NamedTuple):
@@ -79,7 +85,7 @@ class StandstillState(NamedTuple):
     from_n: float = 0.0  # force of the pressures when the step of force began
     step_n: float = 0.0  # of force
     error_m: float = 0.0  # when it began
-    stiffness_n_m: float = 0.0  # found; 0: as configured
+    stiffness_n_m: float = 0.0  # found; 0: none yet
     anchor_m: float = 0.0  # reading since which none has differed
     same: int = 0  # readings since then
     tries: int = 0  # times that giving way was of no use, since the reference stands still
@@ -100,6 +106,16 @@ def read(s: StandstillState, position_m: float, p: Standstill) -> StandstillStat
     if abs(position_m - s.anchor_m) > p.stick_m:
         return _read(s, position_m, 0)
     return _read(s, s.anchor_m, s.same + 1)
+
+
+def is_calm(s: StandstillState, p: Standstill) -> bool:
+    """Whether a load has stood for long enough to be heard of through the calmer filter."""
+    return p.calm > 0 and (s.mode != LAW or s.ticks >= p.calm)
+
+
+def is_firm(s: StandstillState, p: Standstill) -> bool:
+    """Whether the law is to bring the load to rest: giving way has not been of no use too often."""
+    return s.tries < p.again
 
 
 def is_held(s: StandstillState, p: Standstill) -> bool:
@@ -127,6 +143,7 @@ def stand(
     force_n: float,
     friction_n: float,
     still: bool,
+    f: Friction,
     p: Standstill,
 ) -> StandstillState:
     """The state after a tick.
@@ -139,6 +156,7 @@ def stand(
         force_n: of the pressures.
         friction_n: that holds against it.
         still: the reference stands still.
+        f: the friction of a load at rest.
         p: parameters.
     """
     speed_m_s = s.speed_m_s + p.smooth * (velocity_m_s - s.speed_m_s)
@@ -147,65 +165,66 @@ def stand(
         # what nudges have found, and how the law fared, holds until the reference moves
         return _entered(_stepping(_tried(s, 0), s.from_n, s.step_n, s.error_m, 0.0), LAW, 0, 0.0)
     size = abs(error_m)
-    if s.mode == LAW and s.tries == 0 and s.ticks < p.settle:
+    if s.mode == LAW and is_firm(s, p) and s.ticks < p.settle:
         return s
     if s.mode == LAW:
-        if would_rest(s, error_m, p):
+        if would_rest(s, error_m, f, p):
             return _entered(s, CLOSED, p.grace, s.restless_v)
         if size <= p.near_m and s.same >= p.stuck:
-            return planned(s, error_m, force_n, friction_n, p)
+            return planned(s, error_m, force_n, friction_n, f, p)
         if size <= p.hunts_m and s.restless_v > p.restless_v and s.ticks > p.patience:
             return _entered(_tried(s, s.tries + 1), CLOSED, 0, s.restless_v)
         return s
     coming = s.mode == CLOSED and s.ticks < p.grace
     if size > p.far_m or (abs(velocity_m_s) > p.leave_m_s and not coming):
-        return given_back(s)
+        return given_back(s, p)
     if s.mode == CLOSED:
         if size <= p.leave_m or coming:
             return s
         if s.same >= p.stuck:
-            return planned(s, error_m, force_n, friction_n, p)
-        # a load that the law has made swing again and again is left to swing out
-        swings = s.tries > TRIES and size <= p.near_m and s.ticks < p.grace + LONGEST * p.swing
-        return s if swings else given_back(s)
+            return planned(s, error_m, force_n, friction_n, f, p)
+        # a load that the law has made swing again and again is left to swing out, and one that is hardly off
+        within_m = p.near_m if s.tries > TRIES else p.wait_m
+        swings = size <= within_m and s.ticks < p.grace + LONGEST * p.swing
+        return s if swings else given_back(s, p)
     if s.step_n * error_m < 0.0:
         return _entered(s, CLOSED, p.grace, s.restless_v)  # past the target
     if s.ticks < SWINGS * p.swing or (s.same < p.stick and s.ticks < LONGEST * p.swing):
         return s
-    return planned(learnt(s, error_m, force_n, p), error_m, force_n, friction_n, p)
+    return planned(learnt(s, error_m, force_n, f), error_m, force_n, friction_n, f, p)
 
 
-def given_back(s: StandstillState) -> StandstillState:
-    """The law has the load again, and no longer a while before it gives way."""
-    return _entered(_tried(s, max(1, s.tries)), LAW, 0, 0.0)
+def given_back(s: StandstillState, p: Standstill) -> StandstillState:
+    """The law has the load again, and after some times no longer a while before it gives way."""
+    return _entered(_tried(s, max(s.tries, min(s.tries + 1, p.again))), LAW, 0, 0.0)
 
 
-def would_rest(s: StandstillState, error_m: float, p: Standstill) -> bool:
+def would_rest(s: StandstillState, error_m: float, f: Friction, p: Standstill) -> bool:
     """Whether load and bristles would come to rest within the band, were the valve closed, and not ring."""
-    sag_m, swing_m = s.net_n / p.stiffness_n_m, s.speed_m_s / p.omega_rad_s
+    sag_m, swing_m = s.net_n / f.sigma0_n_m, s.speed_m_s * math.sqrt(p.mass_kg / f.sigma0_n_m)
     return abs(error_m - sag_m) <= p.enter_m and sag_m * sag_m + swing_m * swing_m <= p.enter_m * p.enter_m
 
 
-def learnt(s: StandstillState, error_m: float, force_n: float, p: Standstill) -> StandstillState:
+def learnt(s: StandstillState, error_m: float, force_n: float, f: Friction) -> StandstillState:
     """The stiffness that a step of force has shown, where the force has come."""
     given_n = abs(force_n - s.from_n)
-    if given_n < max(FOLLOWED * abs(s.step_n), TELLING * p.static_n):
+    if given_n < max(FOLLOWED * abs(s.step_n), TELLING * f.static_n):
         return s
     moved_m = s.error_m - error_m if s.step_n > 0.0 else error_m - s.error_m
-    before = stiffness(s, p)
-    found = given_n / max(moved_m, given_n / (STIFFEST * p.stiffness_n_m), 1e-12)
+    before = stiffness(s, f)
+    found = given_n / max(moved_m, given_n / (STIFFEST * f.sigma0_n_m), 1e-12)
     found = max(FALL * before, min(RISE * before, found))
-    found = max(SOFTEST * p.stiffness_n_m, min(STIFFEST * p.stiffness_n_m, found))
+    found = max(SOFTEST * f.sigma0_n_m, min(STIFFEST * f.sigma0_n_m, found))
     return _stepping(s, s.from_n, s.step_n, s.error_m, found)
 
 
-def stiffness(s: StandstillState, p: Standstill) -> float:
-    """Of what holds the load [N/m]: as found, or else as configured."""
-    return s.stiffness_n_m if s.stiffness_n_m > 0.0 else p.stiffness_n_m
+def stiffness(s: StandstillState, f: Friction) -> float:
+    """Of what holds the load [N/m]: as nudges have found it, or else of the bristles."""
+    return s.stiffness_n_m if s.stiffness_n_m > 0.0 else f.sigma0_n_m
 
 
 def planned(
-    s: StandstillState, error_m: float, force_n: float, friction_n: float, p: Standstill
+    s: StandstillState, error_m: float, force_n: float, friction_n: float, f: Friction, p: Standstill
 ) -> StandstillState:
     """The next step of force; none within the band.
 
@@ -214,11 +233,11 @@ def planned(
     """
     if abs(error_m) <= p.enter_m:
         return _entered(s, CLOSED, p.grace, s.restless_v)
-    left_n = p.static_n - friction_n if error_m > 0.0 else p.static_n + friction_n
-    most_n = min(MOST * p.static_n, max(LEAST * p.static_n, ROOM * left_n))
+    left_n = f.static_n - friction_n if error_m > 0.0 else f.static_n + friction_n
+    most_n = min(MOST * f.static_n, max(LEAST * f.static_n, ROOM * left_n))
     if s.mode == NUDGED and s.step_n * error_m > 0.0 and abs(error_m - s.error_m) <= p.stick_m:
-        most_n = max(most_n, min(MOST * p.static_n, 2.0 * abs(s.step_n)))
-    step_n = max(-most_n, min(most_n, SHARE * stiffness(s, p) * error_m))
+        most_n = max(most_n, min(MOST * f.static_n, 2.0 * abs(s.step_n)))
+    step_n = max(-most_n, min(most_n, SHARE * stiffness(s, f) * error_m))
     s = _stepping(s, force_n, step_n, error_m, s.stiffness_n_m)
     return _entered(s, NUDGED, 0, s.restless_v)
 

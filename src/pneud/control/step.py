@@ -38,6 +38,8 @@ from pneud.control.standstill import (
     LAW,
     Standstill,
     StandstillState,
+    is_calm,
+    is_firm,
     is_held,
     is_still,
     keeps_shut,
@@ -213,7 +215,8 @@ def observe(
     x3 = x3_of(p1_pa, p2_pa, c)
     motion = predict(state.motion, x3, state.force_step_n, c.rod_force_n, c.M, dt)
     if measured:
-        motion = correct(motion, position_m, c.M, p.h, p.motion)
+        calm = is_calm(standstill, p.standstill)
+        motion = correct(motion, position_m, c.M, p.h, p.standstill.filter if calm else p.motion)
         standstill = read(standstill, position_m, p.standstill)
         if is_held(standstill, p.standstill):
             motion = held(motion, c.rod_force_n, p.standstill.held)
@@ -450,6 +453,7 @@ def act(
         e.x3_hat_n,
         friction_n,
         still,
+        p.friction if p.standstill.trusts else prior.friction,
         p.standstill,
     )
     bristles_m = s.friction.bristles_m
@@ -470,8 +474,8 @@ def act(
 
 
 def arriving(still: bool, s: StandstillState, p: Controller) -> Sliding:
-    """The law's parameters: firmer ones while a load comes to rest, before giving way was of no use."""
-    return firmer(p.sliding, p.standstill.firm) if still and s.tries == 0 else p.sliding
+    """The law's parameters: firmer ones while a load comes to rest, as long as giving way may be of use."""
+    return firmer(p.sliding, p.standstill.firm) if still and is_firm(s, p.standstill) else p.sliding
 
 
 def taught(so_far: Learnt, s: Situation, r: Reference, prior: Controller, p: Controller) -> Learnt:
