@@ -23,7 +23,19 @@ from types import NoneType
 from typing import Any, TypeGuard, get_type_hints
 
 from pure2c.arithmetic import binary, builtin
-from pure2c.types import MOST, PLAIN, Many, Maybe, TranslationError, Type, Typed, are_rows, fields_of, is_whole, plain
+from pure2c.types import (
+    MOST,
+    PLAIN,
+    Many,
+    Maybe,
+    TranslationError,
+    Type,
+    Typed,
+    are_rows,
+    fields_of,
+    is_whole,
+    plain,
+)
 
 _HELPERS = Path(__file__).with_name("helpers.h")
 _PLACE = re.compile(r"(\w+|\(\*\w+\))(\.\w+)*")  # C that stands for a variable or a part of one
