@@ -1,6 +1,7 @@
 """The fault scenarios on rigs of other people's devices: what is noticed, and what is still safe.
 
-    .venv/bin/python -m hil.device_faults -o out                  # in simulated time, on every set
+    .venv/bin/python -m hil.device_faults -o out          # in simulated time, on every set
+    .venv/bin/python -m hil.device_faults -o out --resume # go on with what was broken off; again what failed
     .venv/bin/python -m hil.device_faults --sample 1      # a tenth of it, drawn by a seed
     .venv/bin/python -m hil.device_faults --bus unixcan --sets words,bare --scenarios recorder-killed
 
@@ -24,26 +25,22 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from hil.device_sets import DeviceSet, device_sets
+from hil.branching import Case, simulated
+from hil.device_sets import DeviceSet, device_sets, with_station
 
 from pneud import resources
 from pneud.bus.codec import DatabaseError
 from pneud.config.sections import ConfigError
 from pneud.config.toml import toml_text
 from pneud.loading import Loaded, load
-from pneud.replay.lockstep import Simulation, backend_of
-from pneud.replay.running import through
-from pneud.safety.supervisor import is_engaged
-from pneud.scenario import verdict
 from pneud.scenario.files import load_scenario
 from pneud.scenario.format import Babble, Scenario
-from pneud.signals import Record
 
-Case = dict[str, Any]
 _SENDERS = ("encoder", "pressure", "valve")
 _OF_FRAMES = ("missing", "corrupt", "frozen", "late")  # faults of a frame, whoever's values are in it
 _TAKEN = ("valve_rebooted", "valve_disagrees", "valve_active")  # of a valve that hears another controller
@@ -51,6 +48,7 @@ PNEUD = [sys.executable, "-m", "pneud.cli"]
 PATIENCE_S = 90.0
 OF_SET, OF_SCENARIO = 8, 3  # least number of scenarios on a set, and of sets for a scenario, in a sample
 Otherwise = dict[str, tuple[str, ...]]
+STATION = "station.dbc"  # what a scenario names that takes inputs or outputs
 SYNC_ID, COMMAND_ID = 0x080, 0x203  # of pneud's own frames, which scenarios name
 _OF_ROLE = {"encoder": "position_m", "pressure": "p1_pa", "valve_status": "state"}
 
@@ -74,6 +72,9 @@ OTHERWISE: dict[str, Otherwise] = {
     "two-encoders": _TWO,
 }  # fmt: skip
 """Faults that a scenario leads to on a set, in the place of those that it expects."""
+_SAYS_SO = ("babble", "daemon-stands", "queue-full-for-long", "send-blocked", "valve-timed-out")
+BESIDES = {"canopen": dict.fromkeys(_SAYS_SO, ("emergency",))}
+"""Faults that come along on a set: a CANopen valve that has waited for a command for too long says so."""
 _FREELY = {"unsettled": "which frames are lost says nothing of ticks where sensors run free"}
 _FULL = {"busy-bus": "its frames leave less of the bus free than this takes"}
 _MUXED = _FULL | {"unsettled": "what has come of a multiplexed message waits for the rest of it"}
@@ -82,6 +83,7 @@ LEFT_OUT: dict[str, dict[str, str]] = {
     "free": _FREELY, "bare": _FREELY, "extended": _FULL, "apart": _FULL, "multiplexed": _MUXED,
     "two-encoders": _FULL | {"bad-information": "what one encoder gets over, two do not agree about"},
     "longest": _FULL, "multiplexed-counted": _MUXED, "one-for-all": _ALONE, "flexible": _ALONE,
+    "canopen": {"heartbeat-lost": "its nodes have heartbeats of their own, which go on"},
 }  # fmt: skip
 """What says nothing on a set, and why."""
 SHARED = {
@@ -90,6 +92,8 @@ SHARED = {
     "flexible": ("pressure", "valve_status", "valve"),
 }
 """Whose values are in the encoder's frame."""
+WHOLE = {"canopen": "canopen.toml"}
+"""Rigs that are configurations of their own."""
 
 
 def adapted(scenario: Scenario, name: str, axis: Loaded) -> Scenario:
@@ -116,6 +120,7 @@ def adapted(scenario: Scenario, name: str, axis: Loaded) -> Scenario:
         others = [one for one in expect.faults if one not in also]
         shown = (*others, *(f"encoder_{end}" for end in ends))
         expect = expect.model_copy(update={"faults": shown, "also": (*expect.also, *also)})
+    expect = expect.model_copy(update={"also": (*expect.also, *BESIDES.get(name, {}).get(scenario.name, ()))})
     if not axis.config.bus.sync:
         travel_mm += FREE_MM
     if found := OTHERWISE.get(name, {}).get(scenario.name):
@@ -139,8 +144,10 @@ def _shared(fault: Any, others: tuple[str, ...]) -> Any:
     return fault
 
 
-def changed_for(scenario: Scenario, one: DeviceSet) -> dict[str, Any]:
+def changed_for(scenario: Scenario, one: DeviceSet | None) -> dict[str, Any]:
     """What a scenario changes of the axis, said of the messages of a set where it says it of frames.
+
+    Messages of CANopen nodes are as they have to be, heartbeats among them.
 
     Raises:
         KeyError: the set has no such message.
@@ -148,8 +155,10 @@ def changed_for(scenario: Scenario, one: DeviceSet) -> dict[str, Any]:
     change = dict(scenario.change)
     bus = dict(change.get("bus", {}))
     frames = bus.pop("frames", {})
-    if not frames:
-        return change
+    if bus.get("dbc") == STATION:
+        del bus["dbc"]  # the set has these messages in its own
+    if not frames or one is None:
+        return change | {"bus": bus} if "bus" in change else change
     messages = {name: dict(guards) for name, guards in one.guards.items()}
     for role, told in frames.items():
         told_by = one.signals[_OF_ROLE[role]]
@@ -157,32 +166,6 @@ def changed_for(scenario: Scenario, one: DeviceSet) -> dict[str, Any]:
         own = {key: told[key] for key in ("node", "heartbeat_timeout_ms") if key in told}
         messages[name] = messages.get(name, {}) | own
     return change | {"bus": bus | {"messages": messages}}
-
-
-def axis_of(file: Path, scenario: Scenario, one: DeviceSet) -> Loaded:
-    """The axis of a set, as a scenario wants it.
-
-    Raises:
-        ConfigError: the scenario does not go with the set.
-        DatabaseError: likewise.
-    """
-    return load(file, change=changed_for(scenario, one) or None)
-
-
-def simulated(axis: Loaded, scenario: Scenario) -> Case:
-    """One scenario in simulated time; and how far the true load was from where it should be [mm]."""
-    run = Simulation(axis, scenario.duration_s, how=backend_of(axis), scenario=scenario)
-    assert run.engine is not None
-    effects, off_m = run.engine.effects, [0.0]
-
-    def look(_: int, record: Record) -> None:
-        if effects.onset_ns >= 0 and is_engaged(record.tick.state):
-            off_m[0] = max(off_m[0], abs(record.true_error_m))
-
-    seen = through(run, axis.config.loop.rate_hz, look=look).seen
-    run.engine.settle()
-    found = verdict.judge(scenario, axis.config, seen, effects.as_dict(), verdict.blind_spots(axis))
-    return found | {"off_mm": 1e3 * off_m[0]}
 
 
 def played(axis: Loaded, scenario: Scenario, bus: str, folder: Path) -> Case:
@@ -206,32 +189,75 @@ def played(axis: Loaded, scenario: Scenario, bus: str, folder: Path) -> Case:
     return found
 
 
-def case(name: str, one: DeviceSet, scenario: Scenario, bus: str, folder: Path) -> Case:
-    """A scenario on a set; what failed in real time is played once more."""
+class Ready(NamedTuple):
+    """A scenario on a set, ready to be played."""
+
+    told: Case  # what there is to say before
+    axis: Loaded
+    scenario: Scenario
+
+
+def ready(
+    name: str, one: DeviceSet | None, scenario: Scenario, folder: Path, known: dict[str, Loaded]
+) -> Ready | Case:
+    """A scenario as it is on a set; or why it is left out."""
     told: Case = {"set": name, "scenario": scenario.name, "expected": list(scenario.expect.faults)}
-    file = one.write(folder, name, scenario.config)
+    left_out = told | {"met": True, "problems": [], "unnoticed": []}
+    station = scenario.change.get("bus", {}).get("dbc") == STATION
+    if station and one is None:
+        return left_out | {"left_out": "takes inputs, and no node of it has any"}
     try:
-        axis = axis_of(file, scenario, one)
+        change = changed_for(scenario, one)
+        axis = known.get(key := json.dumps((scenario.config, change), sort_keys=True))
+        if axis is None:
+            if one is None:
+                file = resources.configs() / WHOLE[name]
+            elif station:
+                file = with_station(one).write(folder, f"{name}-station", scenario.config)
+            else:
+                file = one.write(folder, name, scenario.config)
+            known[key] = axis = load(file, change=change or None)
     except (ConfigError, DatabaseError, KeyError) as e:
-        return told | {"met": True, "left_out": f"does not go with it: {e}", "problems": [], "unnoticed": []}
+        return left_out | {"left_out": f"does not go with it: {e}"}
     if why := LEFT_OUT.get(name, {}).get(scenario.name):
-        return told | {"met": True, "left_out": why, "problems": [], "unnoticed": []}
-    scenario = adapted(scenario, name, axis)
-    if bus == "sim":
-        return told | simulated(axis, scenario)
-    found = played(axis, scenario, bus, folder)
-    if not found["met"]:
-        found = played(axis, scenario, bus, folder) | {"again": found["problems"]}
-    return told | found
+        return left_out | {"left_out": why}
+    return Ready(told, axis, adapted(scenario, name, axis))
 
 
 def of_set(work: tuple[str, list[str], str]) -> list[Case]:
     """All scenarios on a set."""
     name, scenarios, bus = work
     with tempfile.TemporaryDirectory() as folder:
-        place, one = Path(folder), device_sets()[name]
+        place, one, known = Path(folder), device_sets().get(name), dict[str, Loaded]()
         (place / "log").mkdir()
-        return [case(name, one, load_scenario(s), bus, place) for s in scenarios]
+        found = [ready(name, one, load_scenario(s), place, known) for s in scenarios]
+        cases = [each for each in found if not isinstance(each, Ready)]
+        play = _all_simulated if bus == "sim" else partial(_all_played, bus=bus, folder=place)
+        cases += play([each for each in found if isinstance(each, Ready)])
+    return sorted(cases, key=lambda case: str(case["scenario"]))
+
+
+def _all_simulated(work: Sequence[Ready]) -> list[Case]:
+    """Those that begin alike are played together."""
+    alike: dict[tuple[int, float], list[Ready]] = {}
+    for each in work:
+        alike.setdefault((id(each.axis), each.scenario.duration_s), []).append(each)
+    return [
+        each.told | found
+        for some in alike.values()
+        for each, found in zip(some, simulated(some[0].axis, [r.scenario for r in some]), strict=True)
+    ]
+
+
+def _all_played(work: Sequence[Ready], bus: str, folder: Path) -> list[Case]:
+    """One after the other; what failed in real time is played once more."""
+    cases = []
+    for told, axis, scenario in work:
+        found = played(axis, scenario, bus, folder)
+        if not found["met"]:
+            found = played(axis, scenario, bus, folder) | {"again": found["problems"]}
+        cases.append(told | found)
+    return cases
 
 
 def dealt(sets: Sequence[str], scenarios: Sequence[str], seed: int) -> list[tuple[str, list[str]]]:
@@ -271,17 +297,34 @@ def in_words(cases: Iterable[Case]) -> Iterator[str]:
             yield f"     {name} at the first try: {'; '.join(found['again'])}"
 
 
-def main() -> int:
-    """The command."""
+def asked() -> argparse.Namespace:
+    """What is to be played: `sets` and `scenarios` are names."""
     parser = argparse.ArgumentParser(description="Plays fault scenarios on rigs of other people's devices.")
     parser.add_argument("--bus", default="sim", help="sim, unixcan, or an interface such as vcan0")
     parser.add_argument("--sets", default="", help="names, separated by commas")
     parser.add_argument("--scenarios", default="", help="names, separated by commas")
     parser.add_argument("--sample", type=int, metavar="SEED", help="a tenth of it, drawn by this seed")
-    parser.add_argument("--jobs", type=int, default=1, help="processes; in simulated time only")
-    parser.add_argument("-o", "--output", type=Path, default=None, help="folder for device_faults.json")
+    processors = len(os.sched_getaffinity(0))
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=processors,
+        help="processes; in simulated time only (one for each processor)",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        default=None,
+        help="folder for device_faults.json, and cells.jsonl meanwhile",
+    )
+    parser.add_argument(
+        "--resume", action="store_true", help="leave out what is in cells.jsonl and was as expected"
+    )
     o = parser.parse_args()
-    sets = chosen(parser.error, "set", o.sets, device_sets())
+    if o.resume and o.output is None:
+        parser.error("--resume goes on with what is in the folder of -o")
+    o.sets = chosen(parser.error, "set", o.sets, (*device_sets(), *WHOLE))
     there = {path.stem: load_scenario(path.stem) for path in sorted(resources.scenarios().glob("*.toml"))}
     scenarios = chosen(parser.error, "scenario", o.scenarios, there)
     if o.bus == "sim":
@@ -289,23 +332,47 @@ def main() -> int:
     elif o.bus == "unixcan":
         clock = [name for name, s in there.items() if any(f.kind == "clock_step" for f in s.fault)]
         scenarios = [n for n in scenarios if not there[n].needs_interface and n not in clock]
+    o.scenarios = scenarios
+    return o
+
+
+def main() -> int:
+    """The command."""
+    o = asked()
     began, cases = time.monotonic(), list[Case]()
-    pairs = [(name, scenarios) for name in sets] if o.sample is None else dealt(sets, scenarios, o.sample)
-    work = [(name, some, o.bus) for name, some in pairs]
+    kept = None if o.output is None else o.output / "cells.jsonl"
+    if kept is not None:
+        o.output.mkdir(parents=True, exist_ok=True)
+        if o.resume and kept.exists():
+            cells = (json.loads(line) for line in kept.read_text().splitlines())
+            cases = [cell for cell in cells if cell["met"]]
+        kept.write_text("".join(json.dumps(case) + "\n" for case in cases))
+    done = {(case["set"], case["scenario"]) for case in cases}
+    all_pairs = [(name, o.scenarios) for name in o.sets]
+    pairs = all_pairs if o.sample is None else dealt(o.sets, o.scenarios, o.sample)
+    work = [(name, [s for s in some if (name, s) not in done], o.bus) for name, some in pairs]
     with ProcessPoolExecutor(o.jobs if o.bus == "sim" else 1) as pool:
-        for found in pool.map(of_set, work):
+        for future in as_completed([pool.submit(of_set, each) for each in work if each[1]]):
+            found = future.result()
             cases += found
-            print("\n".join(in_words(found)), flush=True)
+            print("".join(f"{line}\n" for line in in_words(found)), end="", flush=True)
+            if kept is not None:
+                with kept.open("a") as file:
+                    file.writelines(json.dumps(case) + "\n" for case in found)
+    wanted = {(name, scenario) for name, some in pairs for scenario in some}
+    cases = sorted(
+        (case for case in cases if (case["set"], case["scenario"]) in wanted),
+        key=lambda case: (o.sets.index(case["set"]), str(case["scenario"])),
+    )
     seconds = time.monotonic() - began
     if o.output is not None:
-        o.output.mkdir(parents=True, exist_ok=True)
         told = {"schema": 1, "bus": o.bus, "seconds": seconds, "cases": cases}
         (o.output / "device_faults.json").write_text(json.dumps(told, indent=1))
     bad = sum(not found["met"] for found in cases)
     blind = sum(bool(found["unnoticed"]) for found in cases if found["met"])
     out = sum("left_out" in found for found in cases)
     print(
-        f"{o.bus}: {len(sets)} sets, {len(scenarios)} scenarios, {len(cases)} runs:"
+        f"{o.bus}: {len(o.sets)} sets, {len(o.scenarios)} scenarios, {len(cases)} runs:"
         f" {len(cases) - bad - blind - out} as expected,"
         f" {blind} not noticed and safe, {bad} not as expected, {out} left out, {seconds:.0f} s"
     )

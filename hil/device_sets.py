@@ -81,6 +81,17 @@ SIGNALS: dict[str, Any] = {
 }  # fmt: skip
 GUARDS = {name: {"counter": "Cnt", "crc": "Crc"} for name in MESSAGES}
 
+# of a node with switches, which any set may have beside its devices
+INPUTS = Message(0x184, 2, (
+    "Start 0|1@1+ (1,0) ", "Enable 1|1@1+ (1,0) ", "BrakeReleased 3|1@1+ (1,0) ", "Counter 8|8@1+ (1,0) ",
+))  # fmt: skip
+OUTPUTS = Message(0x204, 2, ("Brake 3|1@1+ (1,0) ", "Counter 8|8@1+ (1,0) "))
+
+
+def with_station(one: DeviceSet) -> DeviceSet:
+    """The set, and a node with inputs and outputs."""
+    return one._replace(messages={**one.messages, "INPUTS": INPUTS, "OUTPUTS": OUTPUTS})
+
 
 def lacking(*keys: str, **more: Any) -> dict[str, Any]:
     """The signals without these, and with others."""

@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("canopen")
 
 from canopen_bus import Wire, network_of
+from commands import Figures
 from pneud.canopen.master import Master, NodeError, Patience
 from pneud.canopen.objects import Nmt
 from pneud.canopen.plan import Plan, plans_of
@@ -69,12 +70,14 @@ def test_each_kind_of_misbehaviour_ends_ready_or_with_a_line() -> None:
 
 
 @pytest.mark.slow
-def test_a_thousand_starts() -> None:
+def test_a_thousand_starts(figures: Figures) -> None:
     found: Counter[tuple[str, bool]] = Counter()
     for seed in range(STARTS):
         line, *_ = start(seed)
         assert not line or LINE.fullmatch(line), (seed, kind_of(seed), line)
         found[kind_of(seed), not line] += 1
+    for kind in KINDS:
+        figures(f"starts, {kind}: {found[kind, True]} ready, {found[kind, False]} with one line")
     for kind in ("healthy", "slow boot"):
         assert not found[kind, False], kind
     for kind in ("silent", "bootloader", "never ready", "duplicate"):

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hil import device_faults
+from hil.branching import simulated
 from hil.device_sets import device_sets
 
 from pneud import resources
 from pneud.loading import load
+from pneud.replay.lockstep import Simulation, backend_of
+from pneud.replay.running import through
 from pneud.safety.faults import F
 from pneud.safety.unnoticed import Unnoticed
 from pneud.scenario import verdict
@@ -84,8 +88,9 @@ def test_a_second_controller_has_the_identifiers_of_the_set(tmp_path: Path) -> N
 
 def test_heartbeats_are_of_the_message_that_tells_the_position(tmp_path: Path) -> None:
     one = device_sets()["bare"]
-    axis = device_faults.axis_of(one.write(tmp_path, "bare"), load_scenario("heartbeat-lost"), one)
-    assert axis.config.bus.messages["ENC"].heartbeat_timeout_ms == 200.0
+    found = device_faults.ready("bare", one, load_scenario("heartbeat-lost"), tmp_path, {})
+    assert isinstance(found, device_faults.Ready)
+    assert found.axis.config.bus.messages["ENC"].heartbeat_timeout_ms == 200.0
 
 
 def test_a_sample_has_enough_of_each() -> None:
@@ -101,14 +106,32 @@ def test_a_sample_has_enough_of_each() -> None:
 
 
 @pytest.mark.slow
+def test_what_branches_off_comes_to_what_it_comes_to_alone() -> None:
+    axis = load("virtual.toml")
+    some = [load_scenario(name) for name in ("encoder-missing", "leak", "link-down", "moving", "queue-full")]
+    some = [scenario.model_copy(update={"duration_s": 2.0}) for scenario in some]
+    rate_hz, how, blind = axis.config.loop.rate_hz, backend_of(axis), verdict.blind_spots(axis)
+    for scenario, branched in zip(some, simulated(axis, some), strict=True):
+        run = Simulation(axis, scenario.duration_s, how=how, scenario=scenario)
+        seen = through(run, rate_hz).seen
+        assert run.engine is not None
+        run.engine.settle()
+        alone = judge(scenario, axis.config, seen, run.engine.effects.as_dict(), blind)
+        assert alone["onset"]
+        assert json.loads(json.dumps(alone)) == {k: v for k, v in branched.items() if k != "off_mm"}
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", ["all-there", "extended", "apart", "no-valve-status", "valve-on-or-off", "bare", "flexible"]
+    "name",
+    ["all-there", "extended", "apart", "no-valve-status", "valve-on-or-off", "bare", "flexible", "canopen"],
 )
 def test_the_campaign_finds_what_the_list_leaves(name: str) -> None:
     played = [
         *("encoder-missing", "encoder-frozen", "encoder-error", "pressure-frozen", "supply-lost"),
         *("valve-frozen", "valve-timed-out", "valve-disagrees", "valve-missing", "valve-failure"),
-        *("valve-active", "other-commands", "heartbeat-lost", "link-down"),
+        *("valve-active", "other-commands", "link-down"),
+        *(() if name == "canopen" else ("heartbeat-lost", "enable-cut")),
     ]
     assert set(played) <= {path.stem for path in resources.scenarios().glob("*.toml")}
     for case in device_faults.of_set((name, played, "sim")):

@@ -93,6 +93,17 @@ class Simulation:
         told = (codec.length, bus.bitrate_bit_s, codec.can_id, codec.data_bit_s)
         self._heard_ns = wire_time_ns(*told) if bus.follows else 0
 
+    def take(self, scenario: Scenario) -> None:
+        """Play a scenario from here on, in place of one of which nothing has begun; as `Engine.take`.
+
+        Raises:
+            ValueError: the run has none, or it has begun.
+        """
+        if self.engine is None:
+            raise ValueError("a run without a scenario can take none")
+        self.engine.take(scenario)
+        self._machine.take(scenario)
+
     def records(self) -> Iterator[Record]:
         """The ticks, as the loop hands them to the recorder."""
         turn, machine, node = self.turn, self._machine, self._slaves or self.node

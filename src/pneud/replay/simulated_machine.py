@@ -21,7 +21,7 @@ class SimulatedMachine:
     rx_dropped = 0
 
     def __init__(self, scenario: Scenario | None, period_ns: int) -> None:
-        self._faults: tuple[Any, ...] = scenario.fault if scenario is not None else ()
+        self._faults: tuple[Any, ...] = ()
         self._period_ns = period_ns
         self._t_ns = 0
         self._link, self._link_until_ns = HEALTHY, 0
@@ -30,6 +30,12 @@ class SimulatedMachine:
         self._overload_ticks, self._overload_until_ns = 0, 0
         self.down = False
         self.tx_failed = 0
+        if scenario is not None:
+            self.take(scenario)
+
+    def take(self, scenario: Scenario) -> None:
+        """What `begin` is told of is a fault of this scenario."""
+        self._faults = scenario.fault
 
     def begin(self, number: int) -> None:
         """A fault of the machine begins in this tick."""

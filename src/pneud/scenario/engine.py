@@ -109,8 +109,9 @@ class Engine:
         advance: Advance = dynamics.advance,
         segment: Segment | None = None,
     ) -> None:
-        self.scenario = scenario
         self.effects = Effects()
+        self.before: Callable[[int], None] | None = None
+        """Told of every SYNC, where sensors run free of every command, before anything begins with it."""
         self.node = PlantNode(p, codecs, seed, hook=self._hook, advance=self._advance, segment=segment)
         self._healthy = p
         self._damage = UNDAMAGED
@@ -119,10 +120,7 @@ class Engine:
         self._inner = advance
         self._period_ns = round(1e9 / rate_hz)
         self._random = random.Random(f"scenario {seed}")
-        playing = [_Playing(i, fault) for i, fault in enumerate(scenario.fault)]
-        playing.sort(key=lambda one: -float(one.fault.at_s))
-        self._later = {since: [p for p in playing if p.fault.since == since] for since in ("start", "armed")}
-        self._due: list[_Playing] = []  # whose time has come, if not their condition
+        self.take(scenario)
         self._active: list[_Playing] = []
         command = codecs.valve_command
         self._enables = command.encode(0.0, 0, 1, counter=0) != command.encode(0.0, 1, 1, counter=0)
@@ -134,6 +132,28 @@ class Engine:
             self._roles |= dict.fromkeys(self.node.station.ids, "outputs")
         self._last: dict[int, bytes] = {}  # the newest frame of each kind, as it was meant
         self._start_ns = self._armed_ns = self._sync_ns = -1
+
+    def take(self, scenario: Scenario) -> None:
+        """Play a scenario from here on; what has been is as with any other of which nothing has begun.
+
+        Raises:
+            ValueError: something has.
+        """
+        if self.effects.onset_ns >= 0:
+            raise ValueError("a scenario has begun, and no other one can take its place")
+        self.scenario = scenario
+        playing = [_Playing(i, fault) for i, fault in enumerate(scenario.fault)]
+        playing.sort(key=lambda one: -float(one.fault.at_s))
+        self._later = {since: [p for p in playing if p.fault.since == since] for since in ("start", "armed")}
+        self._due: list[_Playing] = []  # whose time has come, if not their condition
+
+    def begins(self, scenario: Scenario, t_ns: int) -> bool:
+        """Whether a scenario would begin with the SYNC at an instant, of which `before` tells."""
+        of = {"start": self._start_ns, "armed": self._armed_ns}
+        return any(
+            of[fault.since] >= 0 and t_ns >= of[fault.since] + fault.at_s * 1e9 and self._holds(fault.when)
+            for fault in scenario.fault
+        )
 
     def settle(self) -> None:
         """The controller is gone for good: watch the load until it must have come to rest."""
@@ -162,6 +182,8 @@ class Engine:
         self._sync_ns = t_ns
         if self._start_ns < 0:
             self._start_ns = t_ns
+        if self.before is not None:
+            self.before(t_ns)
         if effects.centred_ns < 0:
             effects.onset_ticks += effects.onset_ns >= 0
             effects.ticks += effects.evidence_ns >= 0
