@@ -36,8 +36,8 @@ from hil.device_sets import DeviceSet, device_sets, with_station
 from pneud import resources
 from pneud.bus.codec import DatabaseError
 from pneud.config.sections import ConfigError
-from pneud.config.toml import toml_text
-from pneud.loading import Loaded, load
+from pneud.config.toml import merged, toml_text
+from pneud.loading import Loaded, load_axes
 from pneud.scenario.files import load_scenario
 from pneud.scenario.format import Babble, Scenario
 
@@ -92,8 +92,11 @@ SHARED = {
     "flexible": ("pressure", "valve_status", "valve"),
 }
 """Whose values are in the encoder's frame."""
-WHOLE = {"canopen": "canopen.toml"}
-"""Rigs that are configurations of their own."""
+WHOLE: dict[str, tuple[str, dict[str, Any]]] = {
+    "canopen": ("canopen.toml", {}),
+    "two-axes": ("two-axes.toml", {"loop": {"rate_hz": 700.0}}),  # slower, a stuck encoder shows too late
+}
+"""Configurations that are rigs, changed; in simulated time. Of several axes it happens to the first."""
 
 
 def adapted(scenario: Scenario, name: str, axis: Loaded) -> Scenario:
@@ -193,12 +196,12 @@ class Ready(NamedTuple):
     """A scenario on a set, ready to be played."""
 
     told: Case  # what there is to say before
-    axis: Loaded
+    axes: Sequence[Loaded]
     scenario: Scenario
 
 
 def ready(
-    name: str, one: DeviceSet | None, scenario: Scenario, folder: Path, known: dict[str, Loaded]
+    name: str, one: DeviceSet | None, scenario: Scenario, folder: Path, known: dict[str, Sequence[Loaded]]
 ) -> Ready | Case:
     """A scenario as it is on a set; or why it is left out."""
     told: Case = {"set": name, "scenario": scenario.name, "expected": list(scenario.expect.faults)}
@@ -208,27 +211,30 @@ def ready(
         return left_out | {"left_out": "takes inputs, and no node of it has any"}
     try:
         change = changed_for(scenario, one)
-        axis = known.get(key := json.dumps((scenario.config, change), sort_keys=True))
-        if axis is None:
+        axes = known.get(key := json.dumps((scenario.config, change), sort_keys=True))
+        if axes is None:
             if one is None:
-                file = resources.configs() / WHOLE[name]
+                base, own = WHOLE[name]
+                file, change = resources.find(base), merged(own, change)
             elif station:
                 file = with_station(one).write(folder, f"{name}-station", scenario.config)
             else:
                 file = one.write(folder, name, scenario.config)
-            known[key] = axis = load(file, change=change or None)
+            known[key] = axes = load_axes(file, change=change or None)
     except (ConfigError, DatabaseError, KeyError) as e:
         return left_out | {"left_out": f"does not go with it: {e}"}
     if why := LEFT_OUT.get(name, {}).get(scenario.name):
         return left_out | {"left_out": why}
-    return Ready(told, axis, adapted(scenario, name, axis))
+    if len(axes) > 1 and scenario.orders:
+        return left_out | {"left_out": "several axes are simulated without a machine"}
+    return Ready(told, axes, adapted(scenario, name, axes[0]))
 
 
 def of_set(work: tuple[str, list[str], str]) -> list[Case]:
     """All scenarios on a set."""
     name, scenarios, bus = work
     with tempfile.TemporaryDirectory() as folder:
-        place, one, known = Path(folder), device_sets().get(name), dict[str, Loaded]()
+        place, one, known = Path(folder), device_sets().get(name), dict[str, Sequence[Loaded]]()
         (place / "log").mkdir()
         found = [ready(name, one, load_scenario(s), place, known) for s in scenarios]
         cases = [each for each in found if not isinstance(each, Ready)]
@@ -241,21 +247,21 @@ def _all_simulated(work: Sequence[Ready]) -> list[Case]:
     """Those that begin alike are played together."""
     alike: dict[tuple[int, float], list[Ready]] = {}
     for each in work:
-        alike.setdefault((id(each.axis), each.scenario.duration_s), []).append(each)
+        alike.setdefault((id(each.axes), each.scenario.duration_s), []).append(each)
     return [
         each.told | found
         for some in alike.values()
-        for each, found in zip(some, simulated(some[0].axis, [r.scenario for r in some]), strict=True)
+        for each, found in zip(some, simulated(some[0].axes, [r.scenario for r in some]), strict=True)
     ]
 
 
 def _all_played(work: Sequence[Ready], bus: str, folder: Path) -> list[Case]:
     """One after the other; what failed in real time is played once more."""
     cases = []
-    for told, axis, scenario in work:
-        found = played(axis, scenario, bus, folder)
+    for told, axes, scenario in work:
+        found = played(axes[0], scenario, bus, folder)
         if not found["met"]:
-            found = played(axis, scenario, bus, folder) | {"again": found["problems"]}
+            found = played(axes[0], scenario, bus, folder) | {"again": found["problems"]}
         cases.append(told | found)
     return cases
 
@@ -324,7 +330,7 @@ def asked() -> argparse.Namespace:
     o = parser.parse_args()
     if o.resume and o.output is None:
         parser.error("--resume goes on with what is in the folder of -o")
-    o.sets = chosen(parser.error, "set", o.sets, (*device_sets(), *WHOLE))
+    o.sets = chosen(parser.error, "set", o.sets, (*device_sets(), *(WHOLE if o.bus == "sim" else ())))
     there = {path.stem: load_scenario(path.stem) for path in sorted(resources.scenarios().glob("*.toml"))}
     scenarios = chosen(parser.error, "scenario", o.scenarios, there)
     if o.bus == "sim":

@@ -90,7 +90,7 @@ def test_heartbeats_are_of_the_message_that_tells_the_position(tmp_path: Path) -
     one = device_sets()["bare"]
     found = device_faults.ready("bare", one, load_scenario("heartbeat-lost"), tmp_path, {})
     assert isinstance(found, device_faults.Ready)
-    assert found.axis.config.bus.messages["ENC"].heartbeat_timeout_ms == 200.0
+    assert found.axes[0].config.bus.messages["ENC"].heartbeat_timeout_ms == 200.0
 
 
 def test_a_sample_has_enough_of_each() -> None:
@@ -111,7 +111,7 @@ def test_what_branches_off_comes_to_what_it_comes_to_alone() -> None:
     some = [load_scenario(name) for name in ("encoder-missing", "leak", "link-down", "moving", "queue-full")]
     some = [scenario.model_copy(update={"duration_s": 2.0}) for scenario in some]
     rate_hz, how, blind = axis.config.loop.rate_hz, backend_of(axis), verdict.blind_spots(axis)
-    for scenario, branched in zip(some, simulated(axis, some), strict=True):
+    for scenario, branched in zip(some, simulated([axis], some), strict=True):
         run = Simulation(axis, scenario.duration_s, how=how, scenario=scenario)
         seen = through(run, rate_hz).seen
         assert run.engine is not None
@@ -124,14 +124,17 @@ def test_what_branches_off_comes_to_what_it_comes_to_alone() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
-    ["all-there", "extended", "apart", "no-valve-status", "valve-on-or-off", "bare", "flexible", "canopen"],
+    [
+        *("all-there", "extended", "apart", "no-valve-status", "valve-on-or-off", "bare", "flexible"),
+        *device_faults.WHOLE,
+    ],
 )
 def test_the_campaign_finds_what_the_list_leaves(name: str) -> None:
     played = [
         *("encoder-missing", "encoder-frozen", "encoder-error", "pressure-frozen", "supply-lost"),
         *("valve-frozen", "valve-timed-out", "valve-disagrees", "valve-missing", "valve-failure"),
-        *("valve-active", "other-commands", "link-down"),
-        *(() if name == "canopen" else ("heartbeat-lost", "enable-cut")),
+        *("valve-active", "other-commands"),
+        *(() if name in device_faults.WHOLE else ("heartbeat-lost", "enable-cut", "link-down")),
     ]
     assert set(played) <= {path.stem for path in resources.scenarios().glob("*.toml")}
     for case in device_faults.of_set((name, played, "sim")):

@@ -7,6 +7,7 @@ What the loop does for several is done here by the same parts: frames go by `Rou
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from pneud.bus.mapped_inbox import inbox_of
 from pneud.bus.shared import identifiers
@@ -25,6 +26,10 @@ from pneud.rig.segment import Front, Rigs, Segment
 from pneud.safety.faults import BLOCKS_ARM
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Frame, Record, Request, RequestKind, State, Tick, Timing, Told
+
+if TYPE_CHECKING:
+    from pneud.scenario.engine import Engine
+    from pneud.scenario.format import Scenario
 
 ARM = Request(RequestKind.ARM, (1.0,))
 
@@ -90,6 +95,7 @@ class Together:
         how: Sequence[Backend] = (),
         hooks: Sequence[Hook | None] = (),
         ask: Ask | None = None,
+        scenario: Scenario | None = None,
     ) -> None:
         """A run that has not begun.
 
@@ -100,24 +106,29 @@ class Together:
             how: each is computed.
             hooks: what happens to each one's frames.
             ask: what operators want; else all are armed once all can be, and track.
+            scenario: what happens to the rig of the axis that it names, else of the first; nothing of what it
+                does to a machine.
         """
         segment = Segment()
         hows, hooks = how or [INTERPRETED] * len(axes), hooks or [None] * len(axes)
-        self.lanes = [
-            SimulatedLane(
-                axis,
-                PlantNode(
-                    conversions.plant_of(axis.config),
-                    axis.codecs,
-                    seed + n,
-                    hook=hook,
-                    advance=one.advance,
-                    segment=segment,
-                ),
-                one,
-            )
-            for n, (axis, one, hook) in enumerate(zip(axes, hows, hooks, strict=True))
-        ]
+        self.engine: Engine | None = None
+        self.struck = 0  # place of the axis that a scenario happens to
+        if scenario is not None:
+            self.struck = [axis.config.name for axis in axes].index(scenario.axis or axes[0].config.name)
+        self.lanes = []
+        for n, (axis, one, hook) in enumerate(zip(axes, hows, hooks, strict=True)):
+            p = conversions.plant_of(axis.config)
+            if scenario is not None and n == self.struck:
+                from pneud.scenario.engine import Engine  # noqa: PLC0415 - for runs with a scenario only
+
+                self.engine = Engine(
+                    scenario, p, axis.codecs, seed + n, axis.config.loop.rate_hz,
+                    advance=one.advance, segment=segment,
+                )  # fmt: skip
+                node = self.engine.node
+            else:
+                node = PlantNode(p, axis.codecs, seed + n, hook=hook, advance=one.advance, segment=segment)
+            self.lanes.append(SimulatedLane(axis, node, one))
         names = [axis.config.name for axis in axes]
         span([lane.node for lane in self.lanes], names, [conversions.beam_of(a.config) for a in axes])
         c = axes[0].config
@@ -131,6 +142,16 @@ class Together:
         self._period_ns = round(1e9 / c.loop.rate_hz)
         self._wait_ns = round(self._period_ns * c.loop.set_deadline)
         self._total = max(1, round(duration_s * c.loop.rate_hz))
+
+    def take(self, scenario: Scenario) -> None:
+        """Play a scenario from here on, in place of one of which nothing has begun; as `Engine.take`.
+
+        Raises:
+            ValueError: the run has none, or it has begun.
+        """
+        if self.engine is None:
+            raise ValueError("a run without a scenario can take none")
+        self.engine.take(scenario)
 
     def records(self) -> Iterator[tuple[Record, ...]]:
         """The ticks, each as the loop hands it to the recorders: one record for each axis."""
