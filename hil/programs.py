@@ -76,7 +76,7 @@ def simulated(name: str, config: str, cycles: int, seed: int, folder: Path | Non
     for axis, ran in each.items():
         s = ran.summary
         cycle = s["cycle_s"] or {"least": s["took_s"] or 0.0, "most": s["took_s"] or 0.0}
-        lost = 0 if s["ended"] else 1
+        lost = not s["ended"] or s["cycles"] != cycles
         yield Rounds(
             axis, s["cycles"], len(s["wrong"]) + lost, cycle["most"] - cycle["least"], cycle["most"],
             identical(Path(s["log"])) if s["log"] else None,
@@ -149,8 +149,8 @@ def read(axes: Together, found: programs.Compiled, logs: Path, cycles: int) -> I
             passing.see(tick.record)
             ended = ended or tick.progress.lap >= cycles
         rounds_s = passing.rounds_s() or [0.0]
-        wrong = len(passing.wrong) + (not ended)
         done = len({one.lap for one in passing.passed})
+        wrong = len(passing.wrong) + (not ended or done != cycles)
         spread_s = max(rounds_s) - min(rounds_s)
         yield Rounds(axis.config.name, done, wrong, spread_s, max(rounds_s), identical(log))
 

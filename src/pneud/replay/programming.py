@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from pneud.control import program
-from pneud.control.program import Program
+from pneud.control.program import Program, Step
 from pneud.replay.asking import ARM, Asking, is_armable
 from pneud.safety.faults import FAULT_NAMES
 from pneud.signals import Answer, Record, Request, Stage, State, Tick
@@ -58,15 +58,16 @@ class Passing:
         tick = record.tick
         if self._first_ns < 0:
             self._first_ns = tick.t_ns
-        if tick.progress.stage not in WORKING and tick.progress.stage != ENDED:
+        stage, step, lap = tick.progress.stage, tick.progress.step, tick.progress.lap
+        if stage not in WORKING and stage != ENDED:
             self._record = 0
             return
-        if (
-            tick.progress.stage != ENDED
-            and (tick.progress.step, tick.progress.lap) != (self._record, self._lap)
-            and tick.progress.step
-        ):
-            self._begin(tick.progress.step, tick.progress.lap, tick.t_ns, tick.reference.position_m)
+        if stage == ENDED:
+            self._leave(0, lap)
+            self._record = 0
+        elif (step, lap) != (self._record, self._lap) and step:
+            self._leave(step, lap)
+            self._begin(step, lap, tick.t_ns, tick.reference.position_m)
         if not self._record or self._is_done:
             return
         error_m = abs(record.true_error_m)
@@ -74,10 +75,24 @@ class Passing:
         if tick.progress.stage in (DUE, DONE):
             self._end(record)
 
+    def _leave(self, record: int, lap: int) -> None:
+        """Another record begins, or, with 0, none any more: was the one before done, and is it its turn?"""
+        before = self._record
+        if not before:
+            return
+        step, last = self._steps[before - 1], before == len(self._steps)
+        where = f"round {self._lap + 1}, record {before}"
+        if not self._is_done and (not record or record != step.otherwise):
+            self.wrong.append(f"{where}: left before it was done")
+        if lap != self._lap:
+            follows = last and lap == self._lap + 1 and record in (0, 1)
+        else:
+            follows = record > 0 and self._follows(step, before, record)
+        if not follows:
+            self.wrong.append(f"{where}: {f'record {record}' if record else 'the end'} came behind it")
+
     def _begin(self, record: int, lap: int, t_ns: int, stands_m: float) -> None:
-        before, self._record, self._lap = self._record, record, lap
-        if before and lap == self.passed[-1].lap and not self._follows(before, record):
-            self.wrong.append(f"record {record} came behind record {before}")
+        self._record, self._lap = record, lap
         step = self._steps[record - 1]
         if step.kind == program.GOTO:
             self._goal_m = step.target_m
@@ -87,8 +102,8 @@ class Passing:
             self._goal_m = math.nan
         self._began_ns, self._worst_m, self._is_done = t_ns, 0.0, False
 
-    def _follows(self, before: int, record: int) -> bool:
-        step = self._steps[before - 1]
+    @staticmethod
+    def _follows(step: Step, before: int, record: int) -> bool:
         goals = {step.to} if step.kind in (program.JUMP, program.REPEAT) else set()
         return record in goals | ({before + 1} if step.kind != program.JUMP else set()) | {step.otherwise}
 
