@@ -22,10 +22,12 @@ from pneud.signals import Request, RequestKind
 
 ROOT = Path(__file__).parent.parent
 X = AxisFacts(
-    "x", 0.02, 0.98, Bounds(0.5, 5.0, 100.0), 2e-5, 2e-3, 0.05, ("start", "part"), ("lamp",), 560.0, 470.0
+    *("x", 0.02, 0.98, Bounds(0.5, 5.0, 100.0), 2e-5, 2e-3, 0.05),
+    *(("start", "part"), ("lamp",), 560.0, 470.0, 2.0),
 )
 Y = X._replace(name="y", inputs=("gate",), outputs=())
 GOTO, WAIT = {"do": "goto", "to_mm": 100.0}, {"do": "wait", "for_s": 0.1}
+PRESS = {"do": "force", "force_n": 100.0}
 
 
 def tree(*listed: Any, **more: Any) -> dict[str, Any]:
@@ -129,6 +131,15 @@ REFUSED = [
     (tree({"do": "output", "output": "horn", "on": True}), "no output 'horn'; there is lamp"),
     (tree({"do": "output", "output": "lamp", "on": 1}), "on is true or false, not 1"),
     (tree({"do": "force", "force_n": 2000}), "2000 N are more than limits.force and the supply allow"),
+    (tree({**PRESS, "ramp_n_s": 0.5}), "ramp_n_s is a number from 1 to"),
+    (tree({**PRESS, "low_mm": 100}), "record 1 (force): low_mm and high_mm go together"),
+    (tree({**PRESS, "low_mm": 200, "high_mm": 100}), "the window 200 … 100 mm has to lie within the travel"),
+    (tree({**PRESS, "low_mm": 0, "high_mm": 100}), "within the travel 20 … 980 mm"),
+    (tree({**PRESS, "speed_mm_s": 2100}), "2100 mm/s is faster than limits.speed_m_s, 2000 mm/s"),
+    (
+        tree(GOTO, WAIT, {**PRESS, "low_mm": 150, "high_mm": 200}),
+        "record 3 (force): the load is at 100 mm by then, outside the window 150 … 200 mm",
+    ),
     (tree(WAIT, {"do": "repeat", "to": "a", "times": 1.5}), "times is a whole number, not 1.5"),
     (
         tree({**GOTO, "to_mm": 990}),
@@ -162,6 +173,12 @@ def test_what_is_wrong_is_told_with_the_record_and_the_cure(given_: dict[str, An
         compiled(given_, [X])
     assert "\n" not in str(e.value)
     assert e.value.exit_code == 2
+
+
+def test_where_a_load_is_that_has_only_set_out_is_not_known() -> None:
+    there = {**PRESS, "low_mm": 150, "high_mm": 200}
+    compiled(tree({**GOTO, "class": "start"}, {"do": "until", "above_mm": 90}, there), [X])
+    compiled(tree({**GOTO, "class": "fast", "tolerance_mm": 50}, there, there), [X])
 
 
 def test_relative_ways_are_followed_for_two_rounds() -> None:

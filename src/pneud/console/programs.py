@@ -43,6 +43,7 @@ class AxisFacts(NamedTuple):
     outputs: tuple[str, ...] = ()
     out_n: float = 0.0  # greatest force of the piston outwards; 0 for one that is not pressed
     in_n: float = 0.0  # and inwards
+    press_m_s: float = FAR  # the fastest that a load may be let to press
 
 
 class Compiled(NamedTuple):
@@ -75,6 +76,7 @@ def facts_of(c: Config) -> AxisFacts:
         tuple(c.bus.outputs),
         out_n=pressing.out_n if alone else 0.0,
         in_n=pressing.in_n if alone else 0.0,
+        press_m_s=limits.speed_m_s,
     )
 
 
@@ -309,6 +311,20 @@ def _press(where: str, record: Mapping[str, Any], step: Step, axis: AxisFacts) -
             f"{where}: {record['force_n']:g} N are more than limits.force and the supply allow,"
             f" {-axis.in_n:.4g} … {axis.out_n:.4g} N"
         )
+    if ("low_mm" in record) != ("high_mm" in record):
+        raise ProgramError(f"{where}: low_mm and high_mm go together")
+    if "low_mm" in record:
+        low_m, high_m = record["low_mm"] * _MM, record["high_mm"] * _MM
+        if not axis.low_m - ROUNDING_M <= low_m < high_m <= axis.high_m + ROUNDING_M:
+            raise ProgramError(
+                f"{where}: the window {record['low_mm']:g} … {record['high_mm']:g} mm has to lie within the"
+                f" travel {axis.low_m / _MM:g} … {axis.high_m / _MM:g} mm"
+            )
+    if record.get("speed_mm_s", 0.0) * _MM > axis.press_m_s:
+        raise ProgramError(
+            f"{where}: {record['speed_mm_s']:g} mm/s is faster than limits.speed_m_s,"
+            f" {axis.press_m_s / _MM:g} mm/s"
+        )
     return step._replace(
         force_n=record["force_n"],
         rate_n_s=record.get("ramp_n_s", 0.0),
@@ -376,9 +392,10 @@ def _check_places(found: Sequence[Mapping[str, Any]], steps: Program, axis: Axis
     for place, step in enumerate(steps, start=1):
         if step.kind == program.GOTO:
             _check_place(told(place, found[place - 1]), step.target_m, axis, "")
-    if not any(step.kind == program.MOVE for step in steps):
+    if not any(step.kind == program.MOVE or step.high_m > 0.0 for step in steps):
         return
     at_m: float | None = None
+    near_m = FAR  # of that it is by now
     run = program.Run(program.DUE, next=1, laps=2, counts=(0,) * len(steps))
     for _ in range(MOST_WALKED):
         run = program.begins(run, steps)
@@ -386,9 +403,13 @@ def _check_places(found: Sequence[Mapping[str, Any]], steps: Program, axis: Axis
             return
         step = steps[run.record - 1]
         run = run._replace(stage=program.DUE)
+        if step.kind in program.MOTIONS:
+            near_m = FAR if step.ends == program.AT_ONCE else step.tolerance_m
         if step.kind == program.GOTO:
             at_m = step.target_m
         elif step.kind in (program.TRACK, program.FORCE):
+            if step.high_m > 0.0 and at_m is not None:
+                _check_window(told(run.record, found[run.record - 1]), step, at_m, near_m)
             at_m = None
         elif step.kind == program.MOVE and at_m is not None:
             at_m += step.target_m
@@ -407,6 +428,15 @@ def _check_place(where: str, to_m: float, axis: AxisFacts, words: str) -> None:
     raise ProgramError(
         f"{where}: {to_m / _MM:g} mm{words} lies outside the travel {axis.low_m / _MM:g} …"
         f" {axis.high_m / _MM:g} mm; the nearest allowed is {nearest_m / _MM:g} mm"
+    )
+
+
+def _check_window(where: str, step: Step, at_m: float, near_m: float) -> None:
+    if step.low_m - near_m <= at_m <= step.high_m + near_m:
+        return
+    raise ProgramError(
+        f"{where}: the load is at {at_m / _MM:g} mm by then, outside the window {step.low_m / _MM:g} …"
+        f" {step.high_m / _MM:g} mm"
     )
 
 

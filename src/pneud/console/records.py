@@ -22,6 +22,7 @@ NUMBER, WHOLE, PLACE, LABEL, NAME, TRUTH, CLASS = (
 )
 MOST_MM, MOST_RATE = 1e6, 1e9
 LEAST = 1e-3
+LEAST_RAMP_N_S = 1.0  # as the axis takes it
 
 
 class ProgramError(Exception):
@@ -62,7 +63,7 @@ FIELDS: dict[str, dict[str, Field]] = {
     "force": {
         **_ALL,
         "force_n": _FORCE._replace(required=True),
-        "ramp_n_s": _RATE,
+        "ramp_n_s": _RATE._replace(low=LEAST_RAMP_N_S),
         "low_mm": _LENGTH,
         "high_mm": _LENGTH,
         "speed_mm_s": _RATE,
