@@ -108,6 +108,17 @@ def test_what_cannot_be_asked_for_is_refused(values: dict[str, float], answer: A
     assert ready().tick(FORCE, *asked(**values)).answer in (Answer.WRONG_STATE, answer)
 
 
+def test_near_the_end_of_its_window_a_load_is_kept_so_slow_that_it_can_be_braked() -> None:
+    aim = AIM._replace(speed_m_s=1.5, braking_m_s2=10.0)
+    rooms = (0.8, 0.05, 0.0, -1.0)
+    assert [force.allowed_m_s(aim, room) for room in rooms] == pytest.approx([1.5, 1.0, 0.02, 0.02])
+    assert force.allowed_m_s(AIM, 0.0) == pytest.approx(0.02)
+    middle, near_high, near_low = (force.bounds_n(begun(aim), 50.0, x, 0.0, LAW) for x in (0.5, 0.85, 0.15))
+    assert (near_high[0], near_low[1]) == pytest.approx(middle)
+    assert near_high[1] - 50.0 == pytest.approx((middle[1] - 50.0) / 1.5)
+    assert 50.0 - near_low[0] == pytest.approx((50.0 - middle[0]) / 1.5)
+
+
 def test_only_a_load_that_is_led_can_be_pressed() -> None:
     assert ready().tick(FORCE, *USUAL).answer == Answer.WRONG_STATE
     assert tracking().tick(FORCE, *USUAL).state == State.PRESSING

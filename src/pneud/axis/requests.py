@@ -278,7 +278,15 @@ def _press(
         return Asked(OUT_OF_TRAVEL)
     k = p.pressing
     usual_n_s = force.usual_rate_n_s(force_n, e, k, law)
-    aim = Aim(force_n, rate_n_s or usual_n_s, low_m, high_m, speed_m_s or k.speed_m_s, time_s or k.time_s)
+    aim = Aim(
+        force_n,
+        rate_n_s or usual_n_s,
+        low_m,
+        high_m,
+        speed_m_s or k.speed_m_s,
+        time_s or k.time_s,
+        p.limits.braking_m_s2,
+    )
     if aim.rate_n_s < LEAST_RATE_N_S or aim.speed_m_s < SLOWEST.speed_m_s or aim.time_s <= 0.0:
         return Asked(MALFORMED)
     if not -k.in_n <= force_n <= k.out_n or aim.speed_m_s > p.limits.speed_m_s:

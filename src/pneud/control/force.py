@@ -33,6 +33,7 @@ SPRING_S = 0.015  # in which a stiffness is forgotten
 SPRING_M, SPRING_STEPS = 1e-5, 5.0  # travel that tells a stiffness: at least, and in steps of the encoder
 GUARD = 0.7  # of the speed that is asked for, at which the load is held
 GUARD_RAD_S = 40.0  # how fast
+CREEP_M_S = 0.02  # so fast it may be wherever it is: it would be at rest within a hair's breadth
 SLOW_S = 0.02  # in which the error of the force is smoothed
 SHUTS, OPENS = 0.25, 0.5  # of the tolerance: the valve is shut within, and opens beyond
 SHUT_M_S = 5e-3  # no faster may the load be then
@@ -76,6 +77,7 @@ class Aim(NamedTuple):
     high_m: float
     speed_m_s: float  # no faster
     time_s: float  # until the force is reached, at most
+    braking_m_s2: float = 1e9  # by which the load could be brought to rest within the window
 
 
 class Press(NamedTuple):
@@ -219,8 +221,14 @@ def damping_n_s_m(s: Press, c: Controller) -> float:
     return 2.0 * ZETA * share * c.cylinder.M * max(SLOWEST_RAD_S, min(DAMPED * loop_rad_s(c), swing_rad_s))
 
 
-def bounds_n(s: Press, force_n: float, v: float, c: Controller) -> tuple[float, float]:
-    """Between which forces of the piston the load stays slower than was asked for [N].
+def allowed_m_s(aim: Aim, room_m: float) -> float:
+    """How fast the load may be where the window ends so far ahead [m/s]."""
+    most = max(CREEP_M_S, math.sqrt(2.0 * aim.braking_m_s2 * max(0.0, room_m)))
+    return min(aim.speed_m_s, most)
+
+
+def bounds_n(s: Press, force_n: float, x: float, v: float, c: Controller) -> tuple[float, float]:
+    """Between which forces of the piston the load stays slower than was asked for, and can be braked [N].
 
     What the load bears at a speed is F̂; what is more drives it, until the stiffness that it is pressed
     against takes that up.
@@ -228,12 +236,15 @@ def bounds_n(s: Press, force_n: float, v: float, c: Controller) -> tuple[float, 
     Args:
         s: pressing so far.
         force_n: F̂.
+        x: position of the load [m].
         v: velocity of the load [m/s].
         c: the controller's parameters.
     """
     M = c.cylinder.M
-    held = GUARD * s.aim.speed_m_s * (GUARD_RAD_S + math.sqrt(stiffness_n_m(s, c) / M))
-    return force_n - M * (held + GUARD_RAD_S * v), force_n + M * (held - GUARD_RAD_S * v)
+    gain = GUARD * (GUARD_RAD_S + math.sqrt(stiffness_n_m(s, c) / M))
+    inwards, outwards = allowed_m_s(s.aim, x - s.aim.low_m), allowed_m_s(s.aim, s.aim.high_m - x)
+    damped = GUARD_RAD_S * v
+    return force_n - M * (gain * inwards + damped), force_n + M * (gain * outwards - damped)
 
 
 def proceed(
@@ -265,7 +276,7 @@ def proceed(
     goal_n = aim.force_n + bias_n
     rate_n_s = max(-aim.rate_n_s, min(aim.rate_n_s, (goal_n - s.wanted_n) / max(SOFT_S, dt)))
     wanted_n = s.wanted_n + dt * rate_n_s
-    least_n, most_n = bounds_n(s, e.force_n, e.velocity_m_s, c)
+    least_n, most_n = bounds_n(s, e.force_n, e.position_m, e.velocity_m_s, c)
     if (rate_n_s > 0.0 and wanted_n > most_n) or (rate_n_s < 0.0 and wanted_n < least_n):
         # a ramp that ran on would be a step where the load comes to what it is to press against
         wanted_n, rate_n_s = max(least_n, min(most_n, wanted_n)), 0.0
@@ -352,7 +363,7 @@ def command(s: Press, state: ControllerState, e: Estimate, last_v: float, c: Con
     damping = damping_n_s_m(s, p)
     goal_n = s.wanted_n + p.lead_s * s.rate_n_s - damping * motion.v
     goal_rate = s.rate_n_s - damping * motion.force_n / M
-    least_n, most_n = bounds_n(s, e.force_n, motion.v, p)
+    least_n, most_n = bounds_n(s, e.force_n, e.position_m, motion.v, p)
     if not least_n <= goal_n <= most_n:
         goal_n = max(least_n, min(most_n, goal_n))
         goal_rate = -GUARD_RAD_S * motion.force_n
