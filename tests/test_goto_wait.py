@@ -145,13 +145,13 @@ def test_replies_and_status_tell_which_order_of_motion_was_the_last(tmp_path: Pa
 
 
 @contextmanager
-def daemon(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str, Path]]:
+def daemon(folder: Path, config: Path | None = None) -> Iterator[tuple[subprocess.Popen[str], str, Path]]:
     """A virtual run without a terminal, its socket and its log."""
     path = f"/tmp/pneud-wait-{os.getpid()}-{secrets.token_hex(3)}.sock"
     log = folder / "run.mcap"
     process = subprocess.Popen(
         [
-            *(*PNEUD, "--virtual", "--config", str(patient_axis(folder)), "--headless", "--json"),
+            *(*PNEUD, "--virtual", "--config", str(config or patient_axis(folder)), "--headless", "--json"),
             *("--socket", path, "--log", str(log)),
         ],
         stdout=subprocess.PIPE,

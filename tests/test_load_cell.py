@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,12 @@ import pytest
 from hil.force import Asked, contact_n
 
 from axis_rig import H, quick
-from commands import pneud
-from pneud import resources
+from commands import eventually, pneud
 from pneud.bus.codec import DatabaseError
 from pneud.bus.load_cell import Weighing
 from pneud.config.conversions import axis_of, plant_of
 from pneud.config.sections import ConfigError
+from pneud.console.client import Client
 from pneud.control import force
 from pneud.control.force import Aim, proceed
 from pneud.loading import Loaded, load
@@ -26,6 +27,8 @@ from pneud.replay.lockstep import Simulation
 from pneud.rig.node import PlantNode
 from pneud.safety.faults import names
 from pneud.signals import Estimate, Frame, Record, Request, RequestKind, State
+from running import patient_axis
+from test_goto_wait import daemon
 
 CELL: dict[str, Any] = {
     "dbc": "load-cell.dbc",
@@ -156,16 +159,38 @@ def test_what_is_no_load_cell_is_refused_in_one_line(told: Any, says: str) -> No
     assert says in str(e.value)
 
 
-@pytest.mark.slow
-def test_what_it_said_is_in_the_log_and_a_replay_is_identical(tmp_path: Path) -> None:
-    text = (resources.configs() / "virtual.toml").read_text()
+def press_toml(folder: Path) -> Path:
+    """The virtual axis with a load cell, and something to press against."""
+    text = patient_axis(folder).read_text()
     text = text.replace('dbc = "pneud.dbc"', 'dbc = "load-cell.dbc"\nload_cell = "LOAD_CELL.Force"')
     text += '[bus.messages.LOAD_CELL]\ncounter = "Counter"\ncrc = "Crc"\n'
-    text += "[plant.contact]\nposition_m = 0.45\nstiffness_n_m = 10_000.0\n"
-    (tmp_path / "press.toml").write_text(text)
+    text += "[plant.contact]\nposition_m = 0.45\nstiffness_n_m = 10_000.0\ndamping_n_s_m = 20.0\n"
+    (folder / "press.toml").write_text(text)
+    return folder / "press.toml"
+
+
+@pytest.mark.slow
+def test_what_it_said_is_in_the_log_and_a_replay_is_identical(tmp_path: Path) -> None:
     log = tmp_path / "press.mcap"
-    assert pneud("sim", tmp_path / "press.toml", "--goto", "445,100N", "-o", log).returncode == 0
+    assert pneud("sim", press_toml(tmp_path), "--goto", "445,100N", "-o", log).returncode == 0
     assert json.loads(pneud("replay", log, "--json").stdout)["identical"]
     last = [t for t in read_log(log) if t.state == State.PRESSING][-1]
     assert last.weighed is not None
     assert last.weighed.force_n == pytest.approx(100.0, abs=2.0)
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+def test_a_cell_on_a_real_bus_leads_the_force_and_is_in_the_log(tmp_path: Path) -> None:
+    with daemon(tmp_path, press_toml(tmp_path)) as (process, path, log):
+        at = ("--socket", path)
+        with Client(path) as client:
+            eventually(lambda: client.ask("status")["state"] == "tracking")
+            assert pneud("goto", 440, "--wait", *at).returncode == 0
+            assert pneud("force", 120, "--wait", *at).returncode == 0
+            told = client.ask("status")
+            assert (told["state"], told["in_position"]) == ("pressing", True)
+            assert told["load_cell_n"] == pytest.approx(120.0, abs=4.0)
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=60)
+    assert json.loads(pneud("replay", str(log), "--json").stdout)["identical"]

@@ -52,7 +52,6 @@ FROM_WITHIN = {
         ("force_window", "force_speed", "force_timeout", "force_direction"),
         "takes a load that is to press: the tests of pressing have them",
     ),
-    **dict.fromkeys(("load_missing", "load_disagrees"), "takes a load cell: its tests have one"),
     "program": "takes a program that does not fit the axis: the tests of programs have it",
     "program_late": "takes a program that waits for what does not come: the tests of programs have it",
     "disk_full": "takes a file system of its own: the campaign has a case for it",

@@ -249,8 +249,12 @@ class Engine:
             node.put(_error(t_ns, RESTARTED))
 
     def _switch(self, playing: _Playing, *, began: bool) -> None:
-        """What happens to inputs and brake; files see to it that there are such."""
+        """What happens to inputs, brake and load cell; files see to it that there are such."""
         station, fault = self.node.station, playing.fault
+        if isinstance(fault, kinds.LoadCellFault):
+            self.node.cell_silent = began and fault.offset_n is None
+            self.node.cell_zero_n = (fault.offset_n or 0.0) if began else 0.0
+            return
         assert station is not None
         if isinstance(fault, kinds.InputsLost):
             station.speaker.silent = began

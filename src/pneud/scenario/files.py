@@ -53,7 +53,7 @@ def load_all(config_file: str | None, rate_hz: float | None, scenario: Scenario 
 
 
 def _check_station(scenario: Scenario, axis: Loaded) -> None:
-    """Make sure that there are the inputs and the brake to which a scenario does something.
+    """Make sure that there are the inputs, the brake and the load cell to which a scenario does something.
 
     Raises:
         ConfigError: there are not.
@@ -69,6 +69,9 @@ def _check_station(scenario: Scenario, axis: Loaded) -> None:
             raise ConfigError(f"scenario {scenario.name}: axis {axis.config.name} has no inputs (bus.inputs)")
         if fault.kind == "brake_stuck" and axis.config.brake is None:
             raise ConfigError(f"scenario {scenario.name}: axis {axis.config.name} has no [brake]")
+        if fault.kind == "load_cell" and axis.config.bus.load_cell is None:
+            of = f"scenario {scenario.name}: axis {axis.config.name}"
+            raise ConfigError(f"{of} has no load cell (bus.load_cell)")
 
 
 def place_of(scenario: Scenario | None, axes: Sequence[Loaded]) -> int:

@@ -199,6 +199,13 @@ class BrakeFault(InjectedFault):
     stuck: Literal["engaged", "released"]
 
 
+class LoadCellFault(InjectedFault):
+    """The load cell is off by `offset_n`; without that it sends nothing. Of an axis with one."""
+
+    kind: Literal["load_cell"]
+    offset_n: float | None = None
+
+
 class Supply(InjectedFault):
     """The supply pressure changes [Pa, absolute]."""
 
@@ -277,7 +284,14 @@ class Operator(InjectedFault):
     """No fault: an operator asks for something, and from then on the axis needs its console."""
 
     kind: Literal["operator"]
-    verb: Literal["arm", "disarm", "stop", "clear", "hold", "track"]
+    verb: Literal["arm", "disarm", "stop", "clear", "hold", "track", "force"]
+    force_n: float | None = None  # of the verb `force`, by which the axis presses
+
+    @model_validator(mode="after")
+    def _of_force(self) -> Operator:
+        if (self.verb == "force") != (self.force_n is not None):
+            raise ValueError("force_n and the verb force belong together")
+        return self
 
 
 class Hog(InjectedFault):
@@ -316,7 +330,7 @@ class InterfaceFault(InjectedFault):
 
 BUS = Mishandled | Delay | Babble | BusOff | ErrorFrames
 NODES = Silence | Skip | Reboot | Emcy | Heartbeat | ValveFailure | Value
-STATION = Switched | InputsLost | BrakeFault
+STATION = Switched | InputsLost | BrakeFault | LoadCellFault
 PLANT = Supply | Leak | ValveStuck | Seized | Mass | FrictionFault | Force
 MACHINE = StopProcess | Overload | Kill | Operator | Hog | ClockStep | LogFull | Descriptors | InterfaceFault
 AnyFault = Annotated[BUS | NODES | STATION | PLANT | MACHINE, Field(discriminator="kind")]

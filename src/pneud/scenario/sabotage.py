@@ -116,7 +116,7 @@ def act(fault: Any, victims: Victims) -> Undo | None:
         os.kill(victims.pid(fault.who), signal.SIGKILL)
     elif isinstance(fault, Operator):
         with Client(victims.socket) as client:
-            client.ask(fault.verb, **({"what": "reference"} if fault.verb == "track" else {}))
+            client.ask(fault.verb, **_fields_of(fault))
     elif isinstance(fault, Hog):
         return _hog(fault.processes)
     elif isinstance(fault, ClockStep):
@@ -129,6 +129,12 @@ def act(fault: Any, victims: Victims) -> Undo | None:
     elif isinstance(fault, InterfaceFault):
         return _interface(fault.kind, victims.interface)
     return None
+
+
+def _fields_of(fault: Operator) -> dict[str, Any]:
+    if fault.verb == "track":
+        return {"what": "reference"}
+    return {} if fault.force_n is None else {"force_n": fault.force_n}
 
 
 def _attempt(action: Callable[[], Undo | None]) -> Undo | None:
