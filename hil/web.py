@@ -6,9 +6,9 @@
 Real time, one daemon with its software rig on a `unixcan` channel. In every pair the axis tracks for a while
 with nobody there, and for a while with `pneud web` and its crowd; which comes first alternates. Compared are
 the 99th percentiles of how late ticks began, and of sensor to command, and what the page's process holds in
-memory. The crowd are other people's machines: it runs here at the lowest priority. A stop is timed from a
-page's word to the first command that brakes. Let the machine do nothing else meanwhile. Exit status: 0 where
-every goal is met, 1 else.
+memory, also while stops are timed; what it and its crowd take of a processor is told. The crowd are other
+people's machines: it runs here at the lowest priority. A stop is timed from a page's word to the first
+command that brakes. Let the machine do nothing else meanwhile. Exit status 1 where a goal is not met.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import argparse
 import asyncio
 import contextlib
 import json
+import math
 import os
 import secrets
 import signal
@@ -69,7 +70,8 @@ async def _reader(host: str, until_s: float) -> int:
                     found = json.loads(await line.recv())
                     if "picture" in found:
                         seen += 1
-                        await line.send(json.dumps({"seen": found["picture"]}))
+                        if seen % 2:  # as the page does
+                            await line.send(json.dumps({"seen": found["picture"]}))
     return seen
 
 
@@ -135,6 +137,21 @@ class Site:
         return found["resident_bytes"] * 1e-6 if found is not None else 0.0
 
 
+def _used_s(process: subprocess.Popen[str]) -> float:
+    """Of a processor, so far."""
+    found = counters_of(process.pid)
+    return found["user_s"] + found["system_s"] if found is not None else math.nan
+
+
+class Seen(NamedTuple):
+    """What is gathered on the way."""
+
+    memory_mb: list[float]
+    pictures: list[int]
+    page: list[float]  # share of a processor that its process took in each stretch
+    crowd: list[float]  # and all browsers
+
+
 @contextmanager
 def _program(*words: str, idle: bool = False) -> Iterator[subprocess.Popen[str]]:
     process = subprocess.Popen(
@@ -176,17 +193,21 @@ def _alone(seconds: float) -> Window:
     return Window(False, begin_ns, time.monotonic_ns())
 
 
-def _crowded(socket: str, seconds: float, memory: list[float], pictures: list[int]) -> Window:
+def _crowded(socket: str, seconds: float, seen: Seen) -> Window:
     with _page(socket) as site:
         with _crowding(site, seconds + 2.0 * SETTLE_S) as crowd:
             time.sleep(2.0 * SETTLE_S)
+            began_s, page_s, crowd_s = time.monotonic(), _used_s(site.process), _used_s(crowd)
             begin_ns = time.monotonic_ns()
             for _ in range(max(1, round(seconds))):
                 time.sleep(seconds / max(1, round(seconds)))
-                memory.append(site.memory_mb())
+                seen.memory_mb.append(site.memory_mb())
             found = Window(True, begin_ns, time.monotonic_ns())
+            lasted_s = time.monotonic() - began_s
+            seen.page.append((_used_s(site.process) - page_s) / lasted_s)
+            seen.crowd.append((_used_s(crowd) - crowd_s) / lasted_s)
             out, _ = crowd.communicate(timeout=PATIENCE_S)
-        pictures += json.loads(out)
+        seen.pictures.extend(json.loads(out))
     return found
 
 
@@ -206,7 +227,7 @@ def _status(socket: str) -> dict[str, Any]:
         return client.ask("status")
 
 
-def _stops(socket: str, count: int) -> list[int]:
+def _stops(socket: str, count: int, seen: Seen) -> list[int]:
     """When a page said stop [CLOCK_MONOTONIC, ns], while the crowd is there and the load moves."""
     from websockets.sync.client import connect  # noqa: PLC0415
     from websockets.typing import Origin  # noqa: PLC0415
@@ -233,10 +254,11 @@ def _stops(socket: str, count: int) -> list[int]:
                     said.append(time.monotonic_ns())
                     line.send(json.dumps({"do": "stop", "id": number}))
                     _eventually(lambda: _status(socket)["state"] != "moving")
+                    seen.memory_mb.append(site.memory_mb())
     return said
 
 
-def _judged(log: Path, windows: list[Window], said: list[int], memory: list[float]) -> dict[str, Any]:
+def _judged(log: Path, windows: list[Window], said: list[int], seen: Seen) -> dict[str, Any]:
     found: list[dict[str, list[int]]] = [{"lateness": [], "latency": []} for _ in windows]
     braked, n, skipped = [], 0, 0
     for tick in read_log(log):
@@ -266,18 +288,23 @@ def _judged(log: Path, windows: list[Window], said: list[int], memory: list[floa
         name: statistics.median(p[name]["crowd_us"] / p[name]["alone_us"] for p in pairs)
         for name in ("lateness", "latency")
     } if pairs else {}  # fmt: skip
+    mb = seen.memory_mb
     stop_ms = statistics.median(stops_ms) if stops_ms else None
     return {
         "pairs": pairs,
         "ratio_p99": {name: round(value, 3) for name, value in ratios.items()},
         "skipped_in_crowd": skipped,
         "stop_ms": None if stop_ms is None else {"median": round(stop_ms, 2), "max": round(max(stops_ms), 2)},
-        "memory_mb": {"first": round(memory[0], 1), "max": round(max(memory), 1)} if memory else None,
+        "memory_mb": {"first": round(mb[0], 1), "max": round(max(mb), 1)} if mb else None,
+        "processor": {
+            name: round(statistics.median(shares), 3)
+            for name, shares in (("page", seen.page), ("crowd", seen.crowd))
+        } if seen.page else None,
         "met": all(value <= GOAL_RATIO for value in ratios.values())
         and (stop_ms is None or stop_ms <= GOAL_STOP_MS)
         and len(stops_ms) == len(said)
-        and max(memory, default=0.0) <= GOAL_MB,
-    }
+        and max(mb, default=0.0) <= GOAL_MB,
+    }  # fmt: skip
 
 
 def _p99_us(values: list[int]) -> float:
@@ -295,8 +322,7 @@ def measure(pairs: int, seconds: float, stops: int, config: str) -> dict[str, An
     """
     name = f"{os.getpid()}-{secrets.token_hex(3)}"
     windows: list[Window] = []
-    memory: list[float] = []
-    pictures: list[int] = []
+    seen = Seen([], [], [], [])
     with tempfile.TemporaryDirectory(prefix="pneud-web-") as folder:
         socket, log = f"{folder}/console.sock", Path(folder, "run.mcap")
         daemon = (*PNEUD, "--virtual", "--headless", "--json", "--config", config, "--bus", f"unixcan:{name}",
@@ -306,12 +332,11 @@ def measure(pairs: int, seconds: float, stops: int, config: str) -> dict[str, An
             for number in range(pairs):
                 turns = (False, True) if number % 2 == 0 else (True, False)
                 for crowded in turns:
-                    windows.append(
-                        _crowded(socket, seconds, memory, pictures) if crowded else _alone(seconds)
-                    )
+                    windows.append(_crowded(socket, seconds, seen) if crowded else _alone(seconds))
                 print(f"pair {number + 1} of {pairs}", file=sys.stderr)
-            said = _stops(socket, stops) if stops else []
-        found = _judged(log, windows, said, memory)
+            said = _stops(socket, stops, seen) if stops else []
+        found = _judged(log, windows, said, seen)
+    pictures = seen.pictures
     return {**found, "pictures": {"least": min(pictures), "most": max(pictures)} if pictures else None}
 
 
@@ -337,7 +362,7 @@ def main(words: list[str] | None = None) -> int:
                 f"{name} p99 {p['alone_us']:8.1f} µs alone {p['crowd_us']:8.1f} with the crowd"
                 for name, p in pair.items()
             ))  # fmt: skip
-        for key in ("ratio_p99", "skipped_in_crowd", "stop_ms", "memory_mb", "pictures"):
+        for key in ("ratio_p99", "skipped_in_crowd", "stop_ms", "processor", "memory_mb", "pictures"):
             print(f"{key}: {found[key]}")
         print("met" if found["met"] else "not met")
     return 0 if found["met"] else 1

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 
 from log_samples import WAYS, any_record, bits, noisy, tick_at
-from pneud.log.live.packing import Skimmed
+from pneud.log.live.packing import Skimmed, unpacked
 from pneud.log.live.ring import RecorderStatus, Ring
 from pneud.signals import Frame, Record, Timing
 
@@ -248,13 +248,15 @@ def test_of_several_states_all_are_seen() -> None:
 
 def test_who_skims_sees_the_same_records() -> None:
     ring = Ring.create(slots=64)
-    skimmer, reader = ring.reader(), ring.reader()
+    skimmer, reader, other = ring.reader(), ring.reader(), ring.reader()
     for record in noisy(40):
         ring.put(record)
     skimmer.skim()
     reader.poll()
+    assert other.raw() == []
     seen, read = skimmer.skim(), reader.poll()
     assert len(read) == 40
+    assert list(map(unpacked, other.raw())) == read
     assert seen == [
         Skimmed(r.tick.measurement, r.timing.lateness_ns, r.timing.latency_ns, r.tick.command.saturated)
         for r in read

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from log_samples import WAYS, any_record, bits, tick_at
 from pneud.log.live import packing
-from pneud.log.live.packing import REFUSALS, skimmed, unpacked
+from pneud.log.live.packing import REFUSALS, drawn, skimmed, unpacked
 from pneud.log.live.ring import Ring
 from pneud.signals import Record, Timing
 
@@ -64,6 +64,11 @@ def test_a_record_comes_back_to_the_bit(way: str, record: Record) -> None:
     assert bits(skimmed(found)) == bits(
         (record.tick.measurement, timing.lateness_ns, timing.latency_ns, record.tick.command.saturated)
     )
+    tick = record.tick
+    m = tick.measurement
+    places = tick.estimate.position_m, tick.reference.position_m
+    values = tick.error_m, *places, m.p1_pa, m.p2_pa, m.supply_pa, tick.command.voltage_v
+    assert bits(drawn(found)) == bits((tick.t_ns, *values))
 
 
 @given(TREES)

@@ -8,17 +8,21 @@ import math
 import socket
 from collections.abc import Callable, Coroutine
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
+import uvicorn
+from starlette.websockets import WebSocketState
+from uvicorn.server import ServerState
+from websockets.frames import Frame, Opcode
 
-from log_samples import tick_at
 from pneud.console.endpoint import PlaceError
 from pneud.console.protocol import Run, parse
-from pneud.signals import Record, Timing
+from pneud.log.live.packing import Drawn
+from pneud.web import live
 from pneud.web.hand import NO_PROGRAMS, ORDERS, Hand
 from pneud.web.programs import Listed, Programs
-from pneud.web.serving import write_metrics
+from pneud.web.serving import Line, write_metrics
 from pneud.web.strip import SIGNALS, Strip
 
 FIELDS: dict[str, dict[str, Any]] = {
@@ -30,10 +34,8 @@ FIELDS: dict[str, dict[str, Any]] = {
 }
 
 
-def record(t_ms: float, position_m: float) -> Record:
-    tick = tick_at(1)._replace(t_ns=round(t_ms * 1e6))
-    tick = tick._replace(estimate=tick.estimate._replace(position_m=position_m))
-    return Record(tick, Timing(0, 0, 0, 0, 0, 0), (), 0, (), 0.0)
+def record(t_ms: float, position_m: float) -> Drawn:
+    return Drawn(round(t_ms * 1e6), 0.0, position_m, 0.0, 1e5, 1e5, 6e5, 0.0)
 
 
 def test_a_spike_of_one_tick_is_in_the_curve() -> None:
@@ -230,6 +232,199 @@ def test_a_console_that_is_gone_is_said_and_found_again() -> None:
         await hand.let_go()
 
     asyncio.run(main())
+
+
+# the WebSocket
+
+
+class Ears:
+    """A page's end, without a network."""
+
+    client_state = application_state = WebSocketState.CONNECTED
+
+    def __init__(self) -> None:
+        self.said: asyncio.Queue[str] = asyncio.Queue()
+        self.heard: list[dict[str, Any]] = []
+        self.closed = False
+
+    async def receive_text(self) -> str:
+        return await self.said.get()
+
+    async def send_text(self, text: str) -> None:
+        self.heard.append(json.loads(text))
+
+    async def close(self, code: int) -> None:
+        self.closed = True
+
+    def pictures(self) -> list[int]:
+        return [one["picture"] for one in self.heard if "picture" in one]
+
+
+class Still:
+    """An axis that stands."""
+
+    def __init__(self) -> None:
+        self.strip = Strip()
+        self.told = '{"status":{}}'
+
+    async def look(self, now_s: float) -> None:
+        pass
+
+    def rest(self) -> None:
+        pass
+
+    def facts(self) -> str:
+        return self.told
+
+    def picture(self, now_s: float) -> dict[str, Any]:
+        return {}
+
+
+def seen_by(ears: Ears, talk: Callable[[Still], Coroutine[Any, Any, None]]) -> None:
+    """What a page sees of an axis, a picture every five milliseconds."""
+
+    async def main() -> None:
+        axis: Any = Still()
+        gallery, anything = live.Gallery(axis), cast(Any, ears)
+        page = live.Page(anything, gallery, axis, lambda tell: Hand(Desk().connect, tell))
+        work = [asyncio.create_task(gallery.paint()), asyncio.create_task(page.serve(lambda _: False))]
+        await talk(axis)
+        for one in work:
+            one.cancel()
+        await asyncio.gather(*work, return_exceptions=True)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(live, "PERIOD_S", 0.0)
+        patch.setattr(live, "_HELD_S", 0.02)
+        asyncio.run(main())
+
+
+async def until(holds: Callable[[], bool]) -> None:
+    async with asyncio.timeout(10.0):
+        while not holds():
+            await asyncio.sleep(0.001)
+
+
+def test_who_does_not_say_what_it_sees_gets_a_few_pictures_and_then_the_newest() -> None:
+    ears = Ears()
+
+    async def talk(axis: Still) -> None:
+        await until(lambda: len(ears.pictures()) == 4)
+        axis.told = '{"status":{"name":"x"}}'
+        await until(lambda: {"status": {"name": "x"}} in ears.heard)
+        assert len(ears.pictures()) == 4
+        await asyncio.sleep(0.05)
+        ears.said.put_nowait(json.dumps({"seen": ears.pictures()[-1]}))
+        await until(lambda: len(ears.pictures()) == 8)
+        assert ears.pictures()[4] > ears.pictures()[3] + 1, "those between have not been sent"
+        ears.said.put_nowait(json.dumps({"seen": 0}))  # none that is on its way
+        await asyncio.sleep(0.03)
+        assert len(ears.pictures()) == 8
+        assert not ears.closed
+
+    seen_by(ears, talk)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [['{"seen": "1"}'], ["[1]"], ["{"], ['{"x": 1}'], ["[" * 4000], ['{"do": "stop"}'] * 101],
+)  # fmt: skip
+def test_who_says_what_no_page_says_is_dropped_a_little_later(words: list[str]) -> None:
+    ears = Ears()
+
+    async def talk(axis: Still) -> None:
+        await until(lambda: bool(ears.pictures()))
+        for one in words:
+            ears.said.put_nowait(one)
+        await until(ears.said.empty)
+        assert not ears.closed
+        await until(lambda: ears.closed)
+
+    seen_by(ears, talk)
+
+
+class Wire(asyncio.Transport):
+    """Takes what is written."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.written, self.aborted = b"", False
+
+    def get_extra_info(self, name: str, default: Any = None) -> Any:
+        return default
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        self.written += bytes(data)
+
+    def pause_reading(self) -> None:
+        pass
+
+    def is_closing(self) -> bool:
+        return self.aborted
+
+    def close(self) -> None:
+        pass
+
+    def abort(self) -> None:
+        self.aborted = True
+
+
+def framed(opcode: Opcode, data: bytes = b"", fin: bool = True) -> bytes:
+    return Frame(opcode, data, fin).serialize(mask=True, extensions=[])
+
+
+def on_a_line(talk: Callable[[Line, Wire], None]) -> None:
+    """Over a WebSocket that has been accepted."""
+
+    async def app(scope: Any, receive: Any, send: Any) -> None:
+        await send({"type": "websocket.accept"})
+        await asyncio.sleep(60.0)
+
+    async def main() -> None:
+        config = uvicorn.Config(app, ws=Line, log_config=None, lifespan="off", ws_max_size=4096)
+        config.load()
+        line, wire = Line(config, ServerState(), {}), Wire()
+        line.connection_made(wire)
+        line.data_received(
+            b"GET /live HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+            b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+        )
+        await until(lambda: wire.written.startswith(b"HTTP/1.1 101"))
+        wire.written = b""
+        talk(line, wire)
+        line.connection_lost(None)
+
+    asyncio.run(main())
+
+
+def test_pings_of_who_does_not_read_are_not_answered() -> None:
+    def talk(line: Line, wire: Wire) -> None:
+        line.pause_writing()
+        line.data_received(1000 * framed(Opcode.PING, b"x"))
+        assert wire.written == b""
+        line.resume_writing()
+        line.data_received(framed(Opcode.PING, b"y"))
+        assert wire.written == b"\x8a\x01y"
+        assert not wire.aborted
+
+    on_a_line(talk)
+
+
+@pytest.mark.parametrize(
+    "flood",
+    [
+        framed(Opcode.TEXT, b"{", fin=False) + 100 * framed(Opcode.CONT, fin=False),
+        100 * framed(Opcode.TEXT, b"{}"),
+    ],
+    ids=["empty pieces", "messages"],
+)
+def test_what_would_pile_up_ends_the_line(flood: bytes) -> None:
+    def talk(line: Line, wire: Wire) -> None:
+        line.data_received(flood)
+        assert wire.aborted
+        assert line.queue.qsize() < 70
+
+    on_a_line(talk)
 
 
 def test_a_file_of_metrics_is_whole_or_not_there(tmp_path: Path) -> None:

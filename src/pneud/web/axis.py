@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -16,6 +17,7 @@ from typing import Any
 from pneud.console.attached import attached
 from pneud.console.client import Client, RefusedError
 from pneud.console.endpoint import PlaceError
+from pneud.log.live.packing import drawn, unpacked
 from pneud.log.live.ring import Ring, RingReader
 from pneud.rt.processes import with_own
 from pneud.safety.cause import first_cause
@@ -69,6 +71,8 @@ class Axis:
         self._info: ScreenInfo | None = None
         self._last: Record | None = None
         self._heard_s = -math.inf
+        self._told_of: dict[str, Any] | None = None  # the status that `facts` was made of
+        self._told = ""
 
     def attach(self) -> None:
         """Connect; blocks.
@@ -125,10 +129,10 @@ class Axis:
                 return
             self._reader, self.strip = begun
             reader = begun[0]
-        records = reader.poll()
+        records = reader.raw()
         if records:
-            self.strip.add(records)
-            self._last, self._heard_s = records[-1], now_s
+            self.strip.add(map(drawn, records))
+            self._last, self._heard_s = unpacked(records[-1]), now_s
 
     def rest(self) -> None:
         """Nobody looks: the next look begins anew with what is then in the ring."""
@@ -163,13 +167,16 @@ class Axis:
             return Banner(Level.BAD, f"no daemon to be seen: {self._lost}", "it is looked for again", ())
         return banner_of(self._last, self._info, now_s - self._heard_s)
 
-    def facts(self) -> dict[str, Any]:
-        """What of the status a page shows."""
+    def facts(self) -> str:
+        """What of the status a page is told, made once for all of them; nothing where there is none."""
         status = self.status
         if status is None:
-            return {}
-        done = mileage.in_words(status["mileage"])
-        return {**{key: status.get(key) for key in _KEPT}, "done": done, "choice": self._choice}
+            return ""
+        if status is not self._told_of:
+            done = mileage.in_words(status["mileage"])
+            told = {**{key: status.get(key) for key in _KEPT}, "done": done, "choice": self._choice}
+            self._told_of, self._told = status, json.dumps({"status": told}, separators=(",", ":"))
+        return self._told
 
     def close(self) -> None:
         """Hang up."""
@@ -186,7 +193,7 @@ def _begun(ring: Ring) -> tuple[RingReader, Strip]:
     """A reader, and what the ring has of the past; that is a thousand times what a look finds."""
     reader, strip = ring.reader(), Strip()
     for _ in range(2):  # the first one only finds out what is complete
-        strip.add(reader.poll())
+        strip.add(map(drawn, reader.raw()))
         time.sleep(_COMPLETE_S)
     return reader, strip
 

@@ -1,8 +1,9 @@
 """A page's WebSocket: pictures out, as many as it takes, and orders in.
 
-A page says of each picture that it has seen it. One that says so late gets fewer pictures and, with the next
-one, the curves since the last; nothing piles up here. Where a page that commands has seen nothing for a
-second, what it has set going is held; who has seen nothing for long is dropped.
+A page says of every other picture that it has seen it, and all before it. One that says so late gets fewer
+pictures and, with the next one, the curves since the last; nothing piles up here. Where a page that commands
+has seen nothing for a second, what it has set going is held. Dropped is who has seen nothing for long, says
+what no page says, or more than any does.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import asyncio
 import contextlib
 import json
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -22,11 +24,13 @@ from pneud.web.hand import Hand
 PERIOD_S = 0.04  # of pictures
 PAGES = 24  # at most; the console has 32 clients
 HANDS = 8  # of them that may command
-_UNSEEN = 3  # pictures on their way to one page
+_UNSEEN = 4  # pictures on their way to one page
 _SILENT_S = 1.0  # after which nobody attends to what a page has set going
 _GONE_S = 10.0  # after which it has gone
 _LOOK_S = 0.2
 _WAITING = 32  # replies to one page
+_MOST_SAID = 100  # by one page in a second
+_HELD_S = 1.0  # in which whoever was mistaken cannot come again
 _NO_MORE = 1013  # codes of a WebSocket's end
 _MISTAKE = 1008
 
@@ -120,10 +124,12 @@ class Page:
         self._there = asyncio.Event()
         self._words: list[str] = []  # for the page, beside pictures
         self._bucket = -1
-        self._sent = self._seen = 0
+        self._away: deque[int] = deque()  # numbers of pictures that were sent and have not been seen
+        self._behind = False  # there are so many that it waits
         self._seen_s = time.monotonic()
         self._number = 0  # of the picture sent last
-        self._facts: dict[str, Any] = {}
+        self._facts = ""
+        self._said, self._said_s = 0, 0.0  # how much since when
 
     def wake(self) -> None:
         """There is something to send, perhaps."""
@@ -138,13 +144,17 @@ class Page:
         """Serve until one of both ends has gone."""
         self._gallery.enter(self)
         ways = [asyncio.create_task(way) for way in (self._send(), self._watch(), self._receive(may_command))]
+        sends, _, hears = ways
         try:
             await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
         finally:
+            mistaken = hears.done() and not sends.done()
             self._gallery.leave(self)
             for way in ways:
                 way.cancel()
             await asyncio.gather(self._hand.let_go(), *ways, return_exceptions=True)
+            if mistaken and self._socket.client_state is WebSocketState.CONNECTED:
+                await asyncio.sleep(_HELD_S)
             if self._socket.application_state is WebSocketState.CONNECTED:
                 with contextlib.suppress(RuntimeError, TimeoutError, WebSocketDisconnect):
                     await asyncio.wait_for(self._socket.close(_MISTAKE), 0.5)
@@ -152,26 +162,26 @@ class Page:
     async def _send(self) -> None:
         """For ever; slower than others where the page is."""
         while True:
+            self._there.clear()
             words, self._words = self._words, []
             if (facts := self._axis.facts()) != self._facts:
                 self._facts = facts
-                words.append(json.dumps({"status": facts}))
-            if self._sent - self._seen < _UNSEEN:
+                words += [facts] if facts else []
+            self._behind = len(self._away) >= _UNSEEN
+            if not self._behind:
                 picture = self._gallery.picture(self._bucket)
                 if picture.number > self._number:
                     words.append(picture.text)
                     self._number, self._bucket = picture.number, picture.newest
-                    self._sent += 1
+                    self._away.append(picture.number)
             for text in words:
                 await self._socket.send_text(text)
-            self._there.clear()
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._there.wait(), 0.25)
+            await self._there.wait()
 
     async def _watch(self) -> None:
         """Until the page has seen nothing for long."""
-        while (silent_s := time.monotonic() - self._seen_s) < _GONE_S or self._sent == self._seen:
-            if silent_s > _SILENT_S and self._hand.attends and self._sent > self._seen:
+        while (silent_s := time.monotonic() - self._seen_s) < _GONE_S or not self._away:
+            if silent_s > _SILENT_S and self._hand.attends and self._away:
                 await self._hand.let_go()
                 why = f"this page has seen nothing for {_SILENT_S:g} s: what it had set going is held"
                 self._tell({"reply": 0, "ok": False, "message": why})
@@ -184,12 +194,12 @@ class Page:
                 message = json.loads(await self._socket.receive_text())
             except (WebSocketDisconnect, ValueError, TypeError, KeyError, RecursionError):
                 return
-            if not isinstance(message, dict):
+            if not isinstance(message, dict) or self._says_too_much():
                 return
             if "seen" in message:
-                self._seen = min(self._seen + 1, self._sent)
-                self._seen_s = time.monotonic()
-                self._there.set()
+                if type(number := message["seen"]) is not int:
+                    return
+                self._sees(number)
             elif "hello" in message:
                 await self._greet(may_command(message["hello"]))
             elif isinstance(verb := message.pop("do", None), str):
@@ -200,6 +210,22 @@ class Page:
                 await self._hand.ask(verb, number, message)
             else:
                 return
+
+    def _sees(self, number: int) -> None:
+        """The page has seen a picture, and all before it."""
+        if self._away and self._away[0] <= number:
+            self._seen_s = time.monotonic()
+            while self._away and self._away[0] <= number:
+                self._away.popleft()
+            if self._behind:
+                self._there.set()
+
+    def _says_too_much(self) -> bool:
+        now_s = time.monotonic()
+        if now_s - self._said_s >= 1.0:
+            self._said, self._said_s = 0, now_s
+        self._said += 1
+        return self._said > _MOST_SAID
 
     async def _greet(self, may_command: bool) -> None:
         why = ""

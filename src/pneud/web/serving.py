@@ -9,12 +9,15 @@ import signal
 import ssl
 from collections.abc import Callable, Coroutine, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import uvicorn
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.frames import Frame, Opcode
+from websockets.protocol import State
 
 from pneud.console.endpoint import find
 from pneud.web.admission import Door
@@ -29,6 +32,8 @@ from pneud.web.reports import Reports
 
 CONNECTIONS = 64
 _HEAD_S = 5.0  # to say what one wants
+_PIECES = 64  # of a message
+_AT_ONCE = 64  # messages
 _LINGER_S = 1.0  # for last words
 _LONGEST_HEAD = 16_384
 _END_S = 2
@@ -54,7 +59,46 @@ class Caller(H11Protocol):
 
 
 class Line(WebSocketsSansIOProtocol):
-    """A WebSocket, whose end waits for nobody."""
+    """A WebSocket, whose end waits for nobody, and on which nothing piles up, whatever comes."""
+
+    _pieces = 0  # of the message that comes
+    _framed: ClassVar[tuple[str, bytes]] = ("", b"")  # the text sent last, which others are sent as well
+
+    async def send(self, message: Any) -> None:
+        """Send, or end; what all pages are sent is put into a frame once."""
+        text = message.get("text")
+        if text is None or not self.handshake_complete or self.conn.state is not State.OPEN:
+            await super().send(message)
+            return
+        await self.writable.wait()
+        if self.transport.is_closing() or self.close_sent:
+            raise ClientDisconnected
+        if Line._framed[0] is not text:
+            frame = Frame(Opcode.TEXT, text.encode())
+            Line._framed = text, frame.serialize(mask=False, extensions=[])
+        self.transport.write(Line._framed[1])
+
+    def handle_ping(self) -> None:
+        """Answer, if the answers are read."""
+        if self.writable.is_set():
+            super().handle_ping()
+        else:
+            self.conn.data_to_send()
+
+    def handle_cont(self, event: Frame) -> None:
+        """One more piece of a message; pieces can be empty, and then no length bounds them."""
+        self._pieces = 0 if event.fin else self._pieces + 1
+        if self._pieces >= _PIECES:
+            self.transport.abort()
+        else:
+            super().handle_cont(event)
+
+    def send_receive_event_to_app(self) -> None:
+        """A message is whole; of many at once none is for a page."""
+        if self.queue.qsize() >= _AT_ONCE:
+            self.transport.abort()
+        else:
+            super().send_receive_event_to_app()
 
     async def run_asgi(self) -> None:
         """Serve it."""

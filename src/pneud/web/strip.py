@@ -6,11 +6,13 @@ import math
 from collections import deque
 from collections.abc import Iterable, Sequence
 
-from pneud.signals import Record
+from pneud.log.live.packing import Drawn
 
 BUCKET_NS = 20_000_000
 SPAN_S = 12.0  # a little more than a page shows
+# as the fields of `Drawn`
 SIGNALS = ("error_mm", "position_mm", "reference_mm", "p1_bar", "p2_bar", "supply_bar", "command_v")
+_SCALES = (1e3, 1e3, 1e3, 1e-5, 1e-5, 1e-5, 1.0)
 _DIGITS = (4, 3, 3, 4, 4, 4, 4)
 
 Extremes = tuple[float | None, float | None]
@@ -21,24 +23,27 @@ class Strip:
 
     def __init__(self) -> None:
         self._buckets: deque[tuple[int, list[Extremes]]] = deque(maxlen=round(SPAN_S * 1e9 / BUCKET_NS))
-        self._open: list[Record] = []  # of the bucket that grows
+        self._open: list[Drawn] = []  # of the bucket that grows
 
     @property
     def newest(self) -> int:
         """Number of the newest bucket that is complete; −1 where there is none."""
         return self._buckets[-1][0] if self._buckets else -1
 
-    def add(self, records: Iterable[Record]) -> None:
+    def add(self, records: Iterable[Drawn]) -> None:
         """Take records in their order."""
         for record in records:
-            if self._open and _bucket_of(record) != _bucket_of(self._open[0]):
+            if self._open and record.t_ns // BUCKET_NS != self._open[0].t_ns // BUCKET_NS:
                 self._close()
             self._open.append(record)
 
     def _close(self) -> None:
-        columns = zip(*map(_values, self._open), strict=True)
-        found = [_extremes(column, digits) for column, digits in zip(columns, _DIGITS, strict=True)]
-        self._buckets.append((_bucket_of(self._open[0]), found))
+        (first_ns, *_), columns = self._open[0], list(zip(*self._open, strict=True))[1:]
+        found = [
+            _extremes(column, scale, digits)
+            for column, scale, digits in zip(columns, _SCALES, _DIGITS, strict=True)
+        ]
+        self._buckets.append((first_ns // BUCKET_NS, found))
         self._open = []
 
     def since(self, number: int) -> dict[str, list[float | None] | list[float]]:
@@ -58,28 +63,10 @@ class Strip:
         return found
 
 
-def _bucket_of(record: Record) -> int:
-    return record.tick.t_ns // BUCKET_NS
-
-
-def _values(record: Record) -> tuple[float, ...]:
-    tick = record.tick
-    m = tick.measurement
-    return (
-        tick.error_m * 1e3,
-        tick.estimate.position_m * 1e3,
-        tick.reference.position_m * 1e3,
-        m.p1_pa * 1e-5,
-        m.p2_pa * 1e-5,
-        m.supply_pa * 1e-5,
-        tick.command.voltage_v,
-    )
-
-
-def _extremes(values: Sequence[float], digits: int) -> Extremes:
+def _extremes(values: Sequence[float], scale: float, digits: int) -> Extremes:
     known = [value for value in values if math.isfinite(value)]
     if not known:
         return None, None
     low, high = min(known), max(known)
     first, then = (low, high) if known.index(low) <= known.index(high) else (high, low)
-    return round(first, digits), round(then, digits)
+    return round(first * scale, digits), round(then * scale, digits)

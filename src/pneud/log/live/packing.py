@@ -103,8 +103,25 @@ class Skimmed(NamedTuple):
     saturated: int
 
 
-_MEASUREMENT, _COMMAND = map(Tick._fields.index, ("measurement", "command"))
-_SATURATED = Command._fields.index("saturated")
+class Drawn(NamedTuple):
+    """What curves show of a record."""
+
+    t_ns: int
+    error_m: float
+    position_m: float
+    reference_m: float
+    p1_pa: float
+    p2_pa: float
+    supply_pa: float
+    voltage_v: float
+
+
+_MEASUREMENT, _ESTIMATE, _REFERENCE, _COMMAND = map(
+    Tick._fields.index, ("measurement", "estimate", "reference", "command")
+)
+_SATURATED, _VOLTAGE = map(Command._fields.index, ("saturated", "voltage_v"))
+_ESTIMATED, _WANTED = (kind._fields.index("position_m") for kind in (Estimate, Reference))
+_PRESSURES = tuple(map(Measurement._fields.index, ("p1_pa", "p2_pa", "supply_pa")))
 _LATENESS, _LATENCY = map(Timing._fields.index, ("lateness_ns", "latency_ns"))
 
 
@@ -116,4 +133,21 @@ def skimmed(data: bytes) -> Skimmed:
         timing[_LATENESS],
         timing[_LATENCY],
         tick[_COMMAND][_SATURATED],
+    )
+
+
+def drawn(data: bytes) -> Drawn:
+    """As `skimmed`, for curves."""
+    tick = loads(data)[0]
+    position_m, reference_m, m = tick[_ESTIMATE][_ESTIMATED], tick[_REFERENCE][_WANTED], tick[_MEASUREMENT]
+    p1, p2, supply = _PRESSURES
+    return Drawn(
+        tick[0],
+        reference_m - position_m,
+        position_m,
+        reference_m,
+        m[p1],
+        m[p2],
+        m[supply],
+        tick[_COMMAND][_VOLTAGE],
     )
