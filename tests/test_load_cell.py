@@ -164,7 +164,7 @@ def press_toml(folder: Path) -> Path:
     text = patient_axis(folder).read_text()
     text = text.replace('dbc = "pneud.dbc"', 'dbc = "load-cell.dbc"\nload_cell = "LOAD_CELL.Force"')
     text += '[bus.messages.LOAD_CELL]\ncounter = "Counter"\ncrc = "Crc"\n'
-    text += "[plant.contact]\nposition_m = 0.45\nstiffness_n_m = 10_000.0\ndamping_n_s_m = 20.0\n"
+    text += "[plant.contact]\nposition_m = 0.5\nstiffness_n_m = 10_000.0\ndamping_n_s_m = 20.0\n"
     (folder / "press.toml").write_text(text)
     return folder / "press.toml"
 
@@ -172,7 +172,7 @@ def press_toml(folder: Path) -> Path:
 @pytest.mark.slow
 def test_what_it_said_is_in_the_log_and_a_replay_is_identical(tmp_path: Path) -> None:
     log = tmp_path / "press.mcap"
-    assert pneud("sim", press_toml(tmp_path), "--goto", "445,100N", "-o", log).returncode == 0
+    assert pneud("sim", press_toml(tmp_path), "--goto", "495,100N", "-o", log).returncode == 0
     assert json.loads(pneud("replay", log, "--json").stdout)["identical"]
     last = [t for t in read_log(log) if t.state == State.PRESSING][-1]
     assert last.weighed is not None
@@ -186,7 +186,7 @@ def test_a_cell_on_a_real_bus_leads_the_force_and_is_in_the_log(tmp_path: Path) 
         at = ("--socket", path)
         with Client(path) as client:
             eventually(lambda: client.ask("status")["state"] == "tracking")
-            assert pneud("goto", 440, "--wait", *at).returncode == 0
+            assert pneud("goto", 490, "--wait", *at).returncode == 0
             assert pneud("force", 120, "--wait", *at).returncode == 0
             told = client.ask("status")
             assert (told["state"], told["in_position"]) == ("pressing", True)
