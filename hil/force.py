@@ -134,7 +134,8 @@ def start_of(loaded: Loaded, force_n: float, spring_n_mm: float) -> float:
     usual_m = c.plant.initial_x1_m - c.cylinder.dead_length_1_m
     way_m = math.copysign(ROOM * abs(force_n) / (1e3 * spring_n_mm) + MARGIN_M, force_n)
     least_m, most_m = low_m + MARGIN_M, high_m - MARGIN_M
-    return next((x for x in (usual_m, least_m, most_m) if low_m <= x + way_m <= high_m), math.nan)
+    starts_m = (x for x in (usual_m, least_m, most_m) if low_m <= x <= high_m)
+    return next((x for x in starts_m if low_m <= x + way_m <= high_m), math.nan)
 
 
 def changed(case: Case, start_m: float) -> Loaded:

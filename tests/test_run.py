@@ -186,6 +186,11 @@ def test_a_point_is_taught_into_a_file(tmp_path: Path) -> None:
     assert points.read_text() == "a = 123.4\nb = 123.4\n"
     points.write_text("a = ")
     assert pneud_here("teach", "a", "-o", points).returncode == 2
+    program = 'schema = 1\n[[record]]\ndo = "wait"\nfor_s = 1.0\n'
+    points.write_text(program)
+    refused = pneud_here("teach", "a", "-o", points)
+    assert (refused.returncode, points.read_text()) == (2, program)
+    assert "is no file of points, as 'record' is no position" in refused.stderr
 
 
 @pytest.mark.slow

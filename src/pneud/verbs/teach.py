@@ -35,9 +35,11 @@ def teach(
     if points.exists():
         try:
             text = points.read_text(encoding="utf-8")
-            tables_of(text)
+            there = tables_of(text)
         except (OSError, UnicodeDecodeError, TomlError) as e:
             raise VerbError(f"{points}: cannot be read: {getattr(e, 'strerror', None) or e}") from None
+        if other := next((key for key, value in there.items() if not _is_point(value)), ""):
+            raise VerbError(f"{points}: is no file of points, as {other!r} is no position; take another one")
     with Client(socket, axis) as client:
         try:
             status = client.ask("status")
@@ -49,6 +51,12 @@ def teach(
     words = f"{name} = {place if isinstance(place, str) else f'{place:g}'} mm, in {points}"
     show({"point": name, "mm": found, "file": str(points)}, json, words)
     return 0
+
+
+def _is_point(value: Any) -> bool:
+    """Whether it is a position, or one by axis."""
+    each = value.values() if isinstance(value, dict) else (value,)
+    return all(isinstance(one, int | float) and not isinstance(one, bool) for one in each)
 
 
 def _found(status: dict[str, Any], axis: str | None) -> float | dict[str, float]:
