@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 from pathlib import Path
@@ -101,6 +102,21 @@ def test_a_manager_that_does_not_read_never_blocks(tmp_path: Path) -> None:
         it = service(name)
         for n in range(20_000):  # far beyond any socket's queue; a blocking send would hang here
             it.report(n, 0, n & 1, 0)
+
+
+def test_what_there_was_no_room_for_is_told_later(tmp_path: Path) -> None:
+    name = str(tmp_path / "notify")
+    with listen(name) as s, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as full:
+        it, others = service(name, watchdog_us=2_000_000), 0
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                full.sendto(b"", name)
+                others += 1
+        for n in range(8):
+            it.report(n * 250_000_000, 0, 2, 0)
+        assert heard(s) == [""] * others
+        it.report(2_000_000_000, 0, 2, 0)
+        assert heard(s) == ["READY=1\nWATCHDOG_USEC=2000000", "STATUS=disarmed", "WATCHDOG=1"]
 
 
 def test_the_watchdog_waits_for_this_process() -> None:

@@ -23,7 +23,7 @@ from pneud.loop.pacer import Pacer
 from pneud.loop.phase import Phase
 from pneud.loop.routes import Routes
 from pneud.loop.turn import END_TICKS
-from pneud.rt.notify import Service
+from pneud.rt.notify import Service, restarting
 from pneud.safety.faults import BLOCKS_ARM, FAULT_NAMES, LOG_LOST, NO_SENSORS
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import Frame, Host, State
@@ -110,11 +110,20 @@ class Loop:
         try:
             while not self._tick():
                 pass
+            if not self._ending:
+                self._say_end()
         except BaseException:
             for count in range(self._count, self._count + END_TICKS):
                 for turn in self._turns:
                     self._link.send(turn.command_id, turn.centre(count))
             raise
+
+    def _say_end(self) -> None:
+        """Tell the service's manager why no more is heard of the loop; its crew may take long to end."""
+        if any(lane.again for lane in self.lanes):
+            restarting()
+        else:
+            self._service.stopping()
 
     def _tick(self) -> bool:
         """One tick; whether it was the last one."""

@@ -54,23 +54,27 @@ class Service:
                 return
             # a start in the same process has had more time than the watchdog usually gives
             usual = b"\nWATCHDOG_USEC=%d" % (self._interval_ns // 500) if self._interval_ns else b""
-            self._send(b"READY=1" + usual)
+            if not self._send(b"READY=1" + usual):
+                self._punctual -= 1
+                return
         if self._told != (state, faults):
-            self._told = state, faults
             named = b", ".join([name for bit, name in enumerate(self._faults) if faults >> bit & 1])
-            self._send(self._states[state] + (b": " + named if named else b""))
-        if self._interval_ns and t_ns - self._alive_ns >= self._interval_ns:
+            if self._send(self._states[state] + (b": " + named if named else b"")):
+                self._told = state, faults
+        if self._interval_ns and t_ns - self._alive_ns >= self._interval_ns and self._send(b"WATCHDOG=1"):
             self._alive_ns = t_ns
-            self._send(b"WATCHDOG=1")
 
     def stopping(self) -> None:
         """Tell that the service is on its way out."""
         self._send(b"STOPPING=1")
 
-    def _send(self, message: bytes) -> None:
+    def _send(self, message: bytes) -> bool:
+        """Whether there was room for it: a manager that does not read for a while is told later."""
         if self._socket is not None:
-            with contextlib.suppress(OSError):  # a manager that does not read must not stop the loop
+            with contextlib.suppress(OSError):  # one that does not read at all must not stop the loop
                 self._socket.sendto(message, self._address)
+                return True
+        return False
 
 
 def restarting(environ: Mapping[str, str] = os.environ) -> None:

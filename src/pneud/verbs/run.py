@@ -10,7 +10,6 @@ from pneud.daemon.preparation import RunOptions, prepared
 from pneud.daemon.result import tell
 from pneud.daemon.session import Session
 from pneud.rt import setup
-from pneud.rt.notify import restarting
 
 __all__ = ["RunOptions", "run"]
 
@@ -35,7 +34,6 @@ def run(o: RunOptions) -> int:
             signal.signal(number, signal.SIG_DFL)  # from here on it ends at once
         if session.told_to_end:
             return status
-        restarting()
         setup.leave(allowed)
         os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
     return status
