@@ -16,11 +16,13 @@ from pneud.console.server import Server
 from pneud.log.files.saving import LogOutput
 from pneud.log.files.writer import LogWriter
 from pneud.log.live.ring import Ring
-from pneud.loop import recorder_watch
+from pneud.loop import company, recorder_watch
 from pneud.loop.answers import Answers
+from pneud.loop.company import Company
 from pneud.loop.conditions import Conditions
 from pneud.loop.console_watch import CONSOLE_LOST, SILENT_NS, ConsoleWatch
 from pneud.loop.recorder_watch import RecorderWatch
+from pneud.rt.notify import Service
 from pneud.signals import Host
 
 
@@ -103,6 +105,24 @@ def _written_before_the_disk_has_it(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(LogWriter, "written", property(lambda self: self._accepted))
 
 
+def _a_fault_touches_no_other(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(Company, "_touch", lambda *_, **__: None)
+
+
+def _a_fault_touches_others_whatever_they_say(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(company, "_TOUCHES", dict.fromkeys(company._TOUCHES, company.CENTRE))
+
+
+def _words_without_room_are_lost(patch: pytest.MonkeyPatch) -> None:
+    honest = Service._send
+
+    def send(self: Service, message: bytes) -> bool:
+        honest(self, message)
+        return True
+
+    patch.setattr(Service, "_send", send)
+
+
 MISTAKES: dict[str, Mistake] = {
     "arming before the recorder has begun": Mistake(("arming",), 15, _begun_before_the_recorder),
     "a console that has died is not missed": Mistake(("console",), 8, _console_not_watched),
@@ -117,5 +137,10 @@ MISTAKES: dict[str, Mistake] = {
     "a recorder that is gone": Mistake(("recorder",), 29, _recorder_that_is_gone_is_not_missed),
     "a full disk is no fault": Mistake(("recorder",), 12, _full_disk_is_no_fault),
     "late requests are done": Mistake(("late",), 1711, _late_requests_are_done),
+    "a fault touches no other": Mistake(("touched",), 64, _a_fault_touches_no_other),
+    "a fault touches others whatever they say": Mistake(
+        ("touched",), 28, _a_fault_touches_others_whatever_they_say
+    ),
+    "words without room are lost": Mistake(("service",), 0, _words_without_room_are_lost),
     "written before the disk has it": Mistake(("log",), 29, _written_before_the_disk_has_it),
 }

@@ -8,13 +8,15 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 pytest.importorskip("greenlet")
 
 from historical import MISTAKES
-from pneud.prove.plan import Item, Plan, plan_of
+from pneud.loop.loop import Loop
+from pneud.prove.plan import NAMES, OTHERS, Item, Plan, plan_of
 from pneud.prove.run import Bench, shrunk
 from pneud.verbs import VerbError
 from pneud.verbs.prove import prove
@@ -77,6 +79,55 @@ def test_a_wall_clock_that_is_set_does_not_take_the_software_rig_along(bench: Be
     off = {"trouble": "stamp", "for_s": 0.1, "share": 0.5, "by_s": 6.0, "towards": "rig"}
     plan = Plan(4, 1.2, False, False, "compact", 1.0, 200.0, (Item(0.5, "bus", off),))
     assert not bench.run(plan).found
+
+
+def plan_with(*items: Item, length_s: float = 1.5, **more: Any) -> Plan:
+    return Plan(4, length_s, True, False, "compact", 1.0, 100.0, items, **more)
+
+
+@pytest.mark.parametrize(
+    ("others", "whose", "then"),
+    [(0, 0, "y stopping"), (1, 0, ""), (1, 1, "x disarmed"), (2, 1, "")],
+)
+def test_a_fault_of_one_axis_touches_the_other_as_its_table_says(
+    others: int, whose: int, then: str, bench: Bench
+) -> None:
+    lost = {"trouble": "drop", "for_s": 0.2, "share": 1.0, "by_s": 0.0, "towards": "", "axis": whose}
+    outcome = bench.run(plan_with(Item(0.8, "bus", lost), length_s=1.2, others=OTHERS[others]))
+    assert not outcome.found
+    assert all(any(f"{name} tracking" in line for line in outcome.trace) for name in NAMES)
+    until_end = outcome.trace[: next(n for n, line in enumerate(outcome.trace) if "all is well" in line)]
+    one, other = NAMES[whose], NAMES[1 - whose]
+    assert any(f": {one} fault" in line for line in until_end)
+    after = [line for line in until_end if f": {other} " in line][4:]  # starting to tracking
+    assert (then in after[0]) if then else not after
+
+
+def test_the_manager_is_told_again_what_it_had_no_room_for(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = plan_with(Item(0.5, "deaf", {"for_s": 0.6}), length_s=2.0, service=True)
+    outcome = bench.run(plan)
+    assert not outcome.found
+    assert any("is ready" in line for line in outcome.trace)
+    MISTAKES["words without room are lost"].make(monkeypatch)
+    assert [finding.oracle for finding in bench.run(plan._replace(length_s=3.5)).found] == ["service"]
+
+
+def test_who_begins_anew_has_time_for_its_log(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    slow = Item(1.0, "disk", {"state": "slow", "for_s": 3.0, "room": 0})
+    restart = Item(1.2, "operator", {"who": 0, "verb": "restart"})
+    plan = plan_with(slow, restart, length_s=5.0, service=True)._replace(virtual=False)
+    assert not bench.run(plan).found
+    monkeypatch.setattr(Loop, "_say_end", lambda _: None)
+    assert [finding.oracle for finding in bench.run(plan).found] == ["service"]
+
+
+def test_a_screen_that_hangs_or_dies_is_nothing_to_the_loop(bench: Bench) -> None:
+    stands = Item(0.1, "terminal", {"for_s": 0.9})
+    outcome = bench.run(plan_with(stands, shown=True))
+    assert not outcome.found
+    assert any("screen: is gone, -14" in line for line in outcome.trace)
 
 
 def test_options_that_make_no_sense_are_refused(tmp_path: Path) -> None:

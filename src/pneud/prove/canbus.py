@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import heapq
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
 from pneud.bus.link import Link
@@ -16,6 +16,7 @@ from pneud.signals import Frame
 EMPTY_LOOK_NS = 30_000  # that a look at an empty queue takes
 MOST_WAITING = 4096  # frames, at a party that does not read
 _ARRIVES_NS = 3_000
+ALL = -1  # axes
 
 
 class Trouble(NamedTuple):
@@ -26,6 +27,7 @@ class Trouble(NamedTuple):
     share: float  # of the frames
     by_ns: int  # late, or off
     towards: str  # a party's name: what it hears; "" for all
+    axis: int = ALL  # whose frames; those of all have none
 
 
 class Party(Readable):
@@ -108,15 +110,21 @@ class CanBus:
         parties: on it.
         troubles: that it has.
         on_frame: told of every frame that is sent: by whom, identifier, data.
-        troubled_ns: when there was a trouble last.
     """
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: World, own: Sequence[Collection[int]]) -> None:
+        """Nobody is there.
+
+        Args:
+            world: of it.
+            own: identifiers of each axis's frames.
+        """
         self.parties: list[Party] = []
         self.troubles: list[Trouble] = []
         self.number = 0
         self.on_frame: Callable[[str, int, bytes], None] = lambda *_: None
-        self.troubled_ns = 0
+        self._own = own
+        self._troubled_ns = [0] * len(own)
         self._world = world
 
     def link(self, name: str) -> Link:
@@ -127,14 +135,21 @@ class CanBus:
         """Who is there by a name, the newest one."""
         return next((one for one in reversed(self.parties) if one.name == name), None)
 
+    def troubled_ns(self, axis: int) -> int:
+        """When there was a trouble last that an axis may have to do with."""
+        if any(one.axis in (ALL, axis) for one in self.troubles):
+            self._troubled_ns[axis] = self._world.now_ns
+        return self._troubled_ns[axis]
+
     def carry(self, sender: Party | None, can_id: int, data: bytes) -> None:
         """Have all others hear a frame."""
         world = self._world
         self.on_frame("" if sender is None else sender.name, can_id, data)
         now_ns = world.now_ns
         if self.troubles:
+            for axis in range(len(self._own)):
+                self.troubled_ns(axis)
             self.troubles = [one for one in self.troubles if one.until_ns > now_ns]
-            self.troubled_ns = now_ns
         for party in self.parties:
             if party is sender:
                 continue
@@ -147,7 +162,9 @@ class CanBus:
     def _with_troubles(self, party: Party, can_id: int, data: bytes) -> None:
         world, draw = self._world, self._world.rng.random
         due_ns, stamp_off_ns, copies, late_ns = world.now_ns + _ARRIVES_NS, 0, 1, 0
-        for kind, _, share, by_ns, towards in self.troubles:
+        for kind, _, share, by_ns, towards, axis in self.troubles:
+            if axis != ALL and can_id not in self._own[axis]:
+                continue
             if towards not in ("", party.name) or draw() >= share:
                 continue
             if kind == "drop":

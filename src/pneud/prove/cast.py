@@ -7,9 +7,10 @@ import signal
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from greenlet import GreenletExit
+from rich.console import Console
 
 from pneud import crew
 from pneud.bus.link import Link, LinkError, refuse_if_driven
@@ -22,13 +23,15 @@ from pneud.daemon.result import tell
 from pneud.daemon.session import Session
 from pneud.loading import Loaded, listening_s
 from pneud.log.files.naming import LogError, open_log
+from pneud.log.live.notes import Teller
 from pneud.log.live.ring import Ring
 from pneud.loop.loop import Loop
-from pneud.prove import judge as judging
+from pneud.prove.axis_judge import Session as Kept
 from pneud.prove.canbus import CanBus
 from pneud.prove.disk import Disk, File
-from pneud.prove.doors import TracebackDoor
+from pneud.prove.doors import Terminal, TracebackDoor
 from pneud.prove.judge import Judge
+from pneud.prove.manager import Manager
 from pneud.prove.pipes import Listener, Socket
 from pneud.prove.plan import Item, Plan
 from pneud.prove.world import FOREVER_NS, START_NS, Process, World
@@ -41,18 +44,26 @@ SLOTS = 2048  # of the ring: seconds, at the rate of a run
 SETTLES_NS = 200_000_000  # from the rig's beginning until it answers
 LOADING_S = (0.0, 0.01, 0.1, 1.0)  # that a process takes at most to load what it needs
 AGAIN_S = 0.5  # from a daemon's death to the next one
-CREW = ("daemon", "recorder", "keeper", "console", "plant")
+CREW = ("daemon", "recorder", "keeper", "console", "plant", "screen")
 _MANAGER_S = 0.05
+
+
+class Begin(NamedTuple):
+    """What a run begins with."""
+
+    file: Path  # of the configuration
+    text: str  # that it has
+    axes: tuple[Loaded, ...]
+    hows: tuple[Backend, ...]  # each is computed
 
 
 class Cast:
     """All actors of a run, and what the world needs to know of them."""
 
-    def __init__(
-        self, plan: Plan, world: World, bus: CanBus, disk: Disk, judge: Judge, loaded: Loaded, how: Backend
-    ) -> None:
+    def __init__(self, plan: Plan, world: World, bus: CanBus, disk: Disk, judge: Judge, begin: Begin) -> None:
         self.plan, self.world, self.bus, self.disk, self.judge = plan, world, bus, disk, judge
-        self.loaded, self.how = loaded, how
+        self.begin = begin
+        self.manager, self.terminal = Manager(judge), Terminal(world)
         self.listener: Listener | None = None
         self.daemon: Process | None = None
         self.rig: Process | None = None
@@ -68,10 +79,11 @@ class Cast:
     def adapters(self) -> dict[str, Any]:
         """By module and name."""
         ok = [setup.Report(name, True, "a world of its own") for name in ("gc", "fifo")]
-        cast = self
 
         class WatchedRing(Ring):
-            """A ring, of whose records the judge is told."""
+            """A ring, of whose records a judge is told."""
+
+            told: Callable[[Record], None]
 
             @classmethod
             def create(cls, slots: int = SLOTS, slot_bytes: int = 1024, pack: Any = None) -> Any:
@@ -82,7 +94,15 @@ class Cast:
 
             def put(self, record: Record) -> None:
                 super().put(record)
-                cast.judge.decided(record)
+                self.told(record)
+
+        folder = f"{self.begin.file.parent}/"
+
+        class Words(Teller):
+            """Words for the log, which say nothing of where the configuration lies."""
+
+            def say(self, level: int, words: str) -> None:
+                super().say(level, words.replace(folder, ""))
 
         return {
             "pneud.crew.fork": self._fork,
@@ -94,6 +114,7 @@ class Cast:
             "pneud.daemon.session.Ring": WatchedRing,
             "pneud.daemon.result.print": lambda *_, **__: None,
             "pneud.log.live.recorder.print": lambda *_, **__: None,
+            "pneud.console.worker.Teller": Words,
             "pneud.console.worker.print": lambda *_, **__: None,
             "pneud.console.status_reply.print": lambda *_, **__: None,
             "pneud.console.server.commanding_group": lambda: None,
@@ -103,6 +124,7 @@ class Cast:
             "pneud.console.client.find": self._find,
             "pneud.rig.plant_process.open_link": lambda *_, **__: self.bus.link("rig"),
             "pneud.rig.plant_process.PlantNode": self._node,
+            "pneud.view.terminal.Console": lambda **_: Console(file=self.terminal, highlight=False),
         }
 
     def _fork(
@@ -169,7 +191,9 @@ class Cast:
             raise PlaceError(str(e)) from None
 
     def _node(self, *args: Any, **kwargs: Any) -> PlantNode:
-        self.judge.node = node = PlantNode(*args, **kwargs)
+        node = PlantNode(*args, **kwargs)
+        whose = next(axis for axis in self.judge.axes if node.takes(axis.command_id))
+        whose.node = node
         self._rig_well_ns = self.world.now_ns + SETTLES_NS
         return node
 
@@ -202,23 +226,26 @@ class Cast:
         self._rig_well_ns = FOREVER_NS  # until it has nodes
 
     def _be_the_rig(self) -> None:
-        loaded = self.loaded
-        rig = Rig(
-            conversions.plant_of(loaded.config),
-            loaded.codecs,
-            self.plan.seed,
-            0,
-            self.how.advance,
-            self.how.carriage,
-        )
+        rigs = [
+            Rig(
+                conversions.plant_of(axis.config),
+                axis.codecs,
+                self.plan.seed + number,
+                0,
+                how.advance,
+                how.carriage,
+            )
+            for number, (axis, how) in enumerate(zip(self.begin.axes, self.begin.hows, strict=True))
+        ]
         stop = crew.asked_to_leave(signal.SIGTERM)
         with self.bus.link("rig") as link:
-            answer(link, [rig], None, stop)
+            answer(link, rigs, None, stop)
 
     def _start_daemon(self) -> None:
         def life() -> int:
             return self._lived(self._be_the_daemon, (LinkError, LogError))
 
+        self.manager.begins()
         self.daemon = self.judge.daemon = self.world.spawn(life, "daemon")
 
     def _be_the_daemon(self) -> int:
@@ -229,38 +256,46 @@ class Cast:
                 lanes = session.run()
                 status = tell(session, lanes)
             self.judge.ended(status)
-            if session.told_to_end or not any(lane.again for lane in lanes):
+            again = not session.told_to_end and any(lane.again for lane in lanes)
+            if self.plan.service:
+                self.manager.ended(again=again)
+            if not again:
                 return status
             self.world.me().process.handlers.clear()  # as a program that begins anew has none
 
     def _session(self, link: Link) -> Session:
-        plan, loaded, config = self.plan, self.loaded, self.loaded.config
+        plan, axes = self.plan, self.begin.axes
         options = RunOptions(
-            config=str(loaded.path), bus="prove", virtual=plan.virtual, arm=False, duration_s=None,
+            config=str(self.begin.file), bus="prove", virtual=plan.virtual, arm=False, duration_s=None,
             rate_hz=None, headless=True, json=False, log=str(self.disk.root), scenario=None, seed=plan.seed,
             socket=None, live=None, unproven=False,
         )  # fmt: skip
-        log, descriptor = open_log(options.log, config.name, (self.world.now_ns + self.world.wall_ns) * 1e-9)
-        axis = self.how.axis(conversions.axis_of(config, loaded.codecs.command_lsb_v))
+        ready = []
+        for loaded, how in zip(axes, self.begin.hows, strict=True):
+            wall_s = (self.world.now_ns + self.world.wall_ns) * 1e-9
+            log, descriptor = open_log(options.log, loaded.config.name, wall_s)
+            axis = how.axis(conversions.axis_of(loaded.config, loaded.codecs.command_lsb_v))
+            ready.append(AxisReady(loaded, how, axis, log, descriptor, plan.unproven, None))
         self.listener = Listener(self.world)
-        own = [loaded.codecs.sync.can_id, loaded.codecs.valve_command.can_id]
-        refuse_if_driven(link, own, listening_s(config))
-        ready = Ready(
+        own = [axes[0].codecs.sync.can_id, *(loaded.codecs.valve_command.can_id for loaded in axes)]
+        refuse_if_driven(link, own, listening_s(axes[0].config))
+        all_ready = Ready(
             options,
-            config.name,
-            (AxisReady(loaded, self.how, axis, log, descriptor, plan.unproven, None),),
+            self.begin.file.stem,
+            tuple(ready),
             None,
             0,
             link,
             Endpoint(self.listener, Path("prove.sock"), -1),  # type: ignore[arg-type]
             None,
         )
-        return _Watched(ready, self.judge)
+        return _Watched(all_ready, self)
 
     def _operator(self, items: Sequence[Item]) -> int:
         """Ask for one thing after the other; who is not heard calls again."""
         client: Client | None = None
-        world, attending = self.world, False
+        world = self.world
+        attending: set[str] = set()
         for item in items:
             world.sleep_until(START_NS + round(item.at_s * 1e9))
             verb = item.what["verb"]
@@ -269,17 +304,21 @@ class Cast:
                 if verb == "leave":
                     if client is not None:
                         client.close()
-                        self.judge.leaves(attending=attending and self._alone)
-                    client, attending = None, False
+                    for axis in self.judge.axes:
+                        if axis.name in attending and self._alone:
+                            axis.leaves()
+                    client = None
+                    attending.clear()
                     continue
                 if client is None:
                     client = Client()
                 world.note(f"asks {verb}")
-                self.judge.asks(verb)
+                self.judge.asks(verb, fields.get("axis"))
                 reply = client.ask(verb, **fields)
                 self.judge.told(verb, reply)
                 if "order" in reply:
-                    attending = verb == "jog" or bool(fields.get("attended"))
+                    attending.difference_update(whose := reply.get("axes") or [reply["axis"]])
+                    attending.update(whose if verb == "jog" or fields.get("attended") else ())
             except RefusedError as e:
                 world.note(f"refused: {e.kind}")
             except PlaceError as e:
@@ -295,6 +334,8 @@ class Cast:
         """Look after daemon and rig, from time to time."""
         world, daemon = self.world, self.daemon
         self.judge.look()
+        if self.plan.service:
+            self.manager.look()
         world.at(world.now_ns + round(_MANAGER_S * 1e9), self._manage)
         if self.finishing:
             return
@@ -322,12 +363,23 @@ class Cast:
 class _Watched(Session):
     """The session, whose loop the judge knows."""
 
-    def __init__(self, ready: Ready, judge: Judge) -> None:
+    def __init__(self, ready: Ready, cast: Cast) -> None:
         super().__init__(ready)
-        self._judge = judge
+        self._judge = cast.judge
+        self._shown = cast.plan.shown
+
+    @property
+    def _is_shown(self) -> bool:
+        return self._shown
 
     def _loop(self, *args: Any) -> Loop:
-        loop = super()._loop(*args)
-        axis = self.axes[0]
-        self._judge.begins(judging.Session(loop, axis.ring, axis.ready.log_file))
+        loop, (_, _, asking, _), judge = super()._loop(*args), args, self._judge
+        judge.begins(
+            [
+                Kept(lane, axis.ring, axis.ready.log_file, axis.recorder, asking)
+                for lane, axis in zip(loop.lanes, self.axes, strict=True)
+            ]
+        )
+        for axis, looks in zip(self.axes, judge.axes, strict=True):
+            axis.ring.told = looks.decided  # type: ignore[attr-defined]
         return loop

@@ -19,6 +19,7 @@ import time
 import traceback
 import uuid
 from collections.abc import Callable, Collection, Sequence
+from contextlib import nullcontext
 from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
@@ -100,6 +101,11 @@ class SignalDoor(Door):
         blocked = process.blocked | numbers if how == signal.SIG_BLOCK else process.blocked - numbers
         self.world.unblock(process, blocked)
 
+    def alarm(self, seconds: int) -> None:
+        """Have a signal come."""
+        process, world = self.world.me().process, self.world
+        world.at(world.now_ns + round(seconds * _S), lambda: world.send(process, signal.SIGALRM))
+
     def sigtimedwait(self, wanted: Collection[int], timeout_s: float) -> Any:
         """Wait for a signal that is blocked."""
         self.world.step()
@@ -148,6 +154,10 @@ class OsDoor(Door):
             return 0, 0
         child.reaped = True
         return pid, child.status
+
+    def isatty(self, _: int) -> bool:
+        """Nobody types."""
+        return False
 
     def nice(self, _: int) -> int:
         """Nothing: who goes next is the seed's."""
@@ -245,9 +255,10 @@ class ThreadingDoor(Door):
 
 
 class SocketDoor(Door):
-    """`socket`: pairs between processes; there is no network."""
+    """`socket`: pairs between processes, and a way to the manager of services; there is no network."""
 
     real = socket
+    manager: Callable[[bytes], None]
 
     def socketpair(self, family: int = socket.AF_UNIX, kind: int = socket.SOCK_STREAM) -> Any:
         """Two ends."""
@@ -257,6 +268,17 @@ class SocketDoor(Door):
     def send_fds(self, *_: Any) -> int:
         """No descriptor crosses: those who look at the ring here need none."""
         raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
+
+    def socket(self, family: int, kind: int) -> Any:
+        """One that what is said through comes to the manager."""
+        assert family == socket.AF_UNIX and kind & 0xF == socket.SOCK_DGRAM
+
+        def sendto(message: bytes, _: str) -> None:
+            self.world.step()
+            self.manager(message)
+
+        word = SimpleNamespace(sendto=sendto, setblocking=lambda _: None)
+        return nullcontext(word) if kind == socket.SOCK_DGRAM else word
 
 
 class SelectDoor(Door):
@@ -385,7 +407,7 @@ class SysDoor(Door):
 
     def __init__(self, world: World) -> None:
         super().__init__(world)
-        self.stdout = self.stderr = Said()
+        self.stdout = self.stderr = self.stdin = Said()
 
 
 class Said(StringIO):
@@ -398,6 +420,25 @@ class Said(StringIO):
     def isatty(self) -> bool:
         """Nobody looks."""
         return False
+
+
+class Terminal(Said):
+    """A terminal, which may take nothing for a while.
+
+    Attributes:
+        stands_until_ns: for so long.
+    """
+
+    def __init__(self, world: World) -> None:
+        super().__init__()
+        self.stands_until_ns = 0
+        self._world = world
+
+    def write(self, text: str) -> int:
+        """Wait until it goes on."""
+        self._world.step()
+        self._world.sleep_until(self.stands_until_ns)
+        return len(text)
 
 
 class TracebackDoor(Door):

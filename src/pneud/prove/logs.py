@@ -8,7 +8,7 @@ from itertools import pairwise
 from pneud.log.files.naming import LogError
 from pneud.log.files.reader import read_log
 from pneud.log.format.records import LoggedTick
-from pneud.prove.judge import Session
+from pneud.prove.axis_judge import Session
 from pneud.replay.replaying import replay
 
 

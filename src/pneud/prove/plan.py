@@ -6,12 +6,22 @@ import random
 from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
+from pneud.prove.canbus import ALL
+
 RATES_HZ = (100.0, 200.0)
 PERIOD_S = 0.005  # that troubles are measured by
 TROUBLES = ("drop", "twice", "late", "behind", "shuffle", "stamp", "corrupt")
 VICTIMS = ("daemon", "recorder", "keeper", "console", "rig")
 _RIG_BEGINS_S = 0.1  # the manager starts the daemon somewhat later
 _GOOD, _BAD = "good", "bad"
+TWO_AXES, SERVICE, SHOWN = 0.25, 0.4, 0.2  # of the seeds
+NAMES = ("x", "y")
+OTHERS = (
+    (("stop", "stop"), ("stop", "stop")),
+    (("centre", "stop"), ("go_on", "go_on")),
+    (("go_on", "stop"), ("stop", "centre")),
+)
+_OF_ALL = ("arm", "disarm", "clear", "hold", "mark", "stop", "restart", "leave")
 
 
 class Item(NamedTuple):
@@ -37,6 +47,14 @@ class Plan(NamedTuple):
     slowness: float  # factor of what steps take
     rate_hz: float  # of the loop
     items: tuple[Item, ...]
+    service: bool = False  # of a manager that has a watchdog
+    shown: bool = False  # on a screen
+    others: tuple[tuple[str, str], ...] = ()  # of several axes: `[faults.others]` of each, centre and stop
+
+    @property
+    def axes(self) -> int:
+        """How many there are."""
+        return max(1, len(self.others))
 
     def only(self, numbers: Collection[int]) -> Plan:
         """The run in which but some of it happens."""
@@ -60,7 +78,7 @@ def plan_of(seed: int) -> Plan:
         items += _operations(rng, operator, length_s)
     if rng.random() < 0.3:
         items += _nuisance(rng, length_s)
-    return Plan(
+    plan = Plan(
         seed,
         length_s,
         virtual,
@@ -70,6 +88,48 @@ def plan_of(seed: int) -> Plan:
         rng.choice(RATES_HZ),
         tuple(sorted(items, key=_at)),
     )
+    more = random.Random(f"more {seed}")
+    if more.random() < TWO_AXES:
+        plan = _with_two_axes(more, plan)
+    if more.random() < SERVICE:
+        return plan._replace(service=True, items=_with(more, plan, "deaf", 0.5))
+    if more.random() < SHOWN:
+        return plan._replace(shown=True, items=_with(more, plan, "terminal", 0.5))
+    return plan
+
+
+def _with(rng: random.Random, plan: Plan, kind: str, share: float) -> tuple[Item, ...]:
+    """What happens, perhaps with something of a kind."""
+    more = []
+    while rng.random() < share:
+        at_s = rng.uniform(_RIG_BEGINS_S, plan.length_s)
+        does = kind if kind == "deaf" else rng.choice((kind, "kill", "stop"))
+        what: dict[str, Any] = {"for_s": rng.uniform(0.05, 0.9)}
+        if does != kind:
+            what |= {"who": "screen", "step": _at_step(rng)}
+        more.append(Item(at_s, does, what))
+    return tuple(sorted((*plan.items, *more), key=_at))
+
+
+def _with_two_axes(rng: random.Random, plan: Plan) -> Plan:
+    """The plan, with each thing happening to one of two axes, or to both."""
+    items = []
+    for item in plan.items:
+        what = dict(item.what)
+        if item.kind != "operator":
+            what["axis"] = rng.choice((0, 1, 1, ALL))
+        elif what["verb"] == "goto" and rng.random() < 0.3:
+            x_mm = {name: rng.uniform(100.0, 800.0) for name in NAMES}
+            what = {"who": what["who"], "verb": "goto_all", "axes": x_mm}
+        elif what["verb"] not in _OF_ALL or rng.random() < 0.3:
+            what["axis"] = rng.choice(NAMES)
+        items.append(item._replace(what=what))
+    if rng.random() < 0.6:  # what one of them cannot do without, for longer than it is borne
+        what = {"trouble": "drop", "for_s": 0.2, "share": 1.0, "by_s": 0.0, "towards": ""}
+        at_s = rng.uniform(0.3, plan.length_s)
+        items.append(Item(at_s, "bus", {**what, "axis": rng.randrange(len(NAMES))}))
+    items.sort(key=_at)
+    return plan._replace(items=tuple(items), others=rng.choice(OTHERS), rate_hz=RATES_HZ[0])
 
 
 def _at(item: Item) -> float:

@@ -9,22 +9,24 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from pneud.compiled.backend import Backend
-from pneud.config.toml import changed_text
-from pneud.loading import Loaded, load
+from pneud.bus.shared import identifiers
+from pneud.config.toml import changed_text, tables_of
+from pneud.loading import load_axes
 from pneud.prove import logs
 from pneud.prove.canbus import CanBus
-from pneud.prove.cast import CREW, Cast
+from pneud.prove.cast import CREW, Begin, Cast
 from pneud.prove.disk import Disk
 from pneud.prove.doors import doors
 from pneud.prove.judge import END_S, Finding, Judge
+from pneud.prove.manager import ENVIRON
 from pneud.prove.plan import Plan
 from pneud.prove.seams import opened
 from pneud.prove.troubles import Troubles
 from pneud.prove.world import START_NS, World
 from pneud.replay.lockstep import backend_of
+from pneud.resources import find
 
 MOST_STEPS = 20_000_000
 COLLECT = 8  # runs, from one collection of what is left of them to the next
@@ -60,19 +62,20 @@ class Bench:
         """
         self.folder = folder
         self.file = folder / _NAME
-        self._loaded: dict[tuple[str, float], tuple[Loaded, Backend]] = {}
+        self._begins: dict[Any, Begin] = {}
         self._runs = 0
 
-    def _load(self, plan: Plan) -> tuple[Loaded, Backend]:
+    def _begin(self, plan: Plan) -> Begin:
         """What a run begins with; its text is in the file afterwards."""
-        key = plan.detail, plan.rate_hz
-        if key not in self._loaded:
-            change = {"loop": {"rate_hz": plan.rate_hz}, "limits": _LIMITS, "log": {"detail": plan.detail}}
-            self.file.write_text(changed_text(load("virtual.toml").text, change), encoding="utf-8")
-            loaded = load(self.file)
-            self._loaded[key] = loaded, backend_of(loaded)
-        self.file.write_text(self._loaded[key][0].text, encoding="utf-8")
-        return self._loaded[key]
+        key = plan.detail, plan.rate_hz, plan.others
+        if key not in self._begins:
+            text = _text(plan)
+            self.file.write_text(text, encoding="utf-8")
+            axes = load_axes(self.file)
+            self._begins[key] = Begin(self.file, text, axes, tuple(map(backend_of, axes)))
+        begin = self._begins[key]
+        self.file.write_text(begin.text, encoding="utf-8")
+        return begin
 
     def run(self, plan: Plan, most_steps: int | None = None, keep: Path | None = None) -> Outcome:
         """Make a run.
@@ -82,7 +85,7 @@ class Bench:
             most_steps: end after so many; what is judged at the end is not, then.
             keep: an empty folder for its logs; without, they go.
         """
-        loaded, how = self._load(plan)
+        begin = self._begin(plan)
         self._runs += 1
         if self._runs % COLLECT == 1:
             gc.collect()
@@ -90,7 +93,7 @@ class Bench:
         gc.disable()  # a world is one knot, which is looked at when it is over
         try:
             with _folder(keep) as folder:
-                return _run(plan, loaded, how, folder, most_steps)
+                return _run(plan, begin, folder, most_steps)
         finally:
             if enabled:
                 gc.enable()
@@ -105,18 +108,38 @@ def _folder(keep: Path | None) -> Iterator[Path]:
         yield Path(folder)
 
 
-def _run(plan: Plan, loaded: Loaded, how: Backend, folder: Path, most_steps: int | None) -> Outcome:
+def _text(plan: Plan) -> str:
+    """Of the configuration."""
+    change: dict[str, Any] = {
+        "loop": {"rate_hz": plan.rate_hz},
+        "limits": _LIMITS,
+        "log": {"detail": plan.detail},
+    }
+    if not plan.others:
+        return changed_text(find("virtual.toml").read_text(encoding="utf-8"), change)
+    text = find("two-axes.toml").read_text(encoding="utf-8")
+    change["axis"] = [
+        axis | {"faults": {"others": {"centre": centre, "stop": stop}}}
+        for axis, (centre, stop) in zip(tables_of(text)["axis"], plan.others, strict=True)
+    ]
+    return changed_text(text, change)
+
+
+def _run(plan: Plan, begin: Begin, folder: Path, most_steps: int | None) -> Outcome:
     world = World(plan.seed, most_steps=most_steps or MOST_STEPS, slowness=plan.slowness)
     trace: list[str] = []
     world.on_note = lambda who, words: trace.append(
         f"{(world.now_ns - START_NS) * 1e-9:.6f} {world.steps} {who}: {words}"
     )
-    bus, disk = CanBus(world), Disk(world, folder)
-    judge = Judge(world, bus, loaded.config, loaded.codecs, by_itself=plan.virtual)
+    own = [frozenset(identifiers(axis.config, axis.codecs)) for axis in begin.axes]
+    bus, disk = CanBus(world, own), Disk(world, folder)
+    judge = Judge(world, bus, begin.axes, by_itself=plan.virtual)
     bus.on_frame = judge.on_frame
-    cast = Cast(plan, world, bus, disk, judge, loaded, how)
-    troubles = Troubles(cast, loaded.path, loaded.text)
-    with opened(doors(world, disk), cast.adapters(), {}):
+    cast = Cast(plan, world, bus, disk, judge, begin)
+    troubles = Troubles(cast)
+    opens = doors(world, disk)
+    opens["socket"].manager = cast.manager.hear
+    with opened(opens, cast.adapters(), ENVIRON if plan.service else {}):
         try:
             cast.start()
             troubles.begin()
@@ -137,7 +160,7 @@ def _run(plan: Plan, loaded: Loaded, how: Backend, folder: Path, most_steps: int
         (world.now_ns - START_NS) * 1e-9,
         sum(len(session.ticks) for session in judge.sessions),
         len(judge.sessions),
-        judge.engaged_ticks,
+        sum(axis.engaged_ticks for axis in judge.axes),
         _digest(trace, folder),
         tuple(trace),
     )

@@ -18,7 +18,7 @@ SEAMS: dict[str, tuple[str, ...]] = {
     "pneud.loop.loop": ("time",),
     "pneud.loop.pacer": (),
     "pneud.loop.stopping": ("os", "signal"),
-    "pneud.rt.notify": (),
+    "pneud.rt.notify": ("socket",),
     "pneud.bus.link": ("select", "time"),
     "pneud.bus.wire": ("time",),
     "pneud.rig.answering": ("time",),
@@ -39,7 +39,11 @@ SEAMS: dict[str, tuple[str, ...]] = {
     "pneud.console.processes": ("time",),
     "pneud.console.server": ("os", "selectors", "socket", "time"),
     "pneud.console.status_reply": ("sys", "time"),
+    "pneud.console.operator": (),
     "pneud.console.worker": ("signal", "sys", "time"),
+    "pneud.view.processes": ("os", "signal", "sys", "time"),
+    "pneud.view.show": ("time",),
+    "pneud.view.terminal": ("os", "signal", "sys", "time"),
 }
 """Modules whose functions are actors' or run in them, and what they find a door for.
 
@@ -107,14 +111,14 @@ def _bind(
     environ: Mapping[str, str],
     undo: list[Callable[[], None]],
 ) -> None:
-    before = function.__defaults__
-    if not before:
-        return
-
     def door(value: Any) -> Any:
         if value is os.environ:
             return environ
         return bound.get(value, value) if callable(value) else value
 
-    function.__defaults__ = tuple(door(value) for value in before)
-    undo.append(lambda: setattr(function, "__defaults__", before))
+    if before := function.__defaults__:
+        function.__defaults__ = tuple(door(value) for value in before)
+        undo.append(lambda: setattr(function, "__defaults__", before))
+    if named := function.__kwdefaults__:
+        function.__kwdefaults__ = {name: door(value) for name, value in named.items()}
+        undo.append(lambda: setattr(function, "__kwdefaults__", named))

@@ -5,11 +5,11 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from pneud.bus.wire import CAN_ERR_FLAG
-from pneud.prove.canbus import Trouble
+from pneud.prove.axis_judge import AxisJudge
+from pneud.prove.canbus import ALL, Trouble
 from pneud.prove.cast import Cast
 from pneud.prove.plan import Item
 from pneud.prove.world import START_NS, Actor, Process
@@ -20,9 +20,9 @@ _NS = 1e9
 class Troubles:
     """Does to a world what a plan says."""
 
-    def __init__(self, cast: Cast, config_file: Path, good: str) -> None:
+    def __init__(self, cast: Cast) -> None:
         self._cast, self._world = cast, cast.world
-        self._file, self._good = config_file, good
+        self._file, self._good = cast.begin.file, cast.begin.text
 
     def begin(self) -> None:
         """Have everything happen at its time."""
@@ -44,6 +44,7 @@ class Troubles:
         for party in cast.bus.parties:
             party.down = party.full = False
         cast.disk.heal()
+        cast.manager.deaf_until_ns = cast.terminal.stands_until_ns = 0
         self._file.write_text(self._good, encoding="utf-8")
         for process in list(world.processes.values()):
             for actor in process.actors:
@@ -56,9 +57,11 @@ class Troubles:
     def _victims(self, who: str) -> list[Process]:
         return self._world.named((who, "plant") if who == "rig" else (who,))
 
-    def _hit(self, who: str, step: int, hit: Callable[[Process], None]) -> None:
+    def _hit(self, item: Item, who: str, hit: Callable[[Process], None]) -> None:
         """Do something to a process, at once or when it has taken so many steps."""
-        for victim in self._victims(who)[:1]:
+        victims, step = self._victims(who), item.what["step"]
+        nth = item.what.get("axis", 0)
+        for victim in victims[nth : nth + 1] or victims[:1]:
             actor: Actor = victim.actors[0]
             if step:
                 actor.fuse = step, partial(hit, victim)
@@ -70,10 +73,10 @@ class Troubles:
             self._world.note(f"kills {victim.name} {victim.pid}")
             self._world.send(victim, signal.SIGKILL)
 
-        self._hit(item.what["who"], item.what["step"], kill)
+        self._hit(item, item.what["who"], kill)
 
     def _terminate(self, item: Item) -> None:
-        self._hit("daemon", item.what["step"], lambda victim: self._world.send(victim, signal.SIGTERM))
+        self._hit(item, "daemon", lambda victim: self._world.send(victim, signal.SIGTERM))
 
     def _stop(self, item: Item) -> None:
         world = self._world
@@ -85,7 +88,7 @@ class Troubles:
                 world.now_ns + round(item.what["for_s"] * _NS), lambda: world.send(victim, signal.SIGCONT)
             )
 
-        self._hit(item.what["who"], item.what["step"], stop)
+        self._hit(item, item.what["who"], stop)
 
     def _hangup(self, item: Item) -> None:
         match item.what["file"]:
@@ -104,6 +107,12 @@ class Troubles:
     def _power(self, _: Item) -> None:
         self._cast.cut_power()
 
+    def _deaf(self, item: Item) -> None:
+        self._cast.manager.deaf_until_ns = self._world.now_ns + round(item.what["for_s"] * _NS)
+
+    def _terminal(self, item: Item) -> None:
+        self._cast.terminal.stands_until_ns = self._world.now_ns + round(10.0 * item.what["for_s"] * _NS)
+
     # clocks, disks
 
     def _clock(self, item: Item) -> None:
@@ -119,7 +128,7 @@ class Troubles:
             case "short":
                 disk.short = True
             case "removed":
-                session = next(reversed(self._cast.judge.sessions), None)
+                session = self._axis(item).session
                 if session is not None and not session.ring.status().finished:
                     session.log.unlink(missing_ok=True)
                     session.removed = True
@@ -134,8 +143,9 @@ class Troubles:
     def _bus(self, item: Item) -> None:
         w, world = item.what, self._world
         until_ns = world.now_ns + round(w["for_s"] * _NS)
-        by_ns = round(w["by_s"] * _NS)
-        self._cast.bus.troubles.append(Trouble(w["trouble"], until_ns, w["share"], by_ns, w["towards"]))
+        by_ns, whose = round(w["by_s"] * _NS), w.get("axis", ALL)
+        trouble = Trouble(w["trouble"], until_ns, w["share"], by_ns, w["towards"], whose)
+        self._cast.bus.troubles.append(trouble)
 
     def _interface(self, item: Item) -> None:
         party = self._cast.bus.party("loop")
@@ -161,7 +171,7 @@ class Troubles:
         once()
 
     def _babble(self, item: Item) -> None:
-        codecs, draw = self._cast.loaded.codecs, self._world.rng
+        codecs, draw = self._axis(item).codecs, self._world.rng
         kind = item.what["id"]
         can_id = {
             "command": codecs.valve_command.can_id,
@@ -171,7 +181,7 @@ class Troubles:
         }.get(kind, 0x7FF)
 
         def frame() -> None:
-            self._trouble()
+            self._trouble(item if kind in ("command", "answer") else None)
             data = draw.randbytes(8)
             if kind == "command":
                 data = codecs.valve_command.encode(5.0, 1, 1, counter=draw.randrange(4))
@@ -179,13 +189,20 @@ class Troubles:
 
         self._repeat(item, item.what["every_s"], frame)
 
-    def _trouble(self) -> None:
-        """The bus is not as it should be just now."""
-        self._cast.bus.troubles.append(Trouble("babble", self._world.now_ns + 20_000_000, 0.0, 0, ""))
+    def _axis(self, item: Item) -> AxisJudge:
+        """Whom it happens to."""
+        axes = self._cast.judge.axes
+        return axes[max(0, int(item.what.get("axis", 0)))]
+
+    def _trouble(self, item: Item | None) -> None:
+        """The bus is not as it should be just now, for an axis or for all."""
+        whose = self._cast.judge.axes.index(self._axis(item)) if item is not None else ALL
+        until_ns = self._world.now_ns + 20_000_000
+        self._cast.bus.troubles.append(Trouble("babble", until_ns, 0.0, 0, "", whose))
 
     def _echo(self, item: Item) -> None:
         """A node answers twice: what was heard comes again."""
-        bus, world, codecs = self._cast.bus, self._world, self._cast.loaded.codecs
+        bus, world, codecs = self._cast.bus, self._world, self._axis(item).codecs
         ids = {answer.codec.can_id for answer in codecs.answers}
         until_ns, by_ns = world.now_ns + round(item.what["for_s"] * _NS), round(item.what["by_s"] * _NS)
         before: Any = bus.on_frame
@@ -194,15 +211,15 @@ class Troubles:
             before(sender, can_id, data)
             mine = sender == "rig" and can_id in ids
             if mine and world.now_ns < until_ns and not self._cast.finishing:
-                self._trouble()
+                self._trouble(item)
                 world.at(world.now_ns + by_ns, lambda: bus.carry(None, can_id, data))
 
         bus.on_frame = on_frame
 
     def _node(self, item: Item) -> None:
-        node = self._cast.judge.node
+        node = self._axis(item).node
         if node is not None:
-            self._trouble()
+            self._trouble(item)
             node.reboot(item.what["node"])
 
     # clients
