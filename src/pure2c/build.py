@@ -46,6 +46,7 @@ class Built(NamedTuple):
     left: Callable[[], tuple[int, ...]]  # how often each has been left to its original
     identity: bytes  # of all that they depend on, and of the library itself
     rehearsals: tuple[Callable[..., bool], ...]  # as those do it that hold, and for nothing
+    series: tuple[Callable[..., Any] | None, ...] = ()  # as often as there is something given
 
 
 def compile_functions(
@@ -88,7 +89,8 @@ def compile_functions(
     made = [getattr(module, f"h{i}", f) for i, f in enumerate(plain)] if holding else plain
     identity = hashlib.sha256(b"".join(depends_on) + Path(module.__file__).read_bytes()).digest()
     rehearsals = tuple(getattr(module, f"r{i}", _nothing) for i in range(len(functions)))
-    return Built(tuple(made), module.left, identity, rehearsals)
+    series = tuple(getattr(module, f"s{i}", None) for i in range(len(functions)))
+    return Built(tuple(made), module.left, identity, rehearsals, series)
 
 
 def _nothing(*_: object) -> bool:

@@ -13,7 +13,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from pure2c.reach import name_of
 from pure2c.to_c import Translator
-from pure2c.types import PLAIN, Many, Maybe, Type, fields_of, plain
+from pure2c.types import PLAIN, Many, Maybe, Type, fields_of, is_flat, plain
 
 _HEAD = """\
 #define PY_SSIZE_T_CLEAN
@@ -141,6 +141,38 @@ static const {c} *reach_{c}(PyObject *o, {c} *x) {{
 }}
 """
 
+_SERIES = """\
+/* series(given, rows, state, …): as often as there is something given, or until C cannot do it. */
+static PyObject *series_{i}(PyObject *self, PyObject *const *args, Py_ssize_t n) {{
+{declared}  Py_buffer given = {{0}}, rows = {{0}};
+  PyObject *found = NULL;
+  if (!(n == {count} + 1{taken})) {{
+    PyErr_SetString(PyExc_TypeError, "series: not these arguments");
+    return NULL;
+  }}
+  int got = !PyObject_GetBuffer(args[0], &given, PyBUF_SIMPLE);
+  if (got && !PyObject_GetBuffer(args[1], &rows, PyBUF_WRITABLE)) {{
+    Py_ssize_t most = given.len / sizeof({given}), done = 0, room = rows.len / sizeof({row});
+    if (room < most) PyErr_SetString(PyExc_ValueError, "series: too few rows");
+    else {{
+      for (; done < most; done++) {{
+        failed_ = 0;
+        a1 = (({given} *)given.buf)[done];
+        {called}
+        if (failed_) break;
+        a0 = r.f0;
+        (({row} *)rows.buf)[done] = r.f1;
+      }}
+      PyObject *state = {give}(a0);
+      if (state) found = Py_BuildValue("Nn", state, done);
+    }}
+  }}
+  if (given.obj) PyBuffer_Release(&given);
+  if (rows.obj) PyBuffer_Release(&rows);
+  return found;
+}}
+"""
+
 FEW = 8  # numbers that a record may have without being remembered
 
 
@@ -170,6 +202,7 @@ class Extension:
         self._known: set[str] = set()
         self._gives: dict[Any, str] = {}  # by annotation: bools are none of C's types
         self._holding: dict[int, str] = {}  # by function: C's type of the record that stays in C
+        self._series: list[int] = []
         wrappers = [self._wrapper(i, f) for i, f in enumerate(functions)]
         table = "".join(
             f'  {{"f{i}", (PyCFunction)(void (*)(void))call_{i}, METH_FASTCALL | METH_KEYWORDS, NULL}},\n'
@@ -182,6 +215,10 @@ class Extension:
             f'  {{"{short}{i}", (PyCFunction){name}_{i}, METH_FASTCALL, NULL}},\n'
             for i in self._holding
             for short, name in (("h", "hold"), ("r", "rehearse"))
+        )
+        table += "".join(
+            f'  {{"s{i}", (PyCFunction)(void (*)(void))series_{i}, METH_FASTCALL, NULL}},\n'
+            for i in self._series
         )
         tail = _TAIL.format(
             methods=table,
@@ -210,6 +247,20 @@ class Extension:
             f"  }}\n  left_[{index}]++;\n"
             f"  return PyObject_Vectorcall(PyTuple_GET_ITEM(originals_, {index}), args, n, names);\n}}\n"
         )
+        if _is_series(result, types):
+            self._series.append(index)
+            text += _SERIES.format(
+                i=index,
+                count=len(types),
+                declared=declared,
+                taken="".join(
+                    f" && {self._take(t)}(args[{i + 1}], &a{i})" for i, t in enumerate(types) if i != 1
+                ).replace("args[1]", "args[2]", 1),
+                given=self._translator.type(types[1]),
+                row=self._translator.type(plain(result)[1]),
+                called=called,
+                give=self._give(get_args(result)[0]),
+            )
         first, parts = next(iter(hints.values()), None), get_args(result)
         if get_origin(result) is tuple and first == parts[0] and _is_remembered(first):
             c = self._holding[index] = self._held(first)
@@ -370,6 +421,14 @@ class Extension:
 
     def _suffix(self, t: Type) -> str:
         return "object" if t is object else self._translator.type(t)
+
+
+def _is_series(result: Any, types: Sequence[Type]) -> bool:
+    """Whether a function takes a state and numbers, and gives the next state and numbers."""
+    parts = [plain(part) for part in get_args(result)] if get_origin(result) is tuple else []
+    if len(parts) != 2 or len(types) < 2 or parts[0] != types[0]:
+        return False
+    return all(is_flat(t) and t not in PLAIN for t in (parts[1], types[1]))
 
 
 def _is_remembered(t: Type) -> bool:

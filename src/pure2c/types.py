@@ -73,6 +73,30 @@ def fields_of(t: Type) -> list[tuple[str, Type]]:
     return [(name, plain(hints[name])) for name in t._fields]
 
 
+def is_flat(t: Type) -> bool:
+    """Whether it is a record of numbers, and of records of numbers."""
+    if t in (float, int):
+        return True
+    return isinstance(t, type) and hasattr(t, "_fields") and all(is_flat(of) for _, of in fields_of(t))
+
+
+def columns(t: Type, before: str = "") -> list[tuple[str, str]]:
+    """Names and formats of the numbers of a flat record as they lie in C, one after another, of 8 bytes each.
+
+    Args:
+        t: the record; numbers of records in it are named with a dot.
+        before: what their names begin with.
+    """
+    found = []
+    for name, of in fields_of(t):
+        found += (
+            [(before + name, "<f8" if of is float else "<i8")]
+            if of in PLAIN
+            else columns(of, f"{before}{name}.")
+        )
+    return found
+
+
 def plain(hint: Any) -> Type:
     """The type that an annotation stands for."""
     if hint is float:
