@@ -8,15 +8,18 @@ import zlib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, unknown_fields
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from log_samples import any_record, bits, noisy, tick_at, write_log
+from pneud.log.files.container import message_head
 from pneud.log.format.frames import FrameBlock, FramesPacker
 from pneud.log.format.header import Detail
 from pneud.log.format.meanings import SCHEMA
+from pneud.log.format.record_layout import NUMBERS, numbers_of
 from pneud.log.format.records import (
     COARSE,
     LoggedEvent,
@@ -29,6 +32,7 @@ from pneud.log.format.records import (
     unpack_event,
     varint,
 )
+from pneud.log.format.rows import RowPacker, Rows
 from pneud.log.format.schema import Level, message_class, topics
 from pneud.signals import (
     Command,
@@ -281,3 +285,20 @@ def test_an_hour_takes_the_space_that_is_documented(tmp_path: Path) -> None:
         sizes[detail] = (path.stat().st_size - head.stat().st_size) / len(records) * 3.6e6 / 1e9
     assert sizes["compact"] < 0.6
     assert sizes["full"] < 1.1
+
+
+@pytest.mark.parametrize("detail", ["compact", "full"])
+@given(record=any_record())
+@settings(max_examples=20, deadline=None)
+def test_ticks_by_columns_are_packed_as_each_by_itself(detail: Detail, record: Record) -> None:
+    only: dict[str, Any] = {"request": None, "told": None, "program": None, "station": None, "weighed": None}
+    low: dict[str, Any] = {name: getattr(record.tick, name) % (1 << 63) for name in ("present", "latched")}
+    record = record._replace(tick=record.tick._replace(**only, **low))
+    formats = [(name, "f8" if code == "d" else "i8") for name, code in NUMBERS.items()]
+    ticks = np.array([numbers_of(record)] * 3, dtype=formats)
+    packer, head = RowPacker(detail), message_head(1, 0, 0, RowPacker(detail).length)
+    rows = Rows(ticks, record.timing, (), 0, ())
+    single = Packer(detail).tick(record)
+    for i, message in enumerate(packer.messages(rows, head, 7, np.arange(10, 13, dtype=np.uint64))):
+        assert message.tobytes() == message_head(1, 7 + i, 10 + i, len(single)) + single
+    assert repr(rows.record(1)) == repr(record._replace(frames=(), before=0, sent=()))

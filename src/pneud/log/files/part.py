@@ -9,10 +9,11 @@ import json
 import os
 import time
 import zlib
+from typing import TYPE_CHECKING
 
 from mcap.records import Metadata
-from mcap.writer import Writer
 
+from pneud.log.files.container import Container, message_head
 from pneud.log.files.saving import LogOutput
 from pneud.log.format.fingerprint import numeric_fingerprint, versions
 from pneud.log.format.framing import DamageError
@@ -20,10 +21,13 @@ from pneud.log.format.header import LogHeader
 from pneud.log.format.meanings import SCHEMA
 from pneud.log.format.schema import COPY, KEPT, METADATA, SETUP, topics
 
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
 CRC = "crc32"  # key of the metadata's checksum, which MCAP has none for
 _OWN = frozenset((METADATA, SETUP, KEPT, COPY))  # names of metadata that always has one
-_UNBOUNDED = 1 << 62
-_MESSAGE_BYTES = 31  # of a message's head
+_SEQUENCES = 1 << 32  # that messages count to
 CONFIG_TEXT, DBC = "config_text", "dbc_base64"  # keys in the copy of the head
 
 
@@ -74,7 +78,6 @@ class LogPart:
 
     Attributes:
         output: where its bytes go.
-        chunk_bytes: size of the chunk that is open, uncompressed.
     """
 
     def __init__(self, descriptor: int, header: LogHeader, more: dict[str, str]) -> None:
@@ -86,41 +89,45 @@ class LogPart:
             more: metadata on this file.
         """
         self.output = LogOutput(descriptor)
-        self.chunk_bytes = 0
         with contextlib.suppress(OSError):  # tells retention that it is being written
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._header = h = header
-        # It would close a chunk between a tick and its frames: chunks are closed here.
-        self._writer = w = Writer(self.output, chunk_size=_UNBOUNDED)  # type: ignore[arg-type]
-        w.start(library=f"pneud {versions().get('pneud', '')}".strip())
+        self._file = f = Container(self.output, f"pneud {versions().get('pneud', '')}".strip())
         now_ns = time.time_ns()
-        for name, kind, data in (
-            (h.config_name, "application/toml", h.config_text.encode()),
-            (h.dbc_name, "application/vnd.can-dbc", h.dbc),
-        ):
-            w.add_attachment(now_ns, now_ns, name, kind, data)
+        f.attach(now_ns, h.config_name, "application/toml", h.config_text.encode())
+        f.attach(now_ns, h.dbc_name, "application/vnd.can-dbc", h.dbc)
         self._head = checked(head_of(h, more))
-        w.add_metadata(METADATA, self._head)
-        self._channels: dict[str, int] = {}
-        for t in topics(h.detail):
-            schema = w.register_schema(t.schema, t.schema_encoding, t.descriptors)
-            self._channels[t.topic] = w.register_channel(t.topic, t.encoding, schema)
+        f.metadata(METADATA, self._head)
+        self._channels = {
+            t.topic: f.channel(t.topic, t.encoding, t.schema, t.schema_encoding, t.descriptors)
+            for t in topics(h.detail)
+        }
         self.output.settle()
+
+    @property
+    def chunk_bytes(self) -> int:
+        """Size of the messages of the open chunk, uncompressed."""
+        return self._file.chunk_bytes
 
     def message(self, topic: str, number: int, log_time_ns: int, data: bytes) -> None:
         """Add a message to the open chunk."""
-        self.chunk_bytes += len(data) + _MESSAGE_BYTES
-        sequence = number & 0xFFFF_FFFF
-        self._writer.add_message(self._channels[topic], log_time_ns, data, log_time_ns, sequence)
+        self._file.message(self._channels[topic], number % _SEQUENCES, log_time_ns, data)
+
+    def head_of_message(self, topic: str, length: int) -> bytes:
+        """What a message begins with, whose number and times are 0."""
+        return message_head(self._channels[topic], 0, 0, length)
+
+    def messages(self, topic: str, log_times_ns: NDArray[np.uint64], rows: NDArray[np.uint8]) -> None:
+        """Add messages of one length, each with its head, to the open chunk."""
+        self._file.messages(self._channels[topic], log_times_ns, rows)
 
     def metadata(self, name: str, data: dict[str, str]) -> None:
         """Add metadata, before the chunk that is open."""
-        self._writer.add_metadata(name, checked(data))
+        self._file.metadata(name, checked(data))
 
     def close_chunk(self) -> None:
         """What comes next goes into another chunk."""
-        self._writer.flush()  # type: ignore[no-untyped-call]
-        self.chunk_bytes = 0
+        self._file.close_chunk()
 
     def finish(self) -> None:
         """Repeat the head, write the index."""
@@ -128,4 +135,4 @@ class LogPart:
         h = self._header
         copy = {**self._head, CONFIG_TEXT: h.config_text, DBC: base64.b64encode(h.dbc).decode()}
         self.metadata(COPY, copy)
-        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._file.finish()

@@ -13,7 +13,7 @@ import struct
 import threading
 import time
 import uuid
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pneud.log.files.naming import LogError, create_log, next_part
 from pneud.log.files.part import LogPart
@@ -26,6 +26,9 @@ from pneud.log.format.schema import EVENTS, FRAMES, KEPT, SETUP, STATE, TICK, Le
 from pneud.log.format.snapshot import to_json
 from pneud.log.live.notes import Note
 from pneud.signals import Record
+
+if TYPE_CHECKING:
+    from pneud.log.format.rows import RowPacker, Rows
 
 CHUNK_BYTES = 64 * 1024
 FLUSH_NS = 100_000_000
@@ -53,6 +56,7 @@ class LogWriter:
         self._notes: dict[str, str] | None = None
         self._packer = Packer(header.detail)
         self._frames = FramesPacker()
+        self._rows: RowPacker | None = None
         self._batch_ns = 0  # log time of its last record
         self._batch_number = 0  # of the record whose frames are the first in `_frames`
         self._events = EventSource(header.fault_names, header.realtime_offset_ns, *header.switches)
@@ -133,18 +137,73 @@ class LogWriter:
             self.unwritten += 1
             self._message(t_ns, Level.ERROR, f"unfit record: {e}")
             return
-        self._batch_ns = log_time_ns = max(t_ns + self._header.realtime_offset_ns, 0)
+        self._batch_ns = log_time_ns = self._log_time_ns(t_ns)
         self._part.message(TICK, number, log_time_ns, packed)
         self._accepted += 1
         self._unsettled += 1
-        for event in self._events.after(record):
-            self._add_event(event)
-        if tick.latched != self._latched:
-            if tick.latched & ~self._latched:
-                self._keep(log_time_ns, tick.latched & ~self._latched)
-            self._latched = tick.latched
+        self._tell(record, log_time_ns)
         if self._part.chunk_bytes > CHUNK_BYTES:
             self.flush()
+
+    def write_many(self, rows: Rows) -> None:
+        """Add ticks that are all of one kind."""
+        begin, end = 0, len(rows.ticks)
+        packer = self._row_packer()
+        for place in rows.telling():
+            self._events.pass_over(max(0, place - begin))
+            while begin <= place:
+                begin = self._write_rows(packer, rows, begin, place + 1)
+            record = rows.record(place)
+            self._tell(record, self._log_time_ns(record.tick.t_ns))
+        self._events.pass_over(end - begin)
+        while begin < end:
+            begin = self._write_rows(packer, rows, begin, end)
+
+    def _row_packer(self) -> RowPacker:
+        if self._rows is None:
+            from pneud.log.format.rows import RowPacker  # noqa: PLC0415 - for simulations alone
+
+            self._rows = RowPacker(self._header.detail)
+        return self._rows
+
+    def _write_rows(self, packer: RowPacker, rows: Rows, begin: int, end: int) -> int:
+        """As many of these ticks as the open chunk has room for; where they end."""
+        head = self._part.head_of_message(TICK, packer.length)
+        room = (CHUNK_BYTES - self._part.chunk_bytes) // (len(head) + packer.length) + 1
+        part = rows.part(begin, min(end, begin + room))
+        count = len(part.ticks)
+        number, self._number = self._number + 1, self._number + count
+        self._last_t_ns = int(part.ticks["t_ns"][-1])
+        if self._blocked_ns:
+            self.unwritten += count
+            self._given_up += count
+            return begin + count
+        if self._batch_number + len(self._frames) != number:
+            self._end_batch()
+            self._batch_number = number
+        self._frames.add_alike(count, part.received, part.before, part.sent)
+        times_ns = part.ticks["t_ns"] + self._header.realtime_offset_ns
+        times_ns = times_ns.clip(min=0).astype("u8")
+        self._batch_ns = int(times_ns[-1])
+        self._part.messages(TICK, times_ns, packer.messages(part, head, number, times_ns))
+        self._accepted += count
+        self._unsettled += count
+        if self._part.chunk_bytes > CHUNK_BYTES:
+            self.flush()
+        return begin + count
+
+    def _log_time_ns(self, t_ns: int) -> int:
+        return max(t_ns + self._header.realtime_offset_ns, 0)
+
+    def _tell(self, record: Record, log_time_ns: int) -> None:
+        """The events of a record that has been written, and what is to be kept for them."""
+        for event in self._events.after(record):
+            self._add_event(event)
+        latched = record.tick.latched
+        if latched != self._latched:
+            if latched & ~self._latched:
+                self._keep(log_time_ns, latched & ~self._latched)
+            self._latched = latched
 
     def say(self, message: Note) -> None:
         """Add an event that another process tells of."""

@@ -95,6 +95,10 @@ class EventSource:
             self._saturated_ticks = 0
         self._saturated_ticks += self._saturated
 
+    def pass_over(self, ticks: int) -> None:
+        """So many ticks in which nothing happened that had not in the one before."""
+        self._saturated_ticks += ticks * self._saturated
+
     def _state_change(self, t_ns: int, state: int) -> LoggedEvent:
         old, self._state = self._state, state
         label = _label(State, state)

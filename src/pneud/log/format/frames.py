@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice, repeat
 from typing import NamedTuple
 
@@ -16,6 +16,15 @@ from pneud.signals import Frame, Record
 
 MOST_BYTES = 64  # of a frame of CAN FD
 _Frames = message_class("pneud.Frames")
+
+
+class Alike(NamedTuple):
+    """One frame of each of some ticks."""
+
+    can_id: int
+    length: int
+    after_ns: int  # stamp, counted from t_ns of its tick
+    data: bytes  # of all of them
 
 
 class FramesPacker:
@@ -62,6 +71,28 @@ class FramesPacker:
         self._received.append(len(record.frames))
         self._before.append(record.before)
         self._sent.append(len(record.sent))
+
+    def add_alike(self, ticks: int, received: Sequence[Alike], before: int, sent: Sequence[Alike]) -> None:
+        """The frames of so many more ticks, each of which has the same ones.
+
+        Args:
+            ticks: how many.
+            received: in their order.
+            before: how many of them were drained before SYNC left.
+            sent: in their order.
+        """
+        order = []
+        for can_id, length, after_ns, data in (*received, *sent):
+            column = self._columns.get((can_id, length))
+            if column is None:
+                column = self._new_column(can_id, length)
+            self._stamps[column].extend([after_ns] * ticks)
+            self._data[column].append(data)
+            order.append(column)
+        self._order += order * ticks
+        self._received += [len(received)] * ticks
+        self._before += [before] * ticks
+        self._sent += [len(sent)] * ticks
 
     def _new_column(self, can_id: int, length: int) -> int:
         if can_id >> 32 or length > MOST_BYTES:

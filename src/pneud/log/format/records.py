@@ -73,9 +73,13 @@ COARSE_ERROR = 2.0**-15  # relative
 FLOAT_ERROR = 2.0**-24
 
 _real_commands = itemgetter(*(i for i, n in enumerate(Command._fields) if NUMBERS[f"command.{n}"] == "d"))
-_CHECKED = struct.Struct(
-    f"<{len((*Estimate._fields, *Reference._fields, *_real_commands(Command._fields)))}d"
+CHECKED = (
+    *(f"estimate.{name}" for name in Estimate._fields),
+    *(f"reference.{name}" for name in Reference._fields),
+    *(f"command.{name}" for name in _real_commands(Command._fields)),
 )
+"""The numbers that a record has a checksum over."""
+_CHECKED = struct.Struct(f"<{len(CHECKED)}d")
 
 
 def crc_of(tick: Tick) -> int:
