@@ -90,6 +90,7 @@ class Codec:
     and −1 of what is not. `counter_values` is how many values the counter has, 1 without one. The rest is
     for those who judge many frames at once: where counter and age lie, and how the frame is protected.
     `data_bit_s` is the bit rate of the data where its frames are of CAN FD, and 0 where they are classic.
+    `fields` are of a message that plays a role: where its values lie, None for what it does not tell.
     """
 
     can_id: int
@@ -104,6 +105,7 @@ class Codec:
     age_field: SignalField | None
     guard: Guard
     data_bit_s: float = 0.0
+    fields: tuple[SignalField | None, ...] = ()
 
 
 class Answer(NamedTuple):
@@ -318,10 +320,11 @@ class Loader:
         guard = self._guard(f"bus.frames.{role}", message, frame, counter)
         if counter is not None:
             counter = counter._replace(high=min(counter.high, guard.counter_values - 1))
+        placed = tuple(fields.get(key) for key in values)
         functions = compile_functions(
             message.can_id,
             message.length,
-            [fields.get(key) for key in values],
+            placed,
             list(values.values()),
             counter,
             guard,
@@ -335,6 +338,7 @@ class Loader:
             age_field=fields.get("age_s"),
             guard=guard,
             data_bit_s=self._data_bit_s(message),
+            fields=placed,
         )
 
     def _data_bit_s(self, message: MessageSpec) -> float:

@@ -276,7 +276,7 @@ def _encode_source(
         else:
             raw[name] = f"r{i}" if f.floating else f"round(r{i})"
             lines.append(f"    r{i} = {f'({name} - {f.offset!r})' if f.offset else name} / {f.scale!r}")
-            scope[f"L{i}"], scope[f"H{i}"] = _bounds(f)
+            scope[f"L{i}"], scope[f"H{i}"] = bounds(f)
             tests.append(f"L{i} <= r{i} <= H{i}")
     if tests:
         lines.append(f"    if not ({' and '.join(tests)}):")
@@ -379,7 +379,7 @@ def _crc_chain(can_id: int, body: int) -> str:
     return text
 
 
-def _bounds(f: SignalField) -> tuple[float, float]:
+def bounds(f: SignalField) -> tuple[float, float]:
     """Smallest and largest float that can be encoded, after `round` where it is no floating-point signal."""
     return (f.low, f.high) if f.floating else _rounding_to(f.low, f.high)
 
@@ -401,10 +401,10 @@ def _refusal(
         for f, value in zip((*fields, counter), (*values, count), strict=True):
             if f is None:
                 continue
-            least, most = (f.low, f.high) if f.integer else _bounds(f)
+            least, most = (f.low, f.high) if f.integer else bounds(f)
             if not least <= (value if f.integer else (value - f.offset) / f.scale) <= most:
-                bounds = sorted((f.low, f.high) if f.integer else (f.si(f.low), f.si(f.high)))
-                raise ValueError(f"{f.label} = {value!r} is outside {bounds[0]:.10g} … {bounds[1]:.10g}")
+                ends = sorted((f.low, f.high) if f.integer else (f.si(f.low), f.si(f.high)))
+                raise ValueError(f"{f.label} = {value!r} is outside {ends[0]:.10g} … {ends[1]:.10g}")
         raise ValueError("a value is out of range")
 
     return refuse

@@ -60,6 +60,10 @@ class Simulation:
             operator: asks of the axis what it likes, also to end the run; without one it is armed once, and a
                 fault ends the run.
         """
+        self.loaded, self.compiled = loaded, how.axis is not INTERPRETED.axis
+        self.alone = (
+            scenario is None and operator is None and requests is None
+        )  # nobody else has a part in it
         self._requests = requests
         self.axis = how.axis(conversions.axis_of(loaded.config, loaded.codecs.command_lsb_v))
         self.inbox = inbox_of(loaded.codecs, loaded.config.bus)
@@ -82,13 +86,15 @@ class Simulation:
         self._operator = operator
         self.shut = False  # the run is over and the axis is coming to rest
         self.tx = 0
+        self.count = 0  # ticks that are done
+        self.state, self.present = int(State.STARTING), 0  # of the last one
         self.turn = Turn(self.axis, self.inbox, loaded.codecs)
         self._conditions = Conditions(self.inbox, self._machine)
         self._sync = loaded.codecs.sync
-        self._armed = False
+        self.armed = False  # has been asked to arm
         self._period_ns = round(1e9 / loaded.config.loop.rate_hz)
-        self._wait_ns = round(self._period_ns * loaded.config.loop.set_deadline)
-        self._total = max(1, round(duration_s * loaded.config.loop.rate_hz))
+        self.wait_ns = round(self._period_ns * loaded.config.loop.set_deadline)
+        self.total = max(1, round(duration_s * loaded.config.loop.rate_hz))
         bus, codec = loaded.config.bus, loaded.codecs.sync
         told = (codec.length, bus.bitrate_bit_s, codec.can_id, codec.data_bit_s)
         self._heard_ns = wire_time_ns(*told) if bus.follows else 0
@@ -107,11 +113,11 @@ class Simulation:
     def records(self) -> Iterator[Record]:
         """The ticks, as the loop hands them to the recorder."""
         turn, machine, node = self.turn, self._machine, self._slaves or self.node
-        idle, count, stalled = 0, 0, 0
+        idle, stalled = 0, 0
         left_over: list[Frame] = []
-        last_state, last_present = int(State.STARTING), 0
         phase, start_ns = (None if self.inbox.sync else Phase(self._period_ns)), START_NS
         while idle < END_TICKS:
+            count = self.count
             skipped = machine.skip(start_ns + (count + stalled) * self._period_ns)
             stalled += skipped
             t_ns = start_ns + (count + stalled) * self._period_ns
@@ -135,10 +141,10 @@ class Simulation:
             left_over = self._hear(node, t_ns, silent=silent)
             if phase is not None and turn.frames:
                 start_ns += phase.shift_ns(turn.frames[-1].stamp_ns - t_ns)
-            done_ns = max(t_ns, turn.newest_ns) if self.inbox.complete else t_ns + self._wait_ns
-            request = self._request(count, last_state, last_present)
+            done_ns = max(t_ns, turn.newest_ns) if self.inbox.complete else t_ns + self.wait_ns
+            request = self._request(count, self.state, self.present)
             tick = turn.decide(skipped, self._conditions.host(early), request)
-            last_state, last_present = tick.state, tick.present
+            self.state, self.present = tick.state, tick.present
 
             sent_ns = done_ns + COMPUTING_NS
             data = turn.command(sequence, count)
@@ -148,18 +154,18 @@ class Simulation:
                 self.tx += 1 + self.inbox.makes_sync
             if turn.speaks:
                 turn.speak(self._sender(sent_ns, link == HEALTHY))
+            self.count += 1
+            over = self.shut or (tick.state == State.FAULT and self._operator is None)
+            idle = idle + 1 if over and not is_engaged(tick.state) else 0
             yield turn.record(
                 Timing(0, done_ns - t_ns, 0, COMPUTING_NS, COMPUTING_NS, -1),
                 sync if link == HEALTHY else sync._replace(stamp_ns=-1),
                 node.truth().position_m,
             )
-            count += 1
-            over = self.shut or (tick.state == State.FAULT and self._operator is None)
-            idle = idle + 1 if over and not is_engaged(tick.state) else 0
 
     def _hear(self, node: Plant, t_ns: int, *, silent: bool) -> list[Frame]:
         """Take what comes in this tick; what is left for the next one."""
-        until_ns = t_ns + self._wait_ns
+        until_ns = t_ns + self.wait_ns
         if silent or self.inbox.sync:
             answers = node.poll(until_ns)
             return [] if silent else self._feed(answers)
@@ -194,7 +200,7 @@ class Simulation:
 
     def _request(self, count: int, last_state: int, last_present: int) -> Request | None:
         """What is asked of the axis in this tick."""
-        if not self.shut and count >= self._total:
+        if not self.shut and count >= self.total:
             self.shut = True
             return Request(RequestKind.SHUTDOWN)
         if self._requests is not None:
@@ -203,8 +209,8 @@ class Simulation:
             request = self._operator(last_state, last_present)
             self.shut |= request is not None and request.kind == RequestKind.SHUTDOWN
             return request
-        if not self._armed and last_state == State.DISARMED and not last_present & BLOCKS_ARM:
-            self._armed = True
+        if not self.armed and last_state == State.DISARMED and not last_present & BLOCKS_ARM:
+            self.armed = True
             return Request(RequestKind.ARM, (1.0,))
         return None
 

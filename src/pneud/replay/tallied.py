@@ -33,9 +33,9 @@ class Tallied:
         tally: the counts.
     """
 
-    def __init__(self, *, timed: bool, sync: bool) -> None:
+    def __init__(self, *, timed: bool, sync: bool, truth: bool = False) -> None:
         """Nothing has happened; as for `Tally`."""
-        self.tally = Tally(truth=False, timed=timed, sync=sync)
+        self.tally = Tally(truth=truth, timed=timed, sync=sync)
         self._timed = timed
         self._ended = False
 

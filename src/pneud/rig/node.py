@@ -19,7 +19,7 @@ from pneud.rig.segment import Segment
 from pneud.rig.sensors import Noise, PressureSensor, quantised, sensed
 from pneud.rig.transmission import Item
 from pneud.rig.valvenode import ValveNode
-from pneud.signals import EncoderStatus, Frame
+from pneud.signals import EncoderStatus, Frame, ValveState
 
 if TYPE_CHECKING:
     from pneud.rig.beam import Beam
@@ -47,6 +47,22 @@ class Truth(NamedTuple):
     t_ns: int
     position_m: float  # stroke coordinate
     state: PlantState
+
+
+class Leap(NamedTuple):
+    """Where a rig is some ticks later, before the command of the last one is on its way."""
+
+    ticks: int
+    t_ns: int  # the last one's SYNC
+    truth_m: float  # at that
+    rig: PlantState
+    rig_ns: int  # until when it has been integrated
+    free_ns: int  # the wire is, from then on
+    polled_ns: int  # until when the nodes' frames have been taken
+    heard_ns: int  # when the last command was heard
+    counter: int  # of that
+    output_v: float  # that it led to
+    valve: ValveState
 
 
 class _Answer(NamedTuple):
@@ -97,9 +113,9 @@ class PlantNode:
         self.unsendable = 0  # answers with a value that their frame cannot carry
         self._codecs = codecs
         self._advance = advance
-        self._noise = Noise(seed)
+        self.noise = Noise(seed)
         self._pressure = PressureSensor(
-            self._noise, p.pressure_noise_pa, p.pressure_resolution_pa, PRESSURE_RANGE_PA
+            self.noise, p.pressure_noise_pa, p.pressure_resolution_pa, PRESSURE_RANGE_PA
         )
         self._delay_ns = round(p.node_delay_s * 1e9)
         self._age_s = min(p.node_delay_s, codecs.older_s)
@@ -122,7 +138,7 @@ class PlantNode:
         if self._cell is not None:
             told.append(self._cell)
         self._data_bit_s = {codec.can_id: codec.data_bit_s for codec in told}
-        self._durations = tuple(self._duration_ns(a.codec.length, a.codec.can_id) for a in codecs.answers)
+        self._durations = tuple(self.duration_ns(a.codec.length, a.codec.can_id) for a in codecs.answers)
         self._ids = ids_of_nodes(codecs)
         self._answer_ids = frozenset(answer.codec.can_id for answer in codecs.answers)
         self._shortest_ns = min(self._durations)
@@ -150,6 +166,15 @@ class PlantNode:
         return self._epoch_ns != _START_NS
 
     @property
+    def epoch_ns(self) -> int:
+        """When time began to pass."""
+        return self._epoch_ns
+
+    def counter(self, can_id: int) -> int:
+        """What the next frame of this identifier is to be counted as."""
+        return self._counters[can_id]
+
+    @property
     def now_ns(self) -> int:
         """Up to when events have been dealt with."""
         return self._now_ns
@@ -175,7 +200,7 @@ class PlantNode:
         sent_ns = self.note(frame)
         for passed in (frame,) if self.hook is None else self.hook(frame, False):
             if self.takes(passed.can_id) and len(self._wire.waiting) < MAX_WAITING:
-                duration = self._duration_ns(len(passed.data), passed.can_id)
+                duration = self.duration_ns(len(passed.data), passed.can_id)
                 self._wire.add(Item(max(passed.stamp_ns, sent_ns), passed.can_id, duration, passed))
 
     def takes(self, can_id: int) -> bool:
@@ -206,7 +231,7 @@ class PlantNode:
         if frame.can_id & CAN_ERR_FLAG:
             self._held.append(frame)
         else:
-            duration = self._duration_ns(len(frame.data), frame.can_id)
+            duration = self.duration_ns(len(frame.data), frame.can_id)
             ready_ns = max(frame.stamp_ns, self._now_ns)
             self._wire.add(Item(ready_ns, frame.can_id, duration, _Foreign(frame, self)))
 
@@ -280,6 +305,16 @@ class PlantNode:
         self._run(t_ns)
         self._integrate(t_ns)
 
+    def leap(self, to: Leap) -> None:
+        """As though so many ticks had come and gone, of which nobody but SYNC and command has a part."""
+        self._state, self._plant_ns = to.rig, to.rig_ns
+        self._now_ns, self._current_ns = to.polled_ns, to.t_ns
+        self._truth = Truth(to.t_ns, to.truth_m, to.rig)
+        for can_id, counter in self._counters.items():
+            self._counters[can_id] = (counter + to.ticks) % self._counts[can_id]
+        self._wire.clear(to.free_ns)
+        self.valve.leap(to.heard_ns, to.counter, to.output_v, to.valve)
+
     def look(self, t_ns: int) -> None:
         """As `advance`; and this is the instant that `truth` tells of, where no SYNC says so."""
         self.advance(t_ns)
@@ -292,7 +327,8 @@ class PlantNode:
             if self._free_ns:
                 self.next_ns = t_ns
 
-    def _duration_ns(self, data_bytes: int, can_id: int) -> int:
+    def duration_ns(self, data_bytes: int, can_id: int) -> int:
+        """How long a frame of the rig takes on the wire."""
         return wire_time_ns(data_bytes, self.p.bitrate_bit_s, can_id, self._data_bit_s.get(can_id, 0.0))
 
     def _run(self, t_ns: int) -> None:
@@ -348,7 +384,7 @@ class PlantNode:
             shown_m = start_m + w.encoder_scale * (shown_m - start_m)
         position = shown_m - p.encoder_zero_m
         if p.detail.encoder_noise_m:
-            position += p.detail.encoder_noise_m * self._noise.draw()
+            position += p.detail.encoder_noise_m * self.noise.draw()
         position = quantised(position, p.encoder_resolution_m)
         status = int(EncoderStatus.REFERENCED) if p.encoder_referenced else 0
         read = self._pressure.read
@@ -367,7 +403,7 @@ class PlantNode:
             answer = _Answer(codec, sync_ns, tuple([values[key] for key in keys]))
             ready_ns = t_ns + self._delay_ns
             if self._jitter_ns and self._free_ns:
-                ready_ns += round(abs(self._noise.draw()) * self._jitter_ns)
+                ready_ns += round(abs(self.noise.draw()) * self._jitter_ns)
             self._wire.replace(Item(ready_ns, codec.can_id, self._durations[i], answer, i))
         if self._cell is not None and not self.cell_silent:
             self._weigh(self._cell, t_ns)

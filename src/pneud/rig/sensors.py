@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import random
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pneud.physics.plant import PlantParameters
 from pneud.rig.dynamics import PlantState, stroke_position
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 def quantised(value: float, step: float) -> float:
@@ -59,12 +63,36 @@ class Noise:
     """
 
     def __init__(self, seed: int) -> None:
-        self._uniform = random.Random(seed).random
+        self._random = random.Random(seed)
+        self._uniform = self._random.random
 
     def draw(self) -> float:
         """The next number, of mean 0 and standard deviation 1."""
         u = self._uniform
         return u() + u() + u() + u() + u() + u() + u() + u() + u() + u() + u() + u() - 6.0
+
+    def draw_many(self, count: int) -> NDArray[np.float64]:
+        """The next numbers, those that `draw` would give one after another."""
+        import numpy as np  # noqa: PLC0415 - for simulations alone
+
+        version, (*keys, place), gauss = self._random.getstate()
+        same: Any = np.random.RandomState()
+        same.set_state(("MT19937", np.array(keys, dtype=np.uint32), place))
+        each = same.random_sample((count, 12))
+        found: NDArray[np.float64] = each[:, 0].copy()
+        for i in range(1, 12):
+            found += each[:, i]
+        _, new_keys, new_place, *_ = same.get_state()
+        self._random.setstate((version, (*new_keys.tolist(), new_place), gauss))
+        return found - 6.0
+
+    def state(self) -> Any:
+        """To come back to by `restore`."""
+        return self._random.getstate()
+
+    def restore(self, state: Any) -> None:
+        """Go on from a state."""
+        self._random.setstate(state)
 
 
 class PressureSensor:

@@ -66,6 +66,11 @@ class Wire:
         self._changed = True
         return ended
 
+    def clear(self, free_ns: int) -> None:
+        """Nothing waits; the wire was free from then on."""
+        self.waiting.clear()
+        self._changed, self._free_ns = True, free_ns
+
     def _under_way(self, item: Item, t_ns: int) -> bool:
         upcoming = self.upcoming
         return upcoming is not None and upcoming[1] is item and upcoming[0] - item.duration_ns <= t_ns

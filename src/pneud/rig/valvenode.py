@@ -13,12 +13,12 @@ class ValveNode:
     """State machine of the node; time comes with the calls.
 
     `state` is a `ValveState`, `output_v` what the DAC puts out, `deadline_ns` when the last valid command
-    expires.
+    expires, `timeout_ns` after it came.
     """
 
     def __init__(self, codec: Codec, timeout_s: float, dac_bits: int, u_max_v: float) -> None:
         self._codec = codec
-        self._timeout_ns = round(timeout_s * 1e9)
+        self.timeout_ns = round(timeout_s * 1e9)
         self._dac_bits = dac_bits
         self._u_max_v = u_max_v
         self._last_counter = -1
@@ -44,7 +44,7 @@ class ValveNode:
         voltage_v, enable, _ = codec.decode(data)
         if enable not in (0, 1):
             return
-        self.deadline_ns = t_ns + self._timeout_ns
+        self.deadline_ns = t_ns + self.timeout_ns
         self.booted()
         if enable == 0:
             if self.state != ValveState.FAULT:
@@ -53,6 +53,11 @@ class ValveNode:
         elif self.state in (ValveState.CENTRED, ValveState.ENABLED):
             self.state = ValveState.ENABLED
             self.output_v = dac_output(voltage_v, self._dac_bits, self._u_max_v)
+
+    def leap(self, heard_ns: int, counter: int, output_v: float, state: ValveState) -> None:
+        """As though the last of many valid commands had been heard, and had led to this."""
+        self.deadline_ns, self._last_counter = heard_ns + self.timeout_ns, counter
+        self.output_v, self.state = output_v, state
 
     def expire(self) -> None:
         """`deadline_ns` has come without a valid command."""

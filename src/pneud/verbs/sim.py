@@ -265,13 +265,14 @@ def _run(
 ) -> Ran:
     """All ticks, counted and written down."""
 
-    def look(number: int, record: Record) -> None:
-        if number % TOLD_TICKS == 0:
-            report("simulating", number / rate_hz, duration_s, "s")
+    def told(ticks: int) -> None:
+        report("simulating", ticks / rate_hz, duration_s, "s")
+
+    def see(_: int, record: Record) -> None:
         if course is not None:
             course.see(record)
 
-    ran = through(run, rate_hz, writer, look)
+    ran = through(run, rate_hz, writer, None if course is None else see, told)
     if run.axis.failure is not None:
         print(f"pneud: exception in the cycle: {run.axis.failure!r}", file=sys.stderr)
     return ran
