@@ -128,7 +128,7 @@ def test_without_a_compiler_each_tick_is_done_by_itself(monkeypatch: pytest.Monk
     told: list[int] = []
     run = Simulation(loaded, 0.2, 1, backend_of(loaded))
     assert running.through(run, 1000.0, None, None, told.append).tally.ticks == 200
-    assert told == [0]
+    assert told[:3] == [0, 100, 200]
 
 
 @settings(max_examples=5)

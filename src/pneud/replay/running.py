@@ -14,7 +14,7 @@ from pneud.replay.lockstep import Simulation
 from pneud.scenario.verdict import Observed
 from pneud.signals import Record, RequestKind
 
-TOLD_TICKS = 1000  # between two that are told of
+TOLD_TICKS = 100  # between two that are told of
 WORTH_TICKS = 5000  # of a run for which it is worth to load what does many at once
 
 

@@ -28,7 +28,7 @@ from pneud.replay.following import in_words as followed
 from pneud.replay.lockstep import Simulation, backend_of, header_of
 from pneud.replay.moves import Course, moves_of, steps_of
 from pneud.replay.moves import in_words as moves_in_words
-from pneud.replay.running import Ran, through
+from pneud.replay.running import TOLD_TICKS, Ran, through
 from pneud.replay.running_together import run_together
 from pneud.rt.outputs import require_folder, write_whole
 from pneud.scenario import verdict
@@ -56,7 +56,6 @@ MOST_REST_S = 600.0
 NO_LOG = -1
 CHIRP_M, CHIRP_HZ, CHIRP_S = 0.01, (0.2, 2.0), 20.0
 DWELL_S = 1.0  # at each of the steps
-TOLD_TICKS = 100
 GotoOption = Annotated[
     str | None,
     typer.Option(
