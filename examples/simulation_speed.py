@@ -29,11 +29,14 @@ from pneud.replay.lockstep import Simulation, backend_of, header_of
 from pneud.replay.replaying import replay
 from pneud.replay.running import through
 from pneud.rig.dynamics import PlantState, advance, initial_state
+from pneud.signals import Record
 from pneud.study import trial
 from pneud.study.cases import bench_of, case, sine_of, trace_of
 from pneud.study.tuned import EXTENDED, setting
 
-SIM_S, SCIPY_S = 10.0, 0.5
+SIM_S, LONG_S, SCIPY_S = 10.0, 60.0, 0.5
+
+Look = Callable[[int, Record], None]
 
 
 def rates(_t: float, s: np.ndarray, u: float, p: PlantParameters) -> list[float]:
@@ -98,22 +101,27 @@ def told(what: str, simulated_s: float, work: Callable[[], object], times: int =
 
 
 def with_frames(loaded: Loaded, folder: Path) -> None:
-    """The whole axis: frames, checks, supervisor; then its log again."""
+    """The whole axis: frames, checks, supervisor; tick by tick and by strides; then its log again."""
     rate_hz, how = loaded.config.loop.rate_hz, backend_of(loaded)
 
-    def simulated(backend: bool, path: Path | None) -> None:
+    def simulated(backend: bool, lasts_s: float, look: Look | None = None, path: Path | None = None) -> None:
         law = (how,) if backend else ()
         writer = LogWriter(create_log(path), header_of(loaded)) if path is not None else None
-        through(Simulation(loaded, SIM_S, 1, *law), rate_hz, writer)
+        through(Simulation(loaded, lasts_s, 1, *law), rate_hz, writer, look)
         if writer is not None:
             writer.close()
 
-    told("sim, frames and all, interpreted", SIM_S, lambda: simulated(False, None), 1)
-    told(f"sim, frames and all, {how.name}", SIM_S, lambda: simulated(True, None))
+    def each(_: int, __: Record) -> None:
+        """Who looks at each tick gets them one by one."""
+
+    told("sim, frames and all, interpreted", SIM_S, lambda: simulated(False, SIM_S), 1)
+    told(f"sim, frames and all, {how.name}, tick by tick", SIM_S, lambda: simulated(True, SIM_S, each))
+    simulated(True, SIM_S)  # compile
+    told(f"sim, frames and all, {how.name}, by strides", LONG_S, lambda: simulated(True, LONG_S))
     logs = iter([folder / f"{i}.mcap" for i in range(3)])
-    told(f"sim, frames and all, {how.name}, with a log", SIM_S, lambda: simulated(True, next(logs)))
-    told("replay of that log", SIM_S, lambda: replay(read_log(folder / "0.mcap")))
-    told("summary of that log", SIM_S, lambda: read_log(folder / "0.mcap").summary)
+    told("the same with a log", LONG_S, lambda: simulated(True, LONG_S, None, next(logs)))
+    told("replay of that log", LONG_S, lambda: replay(read_log(folder / "0.mcap")))
+    told("summary of that log", LONG_S, lambda: read_log(folder / "0.mcap").summary)
 
 
 def law_and_plant(loaded: Loaded) -> None:

@@ -28,6 +28,9 @@ from pneud.log.live.notes import Note
 from pneud.signals import Record
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from pneud.log.format.rows import RowPacker, Rows
 
 CHUNK_BYTES = 64 * 1024
@@ -147,17 +150,20 @@ class LogWriter:
 
     def write_many(self, rows: Rows) -> None:
         """Add ticks that are all of one kind."""
-        begin, end = 0, len(rows.ticks)
-        packer = self._row_packer()
+        begin, end, packer = 0, len(rows.ticks), self._row_packer()
+        offset_ns, head = self._header.realtime_offset_ns, self._part.head_of_message(TICK, packer.length)
+        times_ns = (rows.ticks["t_ns"] + offset_ns).clip(min=0).astype("u8")
+        # of all of them at once: a chunk's alone take twice as long
+        made = packer.messages(rows, head, self._number + 1, times_ns)
         for place in rows.telling():
             self._events.pass_over(max(0, place - begin))
             while begin <= place:
-                begin = self._write_rows(packer, rows, begin, place + 1)
+                begin = self._write_rows(rows, times_ns, made, begin, place + 1)
             record = rows.record(place)
             self._tell(record, self._log_time_ns(record.tick.t_ns))
         self._events.pass_over(end - begin)
         while begin < end:
-            begin = self._write_rows(packer, rows, begin, end)
+            begin = self._write_rows(rows, times_ns, made, begin, end)
 
     def _row_packer(self) -> RowPacker:
         if self._rows is None:
@@ -166,31 +172,39 @@ class LogWriter:
             self._rows = RowPacker(self._header.detail)
         return self._rows
 
-    def _write_rows(self, packer: RowPacker, rows: Rows, begin: int, end: int) -> int:
-        """As many of these ticks as the open chunk has room for; where they end."""
-        head = self._part.head_of_message(TICK, packer.length)
-        room = (CHUNK_BYTES - self._part.chunk_bytes) // (len(head) + packer.length) + 1
-        part = rows.part(begin, min(end, begin + room))
-        count = len(part.ticks)
+    def _write_rows(
+        self, rows: Rows, times_ns: NDArray[np.uint64], made: NDArray[np.uint8], begin: int, end: int
+    ) -> int:
+        """As many of these ticks as the open chunk has room for; where they end.
+
+        Args:
+            rows: ticks.
+            times_ns: of each in the log.
+            made: messages of each.
+            begin: the first one.
+            end: behind the last one.
+        """
+        room = (CHUNK_BYTES - self._part.chunk_bytes) // made.shape[1] + 1
+        end = min(end, begin + room)
+        count = end - begin
         number, self._number = self._number + 1, self._number + count
-        self._last_t_ns = int(part.ticks["t_ns"][-1])
+        self._last_t_ns = int(rows.ticks["t_ns"][end - 1])
         if self._blocked_ns:
             self.unwritten += count
             self._given_up += count
-            return begin + count
+            return end
         if self._batch_number + len(self._frames) != number:
             self._end_batch()
             self._batch_number = number
+        part = rows.part(begin, end)
         self._frames.add_alike(count, part.received, part.before, part.sent)
-        times_ns = part.ticks["t_ns"] + self._header.realtime_offset_ns
-        times_ns = times_ns.clip(min=0).astype("u8")
-        self._batch_ns = int(times_ns[-1])
-        self._part.messages(TICK, times_ns, packer.messages(part, head, number, times_ns))
+        self._batch_ns = int(times_ns[end - 1])
+        self._part.messages(TICK, times_ns[begin:end], made[begin:end])
         self._accepted += count
         self._unsettled += count
         if self._part.chunk_bytes > CHUNK_BYTES:
             self.flush()
-        return begin + count
+        return end
 
     def _log_time_ns(self, t_ns: int) -> int:
         return max(t_ns + self._header.realtime_offset_ns, 0)

@@ -86,7 +86,7 @@ class FramesPacker:
             column = self._columns.get((can_id, length))
             if column is None:
                 column = self._new_column(can_id, length)
-            self._stamps[column].extend([after_ns] * ticks)
+            self._stamps[column] += array("q", (after_ns,)) * ticks
             self._data[column].append(data)
             order.append(column)
         self._order += order * ticks
