@@ -15,7 +15,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from log_samples import any_record, bits, noisy, tick_at, write_log
-from pneud.log.files.container import message_head
 from pneud.log.format.frames import FrameBlock, FramesPacker
 from pneud.log.format.header import Detail
 from pneud.log.format.meanings import SCHEMA
@@ -296,9 +295,8 @@ def test_ticks_by_columns_are_packed_as_each_by_itself(detail: Detail, record: R
     record = record._replace(tick=record.tick._replace(**only, **low))
     formats = [(name, "f8" if code == "d" else "i8") for name, code in NUMBERS.items()]
     ticks = np.array([numbers_of(record)] * 3, dtype=formats)
-    packer, head = RowPacker(detail), message_head(1, 0, 0, RowPacker(detail).length)
     rows = Rows(ticks, record.timing, (), 0, ())
     single = Packer(detail).tick(record)
-    for i, message in enumerate(packer.messages(rows, head, 7, np.arange(10, 13, dtype=np.uint64))):
-        assert message.tobytes() == message_head(1, 7 + i, 10 + i, len(single)) + single
+    for message in RowPacker(detail).messages(rows):
+        assert message.tobytes() == single
     assert repr(rows.record(1)) == repr(record._replace(frames=(), before=0, sent=()))

@@ -12,8 +12,8 @@ import zlib
 from typing import TYPE_CHECKING
 
 from mcap.records import Metadata
+from mcap.writer import Writer
 
-from pneud.log.files.container import Container, message_head
 from pneud.log.files.saving import LogOutput
 from pneud.log.format.fingerprint import numeric_fingerprint, versions
 from pneud.log.format.framing import DamageError
@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 
 CRC = "crc32"  # key of the metadata's checksum, which MCAP has none for
 _OWN = frozenset((METADATA, SETUP, KEPT, COPY))  # names of metadata that always has one
-_SEQUENCES = 1 << 32  # that messages count to
+_UNBOUNDED = 1 << 62
+MESSAGE_BYTES = 31  # of a message's head
+_SEQUENCE = 0xFFFF_FFFF  # to which messages are counted
 CONFIG_TEXT, DBC = "config_text", "dbc_base64"  # keys in the copy of the head
 
 
@@ -78,6 +80,7 @@ class LogPart:
 
     Attributes:
         output: where its bytes go.
+        chunk_bytes: size of the chunk that is open, uncompressed.
     """
 
     def __init__(self, descriptor: int, header: LogHeader, more: dict[str, str]) -> None:
@@ -89,45 +92,58 @@ class LogPart:
             more: metadata on this file.
         """
         self.output = LogOutput(descriptor)
+        self.chunk_bytes = 0
         with contextlib.suppress(OSError):  # tells retention that it is being written
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._header = h = header
-        self._file = f = Container(self.output, f"pneud {versions().get('pneud', '')}".strip())
+        # It would close a chunk between a tick and its frames: chunks are closed here.
+        self._writer = w = Writer(self.output, chunk_size=_UNBOUNDED)  # type: ignore[arg-type]
+        w.start(library=f"pneud {versions().get('pneud', '')}".strip())
         now_ns = time.time_ns()
-        f.attach(now_ns, h.config_name, "application/toml", h.config_text.encode())
-        f.attach(now_ns, h.dbc_name, "application/vnd.can-dbc", h.dbc)
+        for name, kind, data in (
+            (h.config_name, "application/toml", h.config_text.encode()),
+            (h.dbc_name, "application/vnd.can-dbc", h.dbc),
+        ):
+            w.add_attachment(now_ns, now_ns, name, kind, data)
         self._head = checked(head_of(h, more))
-        f.metadata(METADATA, self._head)
-        self._channels = {
-            t.topic: f.channel(t.topic, t.encoding, t.schema, t.schema_encoding, t.descriptors)
-            for t in topics(h.detail)
-        }
+        w.add_metadata(METADATA, self._head)
+        self._channels: dict[str, int] = {}
+        for t in topics(h.detail):
+            schema = w.register_schema(t.schema, t.schema_encoding, t.descriptors)
+            self._channels[t.topic] = w.register_channel(t.topic, t.encoding, schema)
         self.output.settle()
-
-    @property
-    def chunk_bytes(self) -> int:
-        """Size of the messages of the open chunk, uncompressed."""
-        return self._file.chunk_bytes
 
     def message(self, topic: str, number: int, log_time_ns: int, data: bytes) -> None:
         """Add a message to the open chunk."""
-        self._file.message(self._channels[topic], number % _SEQUENCES, log_time_ns, data)
+        self.chunk_bytes += len(data) + MESSAGE_BYTES
+        sequence = number & _SEQUENCE
+        self._writer.add_message(self._channels[topic], log_time_ns, data, log_time_ns, sequence)
 
-    def head_of_message(self, topic: str, length: int) -> bytes:
-        """What a message begins with, whose number and times are 0."""
-        return message_head(self._channels[topic], 0, 0, length)
+    def messages(
+        self, topic: str, number: int, log_times_ns: NDArray[np.uint64], rows: NDArray[np.uint8]
+    ) -> None:
+        """Add messages of one length to the open chunk.
 
-    def messages(self, topic: str, log_times_ns: NDArray[np.uint64], rows: NDArray[np.uint8]) -> None:
-        """Add messages of one length, each with its head, to the open chunk."""
-        self._file.messages(self._channels[topic], log_times_ns, rows)
+        Args:
+            topic: of all of them.
+            number: of the first one.
+            log_times_ns: of each.
+            rows: their bytes.
+        """
+        count, length = rows.shape
+        self.chunk_bytes += count * (length + MESSAGE_BYTES)
+        add, channel, data = self._writer.add_message, self._channels[topic], rows.tobytes()
+        for i, time_ns in enumerate(log_times_ns.tolist()):
+            add(channel, time_ns, data[i * length : (i + 1) * length], time_ns, number + i & _SEQUENCE)
 
     def metadata(self, name: str, data: dict[str, str]) -> None:
         """Add metadata, before the chunk that is open."""
-        self._file.metadata(name, checked(data))
+        self._writer.add_metadata(name, checked(data))
 
     def close_chunk(self) -> None:
         """What comes next goes into another chunk."""
-        self._file.close_chunk()
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self.chunk_bytes = 0
 
     def finish(self) -> None:
         """Repeat the head, write the index."""
@@ -135,4 +151,4 @@ class LogPart:
         h = self._header
         copy = {**self._head, CONFIG_TEXT: h.config_text, DBC: base64.b64encode(h.dbc).decode()}
         self.metadata(COPY, copy)
-        self._file.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]

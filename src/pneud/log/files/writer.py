@@ -16,7 +16,7 @@ import uuid
 from typing import TYPE_CHECKING, Any
 
 from pneud.log.files.naming import LogError, create_log, next_part
-from pneud.log.files.part import LogPart
+from pneud.log.files.part import MESSAGE_BYTES, LogPart
 from pneud.log.files.retention import Tidying
 from pneud.log.format.events import EventSource
 from pneud.log.format.frames import FramesPacker
@@ -151,10 +151,8 @@ class LogWriter:
     def write_many(self, rows: Rows) -> None:
         """Add ticks that are all of one kind."""
         begin, end, packer = 0, len(rows.ticks), self._row_packer()
-        offset_ns, head = self._header.realtime_offset_ns, self._part.head_of_message(TICK, packer.length)
-        times_ns = (rows.ticks["t_ns"] + offset_ns).clip(min=0).astype("u8")
-        # of all of them at once: a chunk's alone take twice as long
-        made = packer.messages(rows, head, self._number + 1, times_ns)
+        times_ns = (rows.ticks["t_ns"] + self._header.realtime_offset_ns).clip(min=0).astype("u8")
+        made = packer.messages(rows)  # of all of them at once: a chunk's alone take twice as long
         for place in rows.telling():
             self._events.pass_over(max(0, place - begin))
             while begin <= place:
@@ -184,7 +182,7 @@ class LogWriter:
             begin: the first one.
             end: behind the last one.
         """
-        room = (CHUNK_BYTES - self._part.chunk_bytes) // made.shape[1] + 1
+        room = (CHUNK_BYTES - self._part.chunk_bytes) // (made.shape[1] + MESSAGE_BYTES) + 1
         end = min(end, begin + room)
         count = end - begin
         number, self._number = self._number + 1, self._number + count
@@ -199,7 +197,7 @@ class LogWriter:
         part = rows.part(begin, end)
         self._frames.add_alike(count, part.received, part.before, part.sent)
         self._batch_ns = int(times_ns[end - 1])
-        self._part.messages(TICK, times_ns[begin:end], made[begin:end])
+        self._part.messages(TICK, number, times_ns[begin:end], made[begin:end])
         self._accepted += count
         self._unsettled += count
         if self._part.chunk_bytes > CHUNK_BYTES:

@@ -10,17 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pneud.log.format.frames import Alike
-from pneud.log.format.framing import HEAD, MESSAGE_HEAD
 from pneud.log.format.header import Detail
 from pneud.log.format.record_layout import NUMBERS, record_of
 from pneud.log.format.records import CHECKED, COARSE, LAYOUTS
 from pneud.signals import Record, Timing
 
-_SEQUENCE, _LOG_TIME, _PUBLISH_TIME = (
-    HEAD.size + 2,
-    HEAD.size + 6,
-    HEAD.size + 14,
-)  # places in a message's head
 _CHANGING = ("state", "present", "latched", "hunting", "command.saturated")
 _TELLING = ("measurement.skipped", "measurement.encoder_defects", "measurement.pressure_defects")
 _TIMING = "timing."
@@ -67,11 +61,7 @@ class Rows(NamedTuple):
 
 
 class RowPacker:
-    """Packs ticks at one level of detail.
-
-    Attributes:
-        length: bytes of a message without its head.
-    """
+    """Packs ticks at one level of detail."""
 
     def __init__(self, detail: Detail) -> None:
         places = LAYOUTS["pneud.Tick" if detail == "compact" else "pneud.FullTick"].places
@@ -80,9 +70,8 @@ class RowPacker:
             constants += place.constant
             names.append(place.name)
             formats.append(f"<{place.code}")
-            offsets.append(MESSAGE_HEAD + len(constants))
+            offsets.append(len(constants))
             constants += bytes(place.width)
-        self.length = len(constants)
         self._constants = constants
         self._coarse = [
             at
@@ -91,34 +80,23 @@ class RowPacker:
         ]
         self._dtype = np.dtype(
             {
-                "names": [*names, "sequence", "log_time", "publish_time"],
-                "formats": [*formats, "<u4", "<u8", "<u8"],
-                "offsets": [*offsets, _SEQUENCE, _LOG_TIME, _PUBLISH_TIME],
-                "itemsize": MESSAGE_HEAD + self.length,
+                "names": names,
+                "formats": formats,
+                "offsets": offsets,
+                "itemsize": len(constants),
             }
         )
 
-    def messages(
-        self, rows: Rows, head: bytes, number: int, log_times_ns: NDArray[np.uint64]
-    ) -> NDArray[np.uint8]:
-        """The messages of `/axis/tick`, a row each.
-
-        Args:
-            rows: the ticks.
-            head: of a message without number and times.
-            number: of the first one.
-            log_times_ns: of each.
-        """
+    def messages(self, rows: Rows) -> NDArray[np.uint8]:
+        """The messages of `/axis/tick`, a row each."""
         count = len(rows.ticks)
         made = np.empty((count, self._dtype.itemsize), dtype=np.uint8)
-        made[:] = np.frombuffer(head + self._constants, dtype=np.uint8)
+        made[:] = np.frombuffer(self._constants, dtype=np.uint8)
         fields = made.view(self._dtype)[:, 0]
         with np.errstate(over="ignore"):  # a double beyond the floats is infinite
             for name in NUMBERS:
                 fields[name] = rows.number(name)
         fields["check"] = checks(rows)
-        fields["sequence"] = np.arange(number, number + count, dtype=np.uint64).astype(np.uint32)
-        fields["log_time"] = fields["publish_time"] = log_times_ns
         for at in self._coarse:
             made[:, at] = 0
         return made
