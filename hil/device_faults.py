@@ -75,6 +75,11 @@ OTHERWISE: dict[str, Otherwise] = {
 _SAYS_SO = ("babble", "daemon-stands", "queue-full-for-long", "send-blocked", "valve-timed-out")
 BESIDES = {"canopen": dict.fromkeys(_SAYS_SO, ("emergency",))}
 """Faults that come along on a set: a CANopen valve that has waited for a command for too long says so."""
+# a load that the brake stops between two samples is slower in the last one that moved; then the brake's
+# switch tells, after brake.engage_s, brake.feedback_s and the 10 ms at which inputs are sent
+_BRAKE = {"brake-drags": 110.0}
+WITHIN_MS = {"free": _BRAKE, "bare": _BRAKE}
+"""From the onset to 0 V, where a set takes longer to show it than others."""
 _FREELY = {"unsettled": "which frames are lost says nothing of ticks where sensors run free"}
 _FULL = {"busy-bus": "its frames leave less of the bus free than this takes"}
 _MUXED = _FULL | {"unsettled": "what has come of a multiplexed message waits for the rest of it"}
@@ -124,6 +129,8 @@ def adapted(scenario: Scenario, name: str, axis: Loaded) -> Scenario:
         shown = (*others, *(f"encoder_{end}" for end in ends))
         expect = expect.model_copy(update={"faults": shown, "also": (*expect.also, *also)})
     expect = expect.model_copy(update={"also": (*expect.also, *BESIDES.get(name, {}).get(scenario.name, ()))})
+    if within_ms := WITHIN_MS.get(name, {}).get(scenario.name):
+        expect = expect.model_copy(update={"within_ms": within_ms})
     if not axis.config.bus.sync:
         travel_mm += FREE_MM
     if found := OTHERWISE.get(name, {}).get(scenario.name):
