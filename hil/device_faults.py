@@ -80,6 +80,8 @@ BESIDES = {"canopen": dict.fromkeys(_SAYS_SO, ("emergency",))}
 _BRAKE = {"brake-drags": 110.0}
 WITHIN_MS = {"free": _BRAKE, "bare": _BRAKE}
 """From the onset to 0 V, where a set takes longer to show it than others."""
+DELAY_PERIODS = {"flexible": {"valve-late": 0.45}}
+"""Of what a scenario delays, where frames come so early that a shorter delay leaves them in time."""
 _FREELY = {"unsettled": "which frames are lost says nothing of ticks where sensors run free"}
 _FULL = {"busy-bus": "its frames leave less of the bus free than this takes"}
 _MUXED = _FULL | {"unsettled": "what has come of a multiplexed message waits for the rest of it"}
@@ -117,6 +119,8 @@ def adapted(scenario: Scenario, name: str, axis: Loaded) -> Scenario:
         # some valves take it for the controller's
         data = codec.encode(counter=1) if of_sync else codec.encode(0.0, 0, 1, counter=0)
         faults.append(fault.model_copy(update={"can_id": codec.can_id, "data": data.hex()}))
+    if delay := DELAY_PERIODS.get(name, {}).get(scenario.name):
+        faults = [fault.model_copy(update={"delay_periods": delay}) for fault in faults]
     faults = [_shared(fault, SHARED.get(name, ())) for fault in faults]
     expect, travel_mm = scenario.expect, scenario.expect.travel_mm
     if any(codec is not None for _, codec in spoken):
