@@ -8,13 +8,28 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from pure2c.types import Typed
+from pure2c.types import TranslationError, Typed, is_whole
 
 _BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.BitOr: "|", ast.BitAnd: "&"}
 _WHOLE = {ast.Add: "plus_", ast.Sub: "minus_", ast.Mult: "times_"}  # of integers, which Python lets grow
 _MATH = frozenset(
     ("atan", "atan2", "copysign", "cos", "exp", "expm1", "log", "log1p", "pow", "sin", "sqrt", "tanh")
 )
+
+
+def number(value: Any) -> str:
+    """A number in C, exact to the last bit.
+
+    Raises:
+        TranslationError: it is none, or an integer that C does not have.
+    """
+    if isinstance(value, int) and is_whole(value):
+        return f"{int(value)}L"
+    if not isinstance(value, float):
+        raise TranslationError(f"{value!r} has no counterpart in C")
+    if math.isnan(value):
+        return "NAN"
+    return value.hex() if math.isfinite(value) else ("INFINITY" if value > 0 else "-INFINITY")
 
 
 def binary(a: Typed, op: ast.operator, b: Typed) -> Typed | None:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import ast
 import inspect
-import math
 import re
 import textwrap
 import types
@@ -22,7 +21,7 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, TypeGuard, get_type_hints
 
-from pure2c.arithmetic import binary, builtin
+from pure2c.arithmetic import binary, builtin, number
 from pure2c.types import (
     MOST,
     PLAIN,
@@ -39,6 +38,7 @@ from pure2c.types import (
 
 _HELPERS = Path(__file__).with_name("helpers.h")
 _PLACE = re.compile(r"(\w+|\(\*\w+\))(\.\w+)*")  # C that stands for a variable or a part of one
+_LOCAL = "v_"  # before names in C, where more are taken
 _COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 
 
@@ -146,13 +146,7 @@ class Translator:
             )
         if t is float and isinstance(value, int):
             value = float(value)  # a float's place may hold an integer
-        if isinstance(value, int) and is_whole(value):
-            return f"{int(value)}L"
-        if not isinstance(value, float):
-            raise TranslationError(f"{value!r} has no counterpart in C")
-        if math.isnan(value):
-            return "NAN"
-        return value.hex() if math.isfinite(value) else ("INFINITY" if value > 0 else "-INFINITY")
+        return number(value)
 
 
 class _Function:
@@ -180,11 +174,11 @@ class _Function:
         body = self._block(tree.body, 1)
         c = self._t.type
         parameters = ", ".join(
-            f"const {c(t)} *at_{n}_" if n in self._referred else f"{c(t)} {_local(n)}"
+            f"const {c(t)} *at_{n}_" if n in self._referred else f"{c(t)} {_LOCAL}{n}"
             for n, t in self._parameters.items()
         )
         declared = "".join(
-            f"  {c(t)} {_local(n)}{f' = *at_{n}_' if n in self._referred else ''};\n"
+            f"  {c(t)} {_LOCAL}{n}{f' = *at_{n}_' if n in self._referred else ''};\n"
             for n, t in self._locals.items()
             if n not in self._places and (n in self._referred or n not in self._parameters)
         )
@@ -318,7 +312,7 @@ class _Function:
             code = self._fitted(value, known)
         else:
             raise TranslationError(f"{self._f.__name__}: {name} changes its type")
-        return f"{pad}{_local(name)} = {code};\n"
+        return f"{pad}{_LOCAL}{name} = {code};\n"
 
     def _fitted(self, value: Typed, t: Type) -> str:
         """A value where a type is expected that may be None or not."""
@@ -385,7 +379,7 @@ class _Function:
             return Typed(self._t.literal(constant), float if isinstance(constant, float) else int)
         match node:
             case ast.Name(id=name) if name in self._locals:
-                return Typed(self._places.get(name, _local(name)), self._locals[name])
+                return Typed(self._places.get(name, f"{_LOCAL}{name}"), self._locals[name])
             case ast.Attribute(value=value, attr=attr):
                 whole = self._some(self._expr(value))
                 named = dict(fields_of(whole.type))
@@ -603,8 +597,3 @@ class _Function:
 
 def _is_stored(node: ast.AST) -> TypeGuard[ast.Name]:
     return isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
-
-
-def _local(name: str) -> str:
-    """A local name in C, where more names are taken."""
-    return f"v_{name}"
