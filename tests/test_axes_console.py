@@ -6,6 +6,7 @@ import json
 import socket
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,9 +20,10 @@ from pneud.console import handoff
 from pneud.console.beside import Beside
 from pneud.console.commands import AxisDesk
 from pneud.console.facts import RunFacts
-from pneud.console.protocol import VERBS
+from pneud.console.protocol import VERBS, Error, ProtocolError, parse
 from pneud.console.server import Server
 from pneud.console.status_reply import StatusWatch
+from pneud.console.together import meant
 from pneud.control.reference import Bounds, move, rest
 from pneud.control.together import alike
 from pneud.loading import load_axes
@@ -172,12 +174,36 @@ def test_none_arms_where_one_cannot_and_it_is_named_with_its_faults(desk: Bench)
     assert desk.taken == []
 
 
+def test_all_arm_without_a_movement_test_only_where_that_is_asked_for(desk: Bench) -> None:
+    desk.ticks[1] = tick(State.DISARMED, 1 << F.UNPROVEN)
+    assert [fault["name"] for fault in desk.ask("arm")["error"]["faults"]] == ["unproven"]
+    assert desk.taken == []
+    assert desk.ask("arm", unproven=True)["ok"]
+    desk.ticks[1] = tick(State.DISARMED, 1 << F.UNPROVEN | 1 << F.SUPPLY_PRESSURE)
+    assert not desk.ask("arm", unproven=True)["ok"]
+
+
 def test_who_has_armed_is_centred_where_another_refuses_only_then(desk: Bench) -> None:
     desk.refuses["y"] = (Answer.BLOCKED, 1 << F.SUPPLY_PRESSURE)
     reply = desk.ask("arm")
     assert (reply["ok"], reply["axis"]) == (False, "y")
     arm, centre = Request(RequestKind.ARM), Request(RequestKind.CENTRE)
     assert desk.taken == [{"x": arm, "y": arm}, {"x": centre}]
+
+
+def test_a_gantry_is_armed_by_either_half_and_led_by_the_one_that_leads() -> None:
+    halves: Any = [SimpleNamespace(name="x1", carried_by=""), SimpleNamespace(name="x2", carried_by="x1")]
+
+    def whose(verb: str, axis: str, **fields: Any) -> tuple[int, ...]:
+        return meant(
+            halves, parse(json.dumps({"v": 1, "id": 1, "verb": verb, "axis": axis, **fields}).encode())
+        )
+
+    assert whose("arm", "x1") == whose("arm", "x2") == (0, 1)
+    assert whose("goto", "x1", x_mm=100) == (0,)
+    with pytest.raises(ProtocolError, match="goto: x2 is carried with x1, as a gantry; ask x1") as refused:
+        whose("goto", "x2", x_mm=100)
+    assert (refused.value.kind, refused.value.more) == (Error.INVALID, {"axis": "x2"})
 
 
 def test_going_together_is_one_law_of_time(desk: Bench) -> None:

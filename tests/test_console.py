@@ -26,7 +26,7 @@ from pneud.console.connected import BOUNDS
 from pneud.console.lease import Lease
 from pneud.console.line_stream import MAX_LINE
 from pneud.console.peer import Peer, may_command
-from pneud.console.protocol import VERBS, Error, parse
+from pneud.console.protocol import VERBS, Error, ProtocolError, parse
 from pneud.safety.faults import F
 from pneud.signals import HUNTING_CURES, Answer, Hunting, Record, Request, RequestKind, State, Timing
 from pneud.verbs.status import in_words
@@ -542,6 +542,12 @@ def test_bytes_may_come_in_any_pieces(desk: Bench) -> None:
         desk.turn(1)
     desk.turn()
     assert [r["ok"] for r in desk.replies(client)] == [True]
+
+
+@pytest.mark.parametrize("line", [b"[1]", b"7", b"null"])
+def test_what_is_no_object_is_no_request(line: bytes) -> None:
+    with pytest.raises(ProtocolError, match=r"^a request is one JSON object$"):
+        parse(line)
 
 
 def test_a_line_that_is_too_long_ends_the_connection(desk: Bench) -> None:

@@ -15,6 +15,7 @@ import pytest
 from pneud.bus import interfaces, wire
 from pneud.bus.interfaces import Interface
 from pneud.bus.link import Link, LinkError, open_link, refuse_if_driven
+from pneud.bus.socketcan import SocketCanError
 from pneud.signals import Frame
 from unixcan_tools import short_folder
 
@@ -251,6 +252,16 @@ def test_auto_falls_back_to_a_unixcan_of_its_own_and_says_why(
             guest.send(1, b"")
             assert len(drained(one)) == 1
             assert drained(two) == []
+
+
+def test_auto_says_why_a_vcan_that_is_there_cannot_be_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise SocketCanError("vcan0: no permission; be root")
+
+    monkeypatch.setattr(interfaces, "query", lambda name: Interface(True, True, "vcan"))
+    monkeypatch.setattr("pneud.bus.link.SocketCan.__init__", refused)
+    with open_link("auto", virtual=True) as one:
+        assert one.note == f"bus {one.name} (no permission)"
 
 
 def test_the_kernel_knows_the_loopback_interface_and_no_nonsense() -> None:

@@ -14,19 +14,22 @@ from hil.force import Asked, contact_n
 
 from axis_rig import H, quick
 from commands import eventually, pneud
+from log_samples import tick_at
 from pneud.bus.codec import DatabaseError
 from pneud.bus.load_cell import Weighing
 from pneud.config.conversions import axis_of, plant_of
 from pneud.config.sections import ConfigError
 from pneud.console.client import Client
+from pneud.console.status_reply import StatusWatch
 from pneud.control import force
 from pneud.control.force import Aim, proceed
 from pneud.loading import Loaded, load
 from pneud.log.files.reader import read_log
+from pneud.log.live.ring import Ring
 from pneud.replay.lockstep import Simulation
 from pneud.rig.node import PlantNode
 from pneud.safety.faults import names
-from pneud.signals import Estimate, Frame, Record, Request, RequestKind, State
+from pneud.signals import Estimate, Frame, Record, Request, RequestKind, State, Timing, Weighed
 from running import patient_axis
 from test_goto_wait import daemon
 
@@ -194,3 +197,17 @@ def test_a_cell_on_a_real_bus_leads_the_force_and_is_in_the_log(tmp_path: Path) 
         process.send_signal(signal.SIGTERM)
         process.communicate(timeout=60)
     assert json.loads(pneud("replay", str(log), "--json").stdout)["identical"]
+
+
+@pytest.mark.parametrize(("says_n", "told"), [(math.nan, None), (12.346, 12.35)])
+def test_status_has_what_the_load_presses_with_once_a_cell_has_said_it(
+    says_n: float, told: float | None
+) -> None:
+    ring = Ring.create(slots=16)
+    tick = tick_at(1_000_000_000)._replace(weighed=Weighed(says_n, 0))
+    for _ in range(2):
+        ring.put(Record(tick, Timing(21_000, 1, 1, 1, 84_000, 1), (), 0, (), 0.0))
+    watch = StatusWatch(ring)
+    for _ in range(2):
+        watch.poll()
+    assert watch.fields().get("load_cell_n") == told

@@ -225,7 +225,7 @@ def test_foreign_files_are_refused_in_one_line(tmp_path: Path) -> None:
         (text, "not an MCAP file"),
         (empty, "is empty"),
         (foreign, "no log of pneud"),
-        (newer, f"has log schema 9, this pneud reads {SCHEMA}"),
+        (newer, f"has log schema 9, this pneud reads {SCHEMA}; use the version that wrote it .[0-9]"),
     ):
         with pytest.raises(LogError, match=words) as caught:
             read_log(path)

@@ -12,7 +12,16 @@ from hypothesis import strategies as st
 
 from pneud.console import profiles
 from pneud.console.profiles import ProfileError, check, chirp, from_csv, from_samples, requests, steps
-from pneud.control.profile import MOST_PIECES, ends_at_rest, extent, is_inside, is_within, meet
+from pneud.control.profile import (
+    LONGEST_S,
+    MOST_PIECES,
+    SHORTEST_S,
+    ends_at_rest,
+    extent,
+    is_inside,
+    is_within,
+    meet,
+)
 from pneud.control.reference import Bounds, Septic, at, move, rest, septic
 from pneud.signals import Reference, Request, RequestKind
 
@@ -72,6 +81,7 @@ def test_a_spline_through_a_smooth_motion_is_that_motion() -> None:
         ([0.0] * (MOST_PIECES + 2), [0.5] * (MOST_PIECES + 2), "4098 samples"),
         ([0.0, 1.0, 1.0], [0.5, 0.5, 0.5], "sample 3: t = 1 s must be"),
         ([0.0, 2.0, 1.0], [0.5, 0.5, 0.5], "sample 3: t = 1 s must be"),
+        ([0.0, 2.0 * LONGEST_S], [0.5, 0.5], "sample 2: t = .* s after the one before it"),
         ([0.0, math.nan], [0.5, 0.5], "sample 2 is no finite number: t = nan s"),
         ([0.0, 1.0], [0.5, math.inf], "sample 2 is no finite number: t = 1 s, x = inf m"),
     ],
@@ -81,6 +91,11 @@ def test_samples_that_make_no_profile_are_refused_in_one_line(
 ) -> None:
     with pytest.raises(ProfileError, match=words):
         from_samples(times, positions)
+
+
+def test_samples_are_as_far_apart_as_a_piece_is_long() -> None:
+    assert [piece.T for piece in from_samples([0.0, LONGEST_S], [0.5, 0.5])] == [LONGEST_S]
+    assert [piece.T for piece in from_samples([0.0, SHORTEST_S], [0.5, 0.5])] == [SHORTEST_S]
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from pneud.console.records import ProgramError
 from pneud.control import program
 from pneud.control.program import Step
 from pneud.control.reference import Bounds
+from pneud.loading import load_axes
 from pneud.signals import Request, RequestKind
 
 ROOT = Path(__file__).parent.parent
@@ -110,7 +111,10 @@ REFUSED = [
     (tree({**GOTO, "to_mm": {"z": 1}}), "is a position, or one by axis (x)"),
     (tree({**GOTO, "axis": "z"}), "record 1 (goto): no axis 'z'; there is x"),
     (tree({**GOTO, "speed_mm_s": 0}), "speed_mm_s is a number from 0.001"),
-    (tree({**GOTO, "speed_mm_s": 501}), "501 is more than limits.motion.speed_m_s allows; at most 500"),
+    (
+        tree({**GOTO, "speed_mm_s": 501}),
+        "record 1 (goto): 501 is more than limits.motion.speed_m_s allows; at most 500",
+    ),
     (tree({**GOTO, "class": "slow"}), "class is one of start, fast, exact, not 'slow'"),
     (tree({**GOTO, "class": "fast", "settle_s": 1}), "settle_s is for class = 'exact'; this one is 'fast'"),
     (tree({**GOTO, "class": "start", "tolerance_mm": 1}), "leave out tolerance_mm"),
@@ -237,6 +241,12 @@ def test_whatever_stands_in_a_file_is_a_program_or_told_in_one_line(
         assert "\n" not in str(e)
     else:
         assert program.leads(found.steps[0])
+
+
+def test_half_a_gantry_presses_nothing() -> None:
+    assert programs.facts_of(loaded().config).in_n > 0.0
+    for half in load_axes("gantry.toml"):
+        assert (programs.facts_of(half.config).out_n, programs.facts_of(half.config).in_n) == (0.0, 0.0)
 
 
 def test_the_programs_that_come_with_pneud_are_ones() -> None:
