@@ -25,6 +25,7 @@ from pneud.console import handoff, server
 from pneud.console.connected import BOUNDS
 from pneud.console.lease import Lease
 from pneud.console.line_stream import MAX_LINE
+from pneud.console.memory import Memory
 from pneud.console.peer import Peer, may_command
 from pneud.console.protocol import VERBS, Error, ProtocolError, parse
 from pneud.safety.faults import F
@@ -79,6 +80,16 @@ def test_whoever_stops_needs_no_lease_and_takes_it(desk: Bench, verb: str) -> No
     assert desk.ask(two, verb)["ok"]
     assert desk.error(one, "jog", velocity_mm_s=20) == "busy"
     assert [r.kind for r in desk.requests] == [RequestKind.JOG, RequestKind[verb.upper()]]
+
+
+def test_that_an_upload_is_half_done_is_kept_until_it_is_whole(desk: Bench) -> None:
+    axis: Any = desk.server._desks[0]
+    axis._memory = memory = Memory()
+    client = desk.connect()
+    desk.ask(client, "upload", first=True, last=False, pieces=[PIECE])
+    assert memory.uploading
+    desk.ask(client, "upload", first=False, last=True, pieces=[PIECE])
+    assert not memory.uploading
 
 
 def test_a_stop_goes_before_all_that_waits(desk: Bench) -> None:

@@ -243,6 +243,13 @@ def test_whatever_stands_in_a_file_is_a_program_or_told_in_one_line(
         assert program.leads(found.steps[0])
 
 
+def test_a_force_has_its_window_and_its_ways_in_si() -> None:
+    record = {"do": "force", "force_n": 100, "ramp_n_s": 50, "low_mm": 200, "high_mm": 300, "speed_mm_s": 20}
+    ((step,),) = compiled(tree({**record, "settle_s": 0.2}), [X]).steps
+    assert (step.force_n, step.rate_n_s, step.time_s) == (100, 50, 0.2)
+    assert (step.low_m, step.high_m, step.speed_m_s) == pytest.approx((0.2, 0.3, 0.02))
+
+
 def test_half_a_gantry_presses_nothing() -> None:
     assert programs.facts_of(loaded().config).in_n > 0.0
     for half in load_axes("gantry.toml"):
