@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hil.branching import Case, simulated
-from hil.device_sets import DeviceSet, device_sets, with_station
+from hil.device_sets import BESIDE, DeviceSet, device_sets, with_beside
 
 from pneud import resources
 from pneud.bus.codec import DatabaseError
@@ -48,7 +48,6 @@ PNEUD = [sys.executable, "-m", "pneud.cli"]
 PATIENCE_S = 90.0
 OF_SET, OF_SCENARIO = 8, 3  # least number of scenarios on a set, and of sets for a scenario, in a sample
 Otherwise = dict[str, tuple[str, ...]]
-STATION = "station.dbc"  # what a scenario names that takes inputs or outputs
 SYNC_ID, COMMAND_ID = 0x080, 0x203  # of pneud's own frames, which scenarios name
 _OF_ROLE = {"encoder": "position_m", "pressure": "p1_pa", "valve_status": "state"}
 
@@ -169,7 +168,7 @@ def changed_for(scenario: Scenario, one: DeviceSet | None) -> dict[str, Any]:
     change = dict(scenario.change)
     bus = dict(change.get("bus", {}))
     frames = bus.pop("frames", {})
-    if bus.get("dbc") == STATION:
+    if bus.get("dbc") in BESIDE:
         del bus["dbc"]  # the set has these messages in its own
     if not frames or one is None:
         return change | {"bus": bus} if "bus" in change else change
@@ -217,9 +216,9 @@ def ready(
     """A scenario as it is on a set; or why it is left out."""
     told: Case = {"set": name, "scenario": scenario.name, "expected": list(scenario.expect.faults)}
     left_out = told | {"met": True, "problems": [], "unnoticed": []}
-    station = scenario.change.get("bus", {}).get("dbc") == STATION
-    if station and one is None:
-        return left_out | {"left_out": "takes inputs, and no node of it has any"}
+    dbc = scenario.change.get("bus", {}).get("dbc")
+    if dbc in BESIDE and one is None:
+        return left_out | {"left_out": f"takes {' and '.join(BESIDE[dbc])}, and no node of it has any"}
     try:
         change = changed_for(scenario, one)
         axes = known.get(key := json.dumps((scenario.config, change), sort_keys=True))
@@ -227,8 +226,8 @@ def ready(
             if one is None:
                 base, own = WHOLE[name]
                 file, change = resources.find(base), merged(own, change)
-            elif station:
-                file = with_station(one).write(folder, f"{name}-station", scenario.config)
+            elif dbc in BESIDE:
+                file = with_beside(one, dbc).write(folder, f"{name}-beside-{dbc[:-4]}", scenario.config)
             else:
                 file = one.write(folder, name, scenario.config)
             known[key] = axes = load_axes(file, change=change or None)

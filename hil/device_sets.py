@@ -81,16 +81,22 @@ SIGNALS: dict[str, Any] = {
 }  # fmt: skip
 GUARDS = {name: {"counter": "Cnt", "crc": "Crc"} for name in MESSAGES}
 
-# of a node with switches, which any set may have beside its devices
+# of nodes that any set may have beside its devices
 INPUTS = Message(0x184, 2, (
     "Start 0|1@1+ (1,0) ", "Enable 1|1@1+ (1,0) ", "BrakeReleased 3|1@1+ (1,0) ", "Counter 8|8@1+ (1,0) ",
 ))  # fmt: skip
 OUTPUTS = Message(0x204, 2, ("Brake 3|1@1+ (1,0) ", "Counter 8|8@1+ (1,0) "))
+LOAD_CELL = Message(0x185, 8, ("Force 0|32@1- (0.01,0) N", "Counter 48|8@1+ (1,0) ", "Crc 56|8@1+ (1,0) "))
+BESIDE = {
+    "station.dbc": {"INPUTS": INPUTS, "OUTPUTS": OUTPUTS},
+    "load-cell.dbc": {"LOAD_CELL": LOAD_CELL},
+}
+"""What a scenario that names one of these databases takes besides the axis's own devices."""
 
 
-def with_station(one: DeviceSet) -> DeviceSet:
-    """The set, and a node with inputs and outputs."""
-    return one._replace(messages={**one.messages, "INPUTS": INPUTS, "OUTPUTS": OUTPUTS})
+def with_beside(one: DeviceSet, dbc: str) -> DeviceSet:
+    """The set, and what else is on the bus of a scenario that names a database."""
+    return one._replace(messages=one.messages | BESIDE[dbc])
 
 
 def lacking(*keys: str, **more: Any) -> dict[str, Any]:
