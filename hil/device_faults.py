@@ -89,7 +89,7 @@ LEFT_OUT: dict[str, dict[str, str]] = {
     "free": _FREELY, "bare": _FREELY, "extended": _FULL, "apart": _FULL, "multiplexed": _MUXED,
     "two-encoders": _FULL | {"bad-information": "what one encoder gets over, two do not agree about"},
     "longest": _FULL, "multiplexed-counted": _MUXED, "one-for-all": _ALONE, "flexible": _ALONE,
-    "canopen": {"heartbeat-lost": "its nodes have heartbeats of their own, which go on"},
+    "canopen": {"heartbeat-lost": "its nodes have heartbeats of their own, which go on"}, "two-axes": _FULL,
 }  # fmt: skip
 """What says nothing on a set, and why."""
 SHARED = {
