@@ -16,7 +16,7 @@ COVERING := $(addprefix tests/test_,control_*.py safety_*.py $(addsuffix .py,axi
 PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 
 .DEFAULT_GOAL := help
-.PHONY: help virtual test lint types contracts ci-tests coverage mutation lowest vm systemd install-service docs pages pictures campaign campaign-vm devices devices-vm device-faults canopen-starts information many-runs strange soak clean
+.PHONY: help virtual test lint types contracts ci-tests coverage mutation mutants lowest vm systemd install-service docs pages pictures campaign campaign-vm devices devices-vm device-faults canopen-starts information many-runs strange soak clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 17
@@ -56,6 +56,9 @@ coverage: $(DEV) ## every branch of safety/ and control/ is taken by a test of t
 
 mutation: $(MUTATION) ## what of safety/ can be changed without a test that fails (minutes)
 	@exec .ci/mutation $(ARGS)
+
+mutants: $(MUTATION) ## the same of 300 places in bus/, console/, daemon/, log/ and loop/ (most of an hour)
+	@exec nice $(BIN)/python -m hil.mutants $(ARGS)
 
 # What safety/ and control/ compute, no library has a part in.
 lowest: $(DEV) ## the quick tests with the lowest versions of all that pneud says it works with
