@@ -156,7 +156,9 @@ def test_a_named_axis_is_the_only_one_that_is_asked(desk: Bench) -> None:
     assert desk.ask("status", axis="y")["order"]["words"] == "goto 300 mm"
     assert desk.ask("status", axis="x")["order"] is None
     assert desk.ask("status", axis="x")["others"] == {"y": "holding"}
-    found = desk.ask("status")["axes"]
+    reply = desk.ask("status")
+    assert (reply["schema"], reply["name"]) == (1, "two")
+    found = reply["axes"]
     assert {name: one["name"] for name, one in found.items()} == {"x": "x", "y": "y"}
     assert desk.ask("goto", axis="z", x_mm=300)["error"]["message"] == "no axis 'z'; there is x, y"
 

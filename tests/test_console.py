@@ -92,6 +92,14 @@ def test_that_an_upload_is_half_done_is_kept_until_it_is_whole(desk: Bench) -> N
     assert not memory.uploading
 
 
+def test_a_run_that_could_not_begin_is_not_left_for(desk: Bench) -> None:
+    axis: Any = desk.server._desks[0]
+    axis._run = axis._run._replace(log_is_given=False, hindrance=lambda: "rig.toml: no such file")
+    error = desk.ask(desk.connect(), "restart")["error"]
+    assert (error["type"], error["message"]) == ("configuration", "restart: rig.toml: no such file")
+    assert desk.requests == []
+
+
 def test_a_stop_goes_before_all_that_waits(desk: Bench) -> None:
     one, two = desk.connect(), desk.connect()
     desk.answer = lambda _: None

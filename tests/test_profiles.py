@@ -253,3 +253,11 @@ def test_the_extent_of_a_piece_is_no_less_than_what_it_reaches(
 def test_nothing_and_what_moves_on_do_not_end_at_rest() -> None:
     assert not ends_at_rest(())
     assert not ends_at_rest((septic(1.0, rest(0.5), Reference(0.6, 0.1, 0.0, 0.0)),))
+
+
+@pytest.mark.parametrize("text", ["7", "[[0.5]]", '[["a"]]', "{"])
+def test_a_file_of_pieces_that_is_none_is_refused_by_its_name(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "pieces.json"
+    path.write_text(text)
+    with pytest.raises(ProfileError, match=r"pieces\.json: is no list of pieces \[T, c0 … c7\]: "):
+        profiles.from_file(path)
