@@ -141,6 +141,6 @@ MISTAKES: dict[str, Mistake] = {
     "a fault touches others whatever they say": Mistake(
         ("touched",), 28, _a_fault_touches_others_whatever_they_say
     ),
-    "words without room are lost": Mistake(("service",), 11, _words_without_room_are_lost),
+    "words without room are lost": Mistake(("service",), 39, _words_without_room_are_lost),
     "written before the disk has it": Mistake(("log",), 29, _written_before_the_disk_has_it),
 }

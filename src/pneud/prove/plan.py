@@ -14,7 +14,7 @@ TROUBLES = ("drop", "twice", "late", "behind", "shuffle", "stamp", "corrupt")
 VICTIMS = ("daemon", "recorder", "keeper", "console", "rig")
 _RIG_BEGINS_S = 0.1  # the manager starts the daemon somewhat later
 _GOOD, _BAD = "good", "bad"
-TWO_AXES, SERVICE, SHOWN = 0.25, 0.4, 0.2  # of the seeds
+TWO_AXES, SERVICE, SHOWN = 0.25, 0.4, 0.1  # of the seeds; of the rest, the last
 NAMES = ("x", "y")
 OTHERS = (
     (("stop", "stop"), ("stop", "stop")),

@@ -108,7 +108,9 @@ class Troubles:
         self._cast.cut_power()
 
     def _deaf(self, item: Item) -> None:
-        self._cast.manager.deaf_until_ns = self._world.now_ns + round(item.what["for_s"] * _NS)
+        manager, now_ns = self._cast.manager, self._world.now_ns
+        if now_ns > manager.deaf_until_ns + _NS:  # else it would not hear in time who is told again and again
+            manager.deaf_until_ns = now_ns + round(0.5 * item.what["for_s"] * _NS)
 
     def _terminal(self, item: Item) -> None:
         self._cast.terminal.stands_until_ns = self._world.now_ns + round(10.0 * item.what["for_s"] * _NS)
