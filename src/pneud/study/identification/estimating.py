@@ -32,6 +32,7 @@ LEAST_WINDOWS = 5  # with motion, where it is about that
 WIDER, SHIFTS = 1.4, 2.0  # smoothing of the second fit; what it differs by counts so many times
 FEW = 24  # windows, with which the fit begins
 PINNED = 1e-3  # as good as known
+LEAST_BY_WAY = 0.01  # share of friction by direction that is the rig's; a load explains less as well
 BETTER = 0.9  # of a simpler model's misfit, from which on a further one is said to be the rig's
 LOAD = forces.Slide._fields.index("load_n")
 STIFFER = 3.0  # Maxwell elements are together than bristles that do as well
@@ -198,7 +199,8 @@ def of_load(t: Table, c: Config, noise_pa: float) -> Moved | None:
     by_way = key.by_way(_from(moved.fit, unknowns))
     directed = _fit_load(w, by_way, noise_n, fast_m_s, moved.slips)
     beside_n = 0.0
-    if directed.misfit_n < BETTER * moved.misfit_n:
+    differs = abs(float(directed.fit.found(forward=1.0).value)) > LEAST_BY_WAY
+    if differs and directed.misfit_n < BETTER * moved.misfit_n:
         unknowns, moved = by_way, directed._replace(by_way=True)
     else:  # what friction may differ by all the same is load
         beside_n = float(directed.fit.x[LOAD] - moved.fit.x[LOAD])

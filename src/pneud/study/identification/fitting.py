@@ -19,7 +19,9 @@ TOGETHER = 25.0  # so many residuals are worth one against a prior, since they h
 LEVEL = 0.95
 TOLD = 0.5  # a parameter whose deviation is more than this share of the prior's is not told
 LINKED = 0.9  # a correlation worth naming
-MOST_STEPS, ENOUGH = 10, 5e-4  # of a search; it ends where a step gains less, as a share
+MOST_STEPS, ENOUGH = 60, 5e-4  # of a search; it ends where a step gains less, as a share
+LEAST_DAMPING, DAMPED, MOST_REFUSED = 1e-3, 10.0, 4  # of a step, in squares of slopes; times that
+KEPT = 0.5  # of what a step promised, with which the next one is damped less
 ROUNDS = 2  # of weighing windows by how well they are explained
 
 
@@ -120,7 +122,7 @@ def _solved(
     predict: Predict, x: Floats, scale: Floats, prior: Floats, low: Floats, high: Floats,
     weights: Floats | float, together: float,
 ) -> tuple[Floats, Floats, Floats]:  # fmt: skip
-    """Gauss and Newton's way within the bounds, by halves where a whole step leads up.
+    """Levenberg's and Marquardt's way within the bounds: damped by how steps keep their promise.
 
     Returns:
         Where it ends, with residuals and slopes there.
@@ -130,27 +132,31 @@ def _solved(
         return float(((weights * r) ** 2).sum() + together * ((at - prior / scale) ** 2).sum())
 
     here, slopes = _linear(predict, x, scale, low, high)
-    now = cost(x, here)
+    now, damping, refused = cost(x, here), LEAST_DAMPING, 0
     for _ in range(MOST_STEPS):
         weighted = (weights * slopes).reshape(len(x), -1)
         square = weighted @ weighted.T + together * np.eye(len(x))
         gradient = weighted @ (weights * here).ravel() + together * (x - prior / scale)
-        root = np.linalg.cholesky(square)
+        root = np.linalg.cholesky(square + damping * np.diag(np.diag(square)))
         bounds = (low / scale - x - 1e-12, high / scale - x + 1e-12)
         step = lsq_linear(root.T, -np.linalg.solve(root, gradient), bounds, method="bvls").x
         promised = -(2.0 * gradient + square @ step) @ step
         if promised < ENOUGH * now:
             break
-        for part in (1.0, 0.4, 0.1):
-            there = np.clip(x + part * step, low / scale, high / scale)
-            r, its_slopes = _linear(predict, there, scale, low, high)
-            if cost(there, r) < now:
+        there = np.clip(x + step, low / scale, high / scale)
+        r, its_slopes = _linear(predict, there, scale, low, high)
+        gained = now - cost(there, r)
+        if gained <= 0.0:
+            damping, refused = DAMPED * damping, refused + 1
+            if refused > MOST_REFUSED:
                 break
-        else:
-            break
-        before, now = now, cost(there, r)
-        x, here, slopes = there, r, its_slopes
-        if before - now < ENOUGH * before:
+            continue
+        x, here, slopes, refused = there, r, its_slopes, 0
+        enough = gained < ENOUGH * now and damping == LEAST_DAMPING
+        now -= gained
+        if gained > KEPT * promised:
+            damping = max(LEAST_DAMPING, damping / DAMPED)
+        if enough:
             break
     return x, here, slopes
 
