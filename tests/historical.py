@@ -124,7 +124,7 @@ def _words_without_room_are_lost(patch: pytest.MonkeyPatch) -> None:
 
 
 MISTAKES: dict[str, Mistake] = {
-    "arming before the recorder has begun": Mistake(("arming",), 15, _begun_before_the_recorder),
+    "arming before the recorder has begun": Mistake(("arming",), 29, _begun_before_the_recorder),
     "a console that has died is not missed": Mistake(("console",), 8, _console_not_watched),
     "the next console undoes the end of the last": Mistake(
         ("console",), 697, _next_console_undoes_the_end_of_the_last
