@@ -64,6 +64,14 @@ class Line(WebSocketsSansIOProtocol):
     _pieces = 0  # of the message that comes
     _framed: ClassVar[tuple[str, bytes]] = ("", b"")  # the text sent last, which others are sent as well
 
+    def pause_writing(self) -> None:
+        """What was sent is not read; uvicorn has this from 0.53 on."""
+        self.writable.clear()
+
+    def resume_writing(self) -> None:
+        """It is, again."""
+        self.writable.set()
+
     async def send(self, message: Any) -> None:
         """Send, or end; what all pages are sent is put into a frame once."""
         text = message.get("text")
