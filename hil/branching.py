@@ -123,7 +123,7 @@ class _Tree:
                 os.close(hears)
                 self.out, self.scenario = says, scenario
                 self.engine.before = None
-                self.run.take(scenario)
+                self.engine.take(scenario)
                 return
             os.close(says)
             self.found[number] = _heard(hears, child)

@@ -68,14 +68,13 @@ class Simulation:
         self.axis = how.axis(conversions.axis_of(loaded.config, loaded.codecs.command_lsb_v))
         self.inbox = inbox_of(loaded.codecs, loaded.config.bus)
         rig, rate_hz = conversions.plant_of(loaded.config), loaded.config.loop.rate_hz
-        self._machine = SimulatedMachine(scenario, round(1e9 / rate_hz))
+        self._machine = SimulatedMachine(round(1e9 / rate_hz))
         if scenario is None:
             self.engine = None
             self.node = PlantNode(rig, loaded.codecs, seed, advance=how.advance)
         else:
-            self.engine = Engine(
-                scenario, rig, loaded.codecs, seed, rate_hz, self._machine.begin, how.advance
-            )
+            begin = self._begin_on_machine
+            self.engine = Engine(scenario, rig, loaded.codecs, seed, rate_hz, begin, how.advance)
             self.node = self.engine.node
         plans = plans_of_plant(loaded)
         self._slaves: Plant | None = None  # stand before the node, where it is made of them
@@ -99,16 +98,10 @@ class Simulation:
         told = (codec.length, bus.bitrate_bit_s, codec.can_id, codec.data_bit_s)
         self._heard_ns = wire_time_ns(*told) if bus.follows else 0
 
-    def take(self, scenario: Scenario) -> None:
-        """Play a scenario from here on, in place of one of which nothing has begun; as `Engine.take`.
-
-        Raises:
-            ValueError: the run has none, or it has begun.
-        """
-        if self.engine is None:
-            raise ValueError("a run without a scenario can take none")
-        self.engine.take(scenario)
-        self._machine.take(scenario)
+    def _begin_on_machine(self, number: int) -> None:
+        """A fault of the scenario that is played, by its number, is one of the machine, and begins."""
+        assert self.engine is not None
+        self._machine.begin(self.engine.scenario.fault[number])
 
     def records(self) -> Iterator[Record]:
         """The ticks, as the loop hands them to the recorder."""

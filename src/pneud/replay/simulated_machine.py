@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pneud.scenario.format import InterfaceFault, Overload, Scenario, StopProcess
+from pneud.scenario.format import InterfaceFault, Overload, StopProcess
 
 HEALTHY, FULL, DOWN = 0, 1, 2  # the controller's way to the bus
 
@@ -20,8 +20,7 @@ class SimulatedMachine:
 
     rx_dropped = 0
 
-    def __init__(self, scenario: Scenario | None, period_ns: int) -> None:
-        self._faults: tuple[Any, ...] = ()
+    def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns
         self._t_ns = 0
         self._link, self._link_until_ns = HEALTHY, 0
@@ -30,16 +29,9 @@ class SimulatedMachine:
         self._overload_ticks, self._overload_until_ns = 0, 0
         self.down = False
         self.tx_failed = 0
-        if scenario is not None:
-            self.take(scenario)
 
-    def take(self, scenario: Scenario) -> None:
-        """What `begin` is told of is a fault of this scenario."""
-        self._faults = scenario.fault
-
-    def begin(self, number: int) -> None:
+    def begin(self, fault: Any) -> None:
         """A fault of the machine begins in this tick."""
-        fault = self._faults[number]
         until_ns = self._t_ns + round(fault.for_s * 1e9) if fault.for_s is not None else 1 << 62
         if isinstance(fault, InterfaceFault):
             self._link = FULL if fault.kind == "queue_full" else DOWN

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from pneud.axis.cycle import AxisParameters, AxisState, cycle
 from pneud.physics.plant import PlantParameters
 from pneud.rig.dynamics import PlantState, advance, stroke_position
-from pneud.rig.sensors import dac_output, quantised, sensed
+from pneud.rig.sensors import dac_output, quantised, read_out, sensed
 from pneud.safety.faults import BLOCKS_ARM
 from pneud.safety.supervisor import DISARMED, FAULT
 from pneud.signals import ALL_SOURCES, Command, Estimate, Measurement, Reference
@@ -121,7 +121,7 @@ def seconds(t_ns: int, line: Line) -> float:
 def read(pressure_pa: float, noise: float, range_pa: float, plant: PlantParameters) -> float:
     """What a pressure sensor shows [Pa]."""
     noisy_pa = pressure_pa + plant.pressure_noise_pa * noise
-    return max(0.0, min(range_pa, quantised(noisy_pa, plant.pressure_resolution_pa)))
+    return read_out(noisy_pa, plant.pressure_resolution_pa, range_pa)
 
 
 def stride(

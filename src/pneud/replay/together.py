@@ -143,16 +143,6 @@ class Together:
         self._wait_ns = round(self._period_ns * c.loop.set_deadline)
         self._total = max(1, round(duration_s * c.loop.rate_hz))
 
-    def take(self, scenario: Scenario) -> None:
-        """Play a scenario from here on, in place of one of which nothing has begun; as `Engine.take`.
-
-        Raises:
-            ValueError: the run has none, or it has begun.
-        """
-        if self.engine is None:
-            raise ValueError("a run without a scenario can take none")
-        self.engine.take(scenario)
-
     def records(self) -> Iterator[tuple[Record, ...]]:
         """The ticks, each as the loop hands it to the recorders: one record for each axis."""
         lanes, rigs, routes = self.lanes, self._rigs, self._routes

@@ -18,6 +18,11 @@ def quantised(value: float, step: float) -> float:
     return round(value / step) * step if step > 0.0 else value
 
 
+def read_out(pressure_pa: float, resolution_pa: float, range_pa: float) -> float:
+    """What a pressure sensor makes of a pressure [Pa]."""
+    return max(0.0, min(range_pa, quantised(pressure_pa, resolution_pa)))
+
+
 def dac_output(command_v: float, bits: int, u_max_v: float) -> float:
     """What a DAC of `bits` over ±u_max puts out [V]: two's complement, so +u_max itself is out of reach.
 
@@ -108,4 +113,4 @@ class PressureSensor:
         """What the sensor shows [Pa]; beyond its range it shows the range's end."""
         if self._deviation > 0.0:
             pressure_pa += self._deviation * self._noise.draw()
-        return max(0.0, min(self._range, quantised(pressure_pa, self._resolution)))
+        return read_out(pressure_pa, self._resolution, self._range)
