@@ -99,6 +99,13 @@ def test_another_controller_is_present_for_a_second_after_its_last_frame(
         assert told(conditions, t_ns) == (Host.OTHER_CONTROLLER if present else 0)
 
 
+def test_another_controller_heard_with_the_answers_is_present_at_once() -> None:
+    conditions, inbox, _ = parts()
+    early = conditions.early(MS, 0)
+    inbox.feed(foreign(MS))
+    assert conditions.host(early) == Host.OTHER_CONTROLLER
+
+
 @pytest.mark.parametrize("rate_hz", [1000.0, 250.0])
 def test_one_foreign_sync_lasts_a_second_in_simulated_time(rate_hz: float) -> None:
     run = Simulation(

@@ -1,6 +1,6 @@
 """What the host has to say in a tick, in a running loop and in simulated time.
 
-Most of it is known before the answers come, when there is time for it.
+What does not depend on the answers is found before they come, when there is time for it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class BusWay(Protocol):
 class Conditions:
     """The host of one axis; in every tick `early` once SYNC has left, `host` when the answers have come."""
 
-    __slots__ = ("_foreign", "_foreign_until_ns", "_inbox", "_rx_dropped", "_tx_failed", "_way")
+    __slots__ = ("_foreign", "_foreign_until_ns", "_inbox", "_rx_dropped", "_t_ns", "_tx_failed", "_way")
 
     def __init__(self, inbox: Inbox, way: BusWay) -> None:
         self._inbox = inbox
@@ -45,6 +45,7 @@ class Conditions:
         self._rx_dropped = way.rx_dropped
         self._foreign = inbox.foreign
         self._foreign_until_ns = 0
+        self._t_ns = 0
 
     def early(self, t_ns: int, others: int) -> int:
         """Bits of `signals.Host` that do not depend on the answers.
@@ -53,24 +54,26 @@ class Conditions:
             t_ns: this tick's SYNC.
             others: bits from elsewhere: what machine, clock and recorder lack.
         """
-        inbox, way, host = self._inbox, self._way, others
+        way, host = self._way, others
+        self._t_ns = t_ns
         if way.tx_failed != self._tx_failed:
             self._tx_failed = way.tx_failed
             host |= SEND_FAILED
         if way.rx_dropped != self._rx_dropped:
             self._rx_dropped = way.rx_dropped
             host |= RECEIVE_OVERFLOW
-        if inbox.foreign != self._foreign:
-            self._foreign = inbox.foreign
-            self._foreign_until_ns = t_ns + FOREIGN_NS
-        if t_ns < self._foreign_until_ns:
-            host |= OTHER_CONTROLLER
         return host
 
     def host(self, early: int) -> int:
         """All bits of `signals.Host`, with those from `early`."""
-        host = early | self._inbox.conditions
+        inbox = self._inbox
+        host = early | inbox.conditions
+        if inbox.foreign != self._foreign:
+            self._foreign = inbox.foreign
+            self._foreign_until_ns = self._t_ns + FOREIGN_NS
+        if self._t_ns < self._foreign_until_ns:
+            host |= OTHER_CONTROLLER
         if self._way.down:
             host |= LINK_DOWN
-            self._inbox.bus_restarted()
+            inbox.bus_restarted()
         return host
