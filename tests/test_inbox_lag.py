@@ -7,7 +7,6 @@ import json
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -41,13 +40,13 @@ def narrowed(codec: Codec, bits: int) -> Codec:
         counter = codec.check(data)
         return counter if counter < 0 else counter & mask
 
-    return replace(codec, counter_values=mask + 1, check=check)
+    return codec._replace(counter_values=mask + 1, check=check)
 
 
 def exchanged(codecs: Codecs, **roles: Codec) -> Codecs:
     """Codecs with others for some of the answers."""
     answers = (a._replace(codec=roles.get(a.name, a.codec)) for a in codecs.answers)
-    return replace(codecs, answers=tuple(answers))
+    return codecs._replace(answers=tuple(answers))
 
 
 class Talk:
@@ -315,7 +314,7 @@ def test_without_sync_counters_tell_nothing() -> None:
 
 def test_without_a_counter_the_stamp_tells() -> None:
     def uncounted(codec: Codec) -> Codec:
-        return replace(codec, counter_values=1)
+        return codec._replace(counter_values=1)
 
     talk = Talk()
     talk.inbox = Inbox(exchanged(CODECS, encoder=uncounted(CODECS.encoder)), BUS)

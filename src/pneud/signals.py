@@ -5,8 +5,6 @@ compiled code. SI units; positions are in the stroke coordinate (0 at the rear e
 says otherwise; times are CLOCK_MONOTONIC nanoseconds.
 """
 
-from __future__ import annotations
-
 from enum import IntEnum, IntFlag
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Building and loading extension modules, once for all runs of a user."""
 
-from __future__ import annotations
-
 import fcntl
 import hashlib
 import os

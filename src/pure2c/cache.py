@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import secrets
 import shutil
 import stat
 import time
@@ -119,7 +118,7 @@ class Cache:
 
 
 def _passing_name() -> str:
-    return f".{secrets.token_hex(8)}"
+    return f".{os.urandom(8).hex()}"
 
 
 def _is_passing(name: str) -> bool:

@@ -1,7 +1,5 @@
 """Types that values of translated functions may have."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from types import NoneType, UnionType
 from typing import Any, NamedTuple, Union, get_args, get_origin, get_type_hints

@@ -4,8 +4,6 @@ No clock, no bus, no file: the rig, the virtual run, the simulation and the repl
 function, and its whole state is one record.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import NamedTuple

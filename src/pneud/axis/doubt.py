@@ -4,8 +4,6 @@ A reading that is held back counts as lost in its tick. The next one confirms it
 not, and then it was odd: a glitch. Only the share of odd readings is a fault.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Where the axis is led: along its reference, or home, and what requests and changes of state make of it."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pneud.axis.requests import Asked

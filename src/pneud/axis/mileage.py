@@ -4,8 +4,6 @@ It is looked at every few milliseconds, not in every tick: a load does not turn,
 any faster. What stands between two looks is the time over which a deceleration counts.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pneud.control.step import Controller

@@ -3,8 +3,6 @@
 Pure: what the axis is and what is asked in, what is to change out. A request that is refused changes nothing.
 """
 
-from __future__ import annotations
-
 import math
 from itertools import zip_longest
 from operator import gt, lt

@@ -3,8 +3,6 @@
 Pure functions on numbers, so that the compiled law has each of them as one call.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pneud.axis.state import AxisParameters, AxisState, learnt_so_far

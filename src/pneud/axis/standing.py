@@ -4,8 +4,6 @@ Both are asked only where the reference has come to its end. What goes to and fr
 command, is a limit cycle; its period tells what it most likely comes from.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pneud.signals import Hunting

@@ -1,7 +1,5 @@
 """What an axis is: its parameters, and all that it remembers from tick to tick."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pneud.axis.mileage import Odometer

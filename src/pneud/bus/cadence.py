@@ -9,8 +9,6 @@ What is common to all frames of a source, its least delay, cannot be told from s
 Pure; times in nanoseconds.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

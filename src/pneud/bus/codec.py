@@ -6,7 +6,6 @@ Values are in SI units, whatever units the database uses.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil, floor, isfinite
 from pathlib import Path
@@ -77,8 +76,7 @@ class DatabaseError(Exception):
     exit_code = 2
 
 
-@dataclass(frozen=True, slots=True)
-class Codec:
+class Codec(NamedTuple):
     """One message in one role.
 
     `can_id` is as in `struct can_frame`: a 29-bit identifier has its flag.
@@ -125,8 +123,7 @@ class Row(NamedTuple):
     kind_of: dict[int, Callable[[bytes], int]]  # multiplexers, by identifier
 
 
-@dataclass(frozen=True, slots=True)
-class Codecs:
+class Codecs(NamedTuple):
     """All frames of an axis.
 
     Values in order: `valve_command` (voltage_v, enable, sequence); `sync` has its counter only. Those of
@@ -213,11 +210,11 @@ def codecs_from(
 
         found = switching.loaded(bus, path, messages, codecs)
         fd = codecs.fd and codecs.fd._replace(ids=codecs.fd.ids | found.fd_ids)
-        codecs = replace(codecs, switching=found, fd=fd)
+        codecs = codecs._replace(switching=found, fd=fd)
     if bus.load_cell is not None:
         from pneud.bus import load_cell  # noqa: PLC0415 - for axes with one alone
 
-        codecs = replace(codecs, load_cell=load_cell.loaded(bus, path, messages, codecs))
+        codecs = codecs._replace(load_cell=load_cell.loaded(bus, path, messages, codecs))
     return codecs
 
 

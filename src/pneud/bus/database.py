@@ -5,8 +5,6 @@ the user's cache, and is found there by the bytes of the DBC, as long as `cantoo
 they are.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

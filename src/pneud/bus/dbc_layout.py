@@ -5,8 +5,6 @@ The Python source is generated once, at start-up. Where every signal fills whole
 into the source.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """What the kernel says of a network interface: whether it is CAN, up, and of which kind."""
 
-from __future__ import annotations
-
 import errno
 import os
 import socket

@@ -20,8 +20,6 @@ that never agree always do. A counter of few bits comes round: it can tell half 
 and takes the rest for being ahead.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

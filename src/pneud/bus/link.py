@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import os
-import secrets
 import select
 import time
 from collections.abc import Callable, Iterable
@@ -255,7 +254,7 @@ def _open_auto(by: wire.Carriage, fd: wire.Fd | None) -> Link:
             link.close()
             reason = f"{_AUTO_INTERFACE} carries traffic"
     channels()  # which removes what dead ones have left
-    link = open_link(f"unixcan:auto-{os.getpid()}-{secrets.token_hex(2)}", by=by, fd=fd)
+    link = open_link(f"unixcan:auto-{os.getpid()}-{os.urandom(2).hex()}", by=by, fd=fd)
     link.note = f"bus {link.name} ({reason})"
     return link
 

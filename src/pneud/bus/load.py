@@ -1,7 +1,5 @@
 """Whether the wire carries a tick: its frames, one after the other, with every bit that may be stuffed."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -7,7 +7,6 @@ messages can fill one row. A message with a multiplexer is as many messages as i
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import NamedTuple
@@ -145,7 +144,7 @@ class SignalLoader(Loader):
         if counter is not None:
             counter = counter._replace(high=min(counter.high, guard.counter_values - 1))
         made = self._made(can_id_of(message), message.length, fields, defaults, fixed, counter, guard)
-        return replace(made, data_bit_s=self._data_bit_s(message))
+        return made._replace(data_bit_s=self._data_bit_s(message))
 
     def _made(
         self,

@@ -4,8 +4,6 @@ A rule says what the checksum of a frame has to be, of the bytes without it and 
 checksum and counter lie, the DBC says.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import cached_property, reduce
 from operator import xor

@@ -17,7 +17,6 @@ accepted yet.
 from __future__ import annotations
 
 import os
-import secrets
 import select
 import socket
 import struct
@@ -93,7 +92,7 @@ class Party:
         try:
             home = folders.private_folder(folders.runtime_folder() / "can")
             self._folder = home / channel
-            self._path = self._folder / f"{self._owner}.{secrets.token_hex(2)}{self._manner}"
+            self._path = self._folder / f"{self._owner}.{os.urandom(2).hex()}{self._manner}"
         except OSError as e:
             raise UnixCanError(f"unixcan:{channel}: {e}") from None
         length = len(os.fsencode(self._path))

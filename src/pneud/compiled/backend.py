@@ -4,8 +4,6 @@ The axis itself stays as it is: the compiled one has a compiled cycle. A tick of
 as one with a request, is done whole by the Python function.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import random

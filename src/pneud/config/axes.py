@@ -5,8 +5,6 @@ itself takes its place. What comes of it is the plain text of one axis, which is
 its log has it, and a replay needs nothing else.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple

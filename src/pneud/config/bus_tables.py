@@ -1,8 +1,6 @@
 """The table `[bus]`: time-outs, and what messages, signals and nodes there are."""
 
-from __future__ import annotations
-
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -85,13 +83,13 @@ class BusConfig(Section):
         return {**data, **own}
 
     @model_validator(mode="after")
-    def _nodes_answer_sync(self) -> BusConfig:
+    def _nodes_answer_sync(self) -> Self:
         if self.nodes and self.sync is not True:
             raise ValueError("nodes are configured to answer SYNC, on a bus without it; sync has to be true")
         return self
 
     @model_validator(mode="after")
-    def _period_of_free(self) -> BusConfig:
+    def _period_of_free(self) -> Self:
         if self.sync and any(device.period_us is not None for device in self.devices):
             raise ValueError(
                 "period_us is of devices that sample by themselves, and sync has these answer it"
@@ -99,7 +97,7 @@ class BusConfig(Section):
         return self
 
     @model_validator(mode="after")
-    def _data_of_fd(self) -> BusConfig:
+    def _data_of_fd(self) -> Self:
         rate = self.data_bitrate_bit_s
         if rate is not None and not self.fd:
             raise ValueError("data_bitrate_bit_s is of CAN FD; give fd = true, or leave it out")
@@ -108,12 +106,12 @@ class BusConfig(Section):
         return self
 
     @model_validator(mode="after")
-    def _channel_form(self) -> BusConfig:
+    def _channel_form(self) -> Self:
         check_channel(self.channel)
         return self
 
     @model_validator(mode="after")
-    def _one_mapping(self) -> BusConfig:
+    def _one_mapping(self) -> Self:
         if self.signals is not None and self.frames != FramesConfig():
             raise ValueError("give either frames or signals")
         others = [name for name in self.messages if name not in self.io_messages]

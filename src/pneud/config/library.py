@@ -1,9 +1,7 @@
 """Valves and cylinders as one buys them: of `configs/library`, or by the figures of their sheets."""
 
-from __future__ import annotations
-
 import math
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -30,7 +28,7 @@ class ValveSheet(Section):
     dead_zone_v: DeadZone = 0.1  # typical
 
     @model_validator(mode="after")
-    def _one_rating(self) -> ValveSheet:
+    def _one_rating(self) -> Self:
         if (self.nominal_flow_l_min is None) == (self.sonic_conductance_l_s_bar is None):
             raise ValueError("give either nominal_flow_l_min or sonic_conductance_l_s_bar")
         return self
@@ -64,7 +62,7 @@ class CylinderSheet(Section):
     friction: Annotated[float, Field(gt=0, lt=0.5)]  # typical part of the piston's force
 
     @model_validator(mode="after")
-    def _rod_within_bore(self) -> CylinderSheet:
+    def _rod_within_bore(self) -> Self:
         if self.rod_mm >= self.bore_mm:
             raise ValueError("the rod must be thinner than the bore")
         return self

@@ -1,8 +1,6 @@
 """Values of the axis by signals of the DBC, in place of frames: `[bus.signals]` and `[bus.messages]`."""
 
-from __future__ import annotations
-
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
@@ -31,7 +29,7 @@ class MessageConfig(ProtectionConfig):
         return None if name in NONE else name
 
     @model_validator(mode="after")
-    def _heartbeat_of_a_node(self) -> MessageConfig:
+    def _heartbeat_of_a_node(self) -> Self:
         if self.heartbeat_timeout_ms is not None and self.node is None:
             raise ValueError("heartbeat_timeout_ms needs node, the device's CANopen identifier")
         return self
@@ -54,7 +52,7 @@ class SignalConfig(Section):
     values: dict[int, int] = Field(default_factory=dict)  # number on the wire = number of the axis
 
     @model_validator(mode="after")
-    def _one_source(self) -> SignalConfig:
+    def _one_source(self) -> Self:
         if (self.signal is None) == (self.constant is None):
             raise ValueError('give a signal, "MESSAGE.SIGNAL", or a constant')
         scales = [key for key in ("unit", "counts_per_m", "m_per_count") if getattr(self, key) is not None]
@@ -99,7 +97,7 @@ class SignalsConfig(Section):
     sync: Mapped | None = None  # "MESSAGE.COUNTER" or "MESSAGE"; none: 0x080 without data
 
     @model_validator(mode="after")
-    def _enough(self) -> SignalsConfig:
+    def _enough(self) -> Self:
         if sum(v is not None for v in (self.p1_pa, self.p2_pa, self.difference_pa)) != 2:
             raise ValueError("give two of p1_pa, p2_pa and difference_pa")
         for name, value in self:

@@ -1,7 +1,5 @@
 """A valve's opening as somebody has measured it: places of a map, its edges, and the bends between."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import NamedTuple
 

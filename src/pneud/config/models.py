@@ -3,10 +3,8 @@
 Unknown keys are errors; units are part of the names. Nothing here is read inside the loop.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -77,7 +75,7 @@ class GasConfig(Section):
     supply_pa: Pressure  # absolute, as is everything here
 
     @model_validator(mode="after")
-    def _supply_above_atmosphere(self) -> GasConfig:
+    def _supply_above_atmosphere(self) -> Self:
         if self.supply_pa <= self.atmosphere_pa:
             raise ValueError("supply_pa must lie above atmosphere_pa (both are absolute)")
         return self
@@ -107,13 +105,13 @@ class ValveConfig(Section):
     map: Places = ()  # [[command in V, relative opening], …] as measured, from end to end
 
     @model_validator(mode="after")
-    def _one_rating(self) -> ValveConfig:
+    def _one_rating(self) -> Self:
         if len(found := given(self)) != 1:
             raise ValueError(f"give one of {', '.join(RATINGS)}{f'; not {len(found)}' if found else ''}")
         return self
 
     @model_validator(mode="after")
-    def _map_rises(self) -> ValveConfig:
+    def _map_rises(self) -> Self:
         if self.map:
             check_map(self.map, self.u_max_v)
             dead_zone_v = edges_of(self.map).dead_zone_v
@@ -158,7 +156,7 @@ class ObserverConfig(Section):
     gain_n_s2: Positive
 
     @model_validator(mode="after")
-    def _convergent(self) -> ObserverConfig:
+    def _convergent(self) -> Self:
         if self.lambda1 <= 1.0:
             raise ValueError(
                 "lambda1 must exceed 1, or d̂ cannot follow a disturbance that changes at gain_n_s2"
@@ -177,7 +175,7 @@ class MotionConfig(Section):
     push_beyond_m: NonNegative = 0.0  # that exceed half a step by more than this
 
     @model_validator(mode="after")
-    def _one_way(self) -> MotionConfig:
+    def _one_way(self) -> Self:
         noise = (self.encoder_noise_m, self.force_walk_n_rs)
         if (self.bandwidth_rad_s is None) == (None in noise) or (noise.count(None) == 1):
             raise ValueError("give either bandwidth_rad_s, or encoder_noise_m and force_walk_n_rs")
@@ -202,7 +200,7 @@ class PidConfig(Section):
     force_max_n: NonNegative = 200.0  # greatest integral
 
     @model_validator(mode="after")
-    def _hurwitz(self) -> PidConfig:
+    def _hurwitz(self) -> Self:
         _check_hurwitz(pid.loop(pid.Pid(**self.model_dump())))
         return self
 
@@ -217,7 +215,7 @@ class AdrcConfig(Section):
     observer_rad_s: Annotated[float, Field(ge=0, le=5_000)] = 0.0  # of an observer without pressures; 0: none
 
     @model_validator(mode="after")
-    def _hurwitz(self) -> AdrcConfig:
+    def _hurwitz(self) -> Self:
         _check_hurwitz(adrc.loop(adrc.Adrc(**self.model_dump())))
         return self
 
@@ -284,7 +282,7 @@ class ControlConfig(Section):
     adaptation: AdaptationConfig = AdaptationConfig()
 
     @model_validator(mode="after")
-    def _force_is_used(self) -> ControlConfig:
+    def _force_is_used(self) -> Self:
         if not self.estimate_force and (
             self.force_rate_bandwidth_rad_s > 0 or self.friction != FrictionConfig()
         ):
@@ -292,7 +290,7 @@ class ControlConfig(Section):
         return self
 
     @model_validator(mode="after")
-    def _hurwitz(self) -> ControlConfig:
+    def _hurwitz(self) -> Self:
         if self.k2 * self.k3 <= self.k1:
             raise ValueError(
                 f"gains are not Hurwitz: k2·k3 = {self.k2 * self.k3:g} must exceed k1 = {self.k1:g} (Lemma 2)"
@@ -332,7 +330,7 @@ class FollowConfig(Section):
     leads: bool = False  # the other follows; pneud says so itself
 
     @model_validator(mode="after")
-    def _square(self) -> FollowConfig:
+    def _square(self) -> Self:
         if self.scale == 0.0:
             raise ValueError("scale must not be 0")
         if self.skew_m is not None and (self.scale != 1.0 or self.of != "reference"):
@@ -405,7 +403,7 @@ class LimitsConfig(Section):
     force: PressConfig = PressConfig()
 
     @model_validator(mode="after")
-    def _ordered(self) -> LimitsConfig:
+    def _ordered(self) -> Self:
         for low, high in (
             ("travel_min_m", "travel_max_m"),
             ("chamber_min_pa", "chamber_max_pa"),
@@ -451,7 +449,7 @@ class LogConfig(Section):
     keep_after_s: Annotated[float, Field(ge=0, le=1e6)] = 30.0  # and behind it
 
     @model_validator(mode="after")
-    def _quota_of_several_parts(self) -> LogConfig:
+    def _quota_of_several_parts(self) -> Self:
         if self.quota_mb and not 0.0 < self.part_mb <= self.quota_mb / 4.0:
             raise ValueError(
                 f"quota_mb = {self.quota_mb:g} needs part_mb above 0 and at most a quarter of it, since whole"
@@ -503,7 +501,7 @@ class Config(Section):
     plant: PlantConfig = PlantConfig()
 
     @model_validator(mode="after")
-    def _fits_together(self) -> Config:
+    def _fits_together(self) -> Self:
         stroke = self.cylinder.stroke_m
         if self.limits.travel_min_m < -STOP_M or self.limits.travel_max_m > stroke + STOP_M:
             raise ValueError(

@@ -1,8 +1,6 @@
 """CANopen nodes as a configuration has them, and the frames that follow from them."""
 
-from __future__ import annotations
-
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -78,7 +76,7 @@ class NodeConfig(Section):
     deadline: bool = True  # a valve watches that commands come; false: it cannot
 
     @model_validator(mode="after")
-    def _roles_of_profile(self) -> NodeConfig:
+    def _roles_of_profile(self) -> Self:
         possible = {*_ROLES[self.profile], "none"}
         if wrong := [role for role in self.roles if role not in possible]:
             raise ValueError(

@@ -1,8 +1,6 @@
 """The software rig as a section, where it differs from what the controller believes; friction of both."""
 
-from __future__ import annotations
-
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -51,7 +49,7 @@ class FrictionConfig(Section):
     bristle_damping_n_s_m: NonNegative = 0.0
 
     @model_validator(mode="after")
-    def _complete(self) -> FrictionConfig:
+    def _complete(self) -> Self:
         if self.static_n < self.coulomb_n:
             raise ValueError("static_n must not lie below coulomb_n")
         if self.coulomb_n > 0 and self.bristle_stiffness_n_m == 0:
@@ -136,13 +134,13 @@ class PlantValveConfig(Section):
     timeout_ms: Timeout | None = None  # without a command, after which it centres itself
 
     @model_validator(mode="after")
-    def _one_rating(self) -> PlantValveConfig:
+    def _one_rating(self) -> Self:
         if len(given(self)) > 1:
             raise ValueError(f"give one of {', '.join(RATINGS)} at most")
         return self
 
     @model_validator(mode="after")
-    def _map_has_edges(self) -> PlantValveConfig:
+    def _map_has_edges(self) -> Self:
         own = (self.dead_zone_positive_v, self.dead_zone_negative_v, self.dead_zone_v or None)
         if self.map and (self.centre_v or any(edge is not None for edge in own)):
             raise ValueError("map has edges and centre of its own; give neither dead_zone_v nor centre_v")
@@ -175,7 +173,7 @@ class PlantSensorsConfig(Section):
         return self.pressure_range_pa / 2**bits if bits else self.pressure_resolution_pa
 
     @model_validator(mode="after")
-    def _one_step(self) -> PlantSensorsConfig:
+    def _one_step(self) -> Self:
         if self.pressure_bits and self.pressure_resolution_pa:
             raise ValueError("give either pressure_resolution_pa or pressure_bits")
         return self

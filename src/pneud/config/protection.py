@@ -1,8 +1,6 @@
 """How the frames of a message are protected: the rule for checksum and counter, and what it needs."""
 
-from __future__ import annotations
-
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -37,7 +35,7 @@ class ProtectionConfig(Section):
         return self.data_id if isinstance(self.data_id, tuple) else (self.data_id,)
 
     @model_validator(mode="after")
-    def _identifiers_of_the_rule(self) -> ProtectionConfig:
+    def _identifiers_of_the_rule(self) -> Self:
         given, nibble = self.data_ids, self.data_id_mode == "nibble"
         number, most = _DATA_IDS.get(self.protection, (0, 0))
         if len(given) != number or any(one > most for one in given):

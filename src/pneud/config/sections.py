@@ -1,7 +1,5 @@
 """What the sections of a configuration are made of: numbers with bounds, the table itself, its error."""
 
-from __future__ import annotations
-
 import os
 import re
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """Where the console's socket lies: made by the daemon, found by its clients."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl

@@ -1,7 +1,5 @@
 """What a console is told of the daemon that it belongs to."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

@@ -4,8 +4,6 @@ Fixed-size messages over a SEQPACKET pair. The loop's end never waits; a request
 long is turned away, so that what was asked of a stalled loop does not happen later.
 """
 
-from __future__ import annotations
-
 import select
 import socket
 import struct

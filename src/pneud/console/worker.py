@@ -1,7 +1,5 @@
 """The console's process: serves until the loop is gone, and says again and again that it lives."""
 
-from __future__ import annotations
-
 import signal
 import socket
 import sys

@@ -6,8 +6,6 @@ forward moves friction's level and stiffness, the load and the mass. All is told
 of what is configured, so that the default state is the configuration itself.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pneud.control.feedforward import bristles_after

@@ -4,8 +4,6 @@ Evaluated when a sample arrives, with the mean of the model's right-hand side ov
 last one.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

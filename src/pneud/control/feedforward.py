@@ -4,8 +4,6 @@ Only changes of this force are used. The motion filter adds them to its estimate
 find no more than what the friction model misses, and a change of parameters or of reference is no step.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -9,8 +9,6 @@ taken where the command has its effect; d̂ is that of the finite-time observer 
 along a ramp that ends softly. D damps the load on what it is pressed against, by the stiffness that it shows.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

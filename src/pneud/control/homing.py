@@ -5,8 +5,6 @@ Here a velocity is asked for, with damping by the pressures and the loop's gain 
 stop, where the valve acts fastest: further off the same command does less, and the load moves more softly.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pneud.control.step import Controller

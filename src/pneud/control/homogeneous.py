@@ -4,8 +4,6 @@ The explicit form evaluated under a zero-order hold has a limit cycle of amplitu
 w3. The implicit form solves for the value that w3 takes at the next sample and has none.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -9,8 +9,6 @@ the one ahead waits and the other hurries.
 Pure; SI, each axis in its own stroke coordinate.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ Laws and gains are the subject of `tunables`; what protects the axis is for neit
 parameters follow from these numbers here, so that those of a running axis are the ones of its next start.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ gains are the steady state of the Kalman filter of that model, without dimension
 by the true interval and its square), which keeps the filter stable when an interval is longer than planned.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 A plan is a plain record of numbers, so that freezing, logging and replaying an axis need nothing special.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pneud.control.profile import Profile

@@ -5,8 +5,6 @@ over, openings follow from commands already sent, so the state can be predicted 
 and reference are then compared at that instant, and the loop sees hardly any dead time.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pneud.physics.valve import SpoolTransition, Valve, opening

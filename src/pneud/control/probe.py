@@ -5,8 +5,6 @@ come loose, whatever the encoder says. With its chambers shut a load would coast
 is gone, and a load that moves is braked by the reverse opening before the valve is centred.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """An uploaded profile: polynomials that meet up to the jerk, checked one by one."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pneud.control.reference import Bounds, Septic, at

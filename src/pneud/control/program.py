@@ -4,8 +4,6 @@ A step that is done makes the next one due, which the axis begins in the tick be
 is copied into the run when it begins, so that a tick that only waits looks at nothing but numbers.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pneud.control.plan import FOLLOWING

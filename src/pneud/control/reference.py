@@ -8,8 +8,6 @@ A time-optimal planner (ruckig) would be up to a third faster on short ways, whe
 used: steps of jerk are steps of the command, and a replay would hang on the version of a compiled library.
 """
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from typing import NamedTuple

@@ -13,8 +13,6 @@ reference has come to rest the law gives way:
 and has the load back when it leaves a wider band, or moves.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ State goes in and comes out; nothing is kept. The same functions run in the loop
 compiled by numba.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pneud.control.adaptation import (

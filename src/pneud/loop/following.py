@@ -4,8 +4,6 @@ A tick begins with the newest SYNC that has come. Those that it comes too late f
 Where none comes, ticks go on by the clock, so that the valve is told of it, and `lost` says so.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import NamedTuple, Protocol

@@ -1,7 +1,5 @@
 """How a run goes, from the configuration and the command line."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 

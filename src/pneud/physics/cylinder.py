@@ -1,7 +1,5 @@
 """The cylinder's force dynamics ẋ3 = F0 x2 + F1 u + d, equation (8) of the paper, corrected."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Friction of piston and rod seals: LuGre bristles with a Stribeck curve."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

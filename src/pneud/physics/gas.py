@@ -3,8 +3,6 @@
 The orifice is equation (6) of the paper, corrected. Both let through as much where they are choked.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Parameters of the software rig, plain numbers."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pneud.physics.cylinder import Cylinder

@@ -3,8 +3,6 @@
 Both fall back on libm beyond.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

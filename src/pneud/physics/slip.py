@@ -4,8 +4,6 @@ The generalised Maxwell slip model in the limit of elements that slip at once. R
 remembers where it came from, which bristles of one kind do not.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pneud.physics.friction import NO_FRICTION_N, Friction, stribeck

@@ -1,7 +1,5 @@
 """The proportional valve: spool dynamics of second order and a dead zone about the centre."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

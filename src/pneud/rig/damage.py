@@ -3,8 +3,6 @@
 Wraps the undamaged plant's own step, which stays as it is.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 Of the same kind as the plain rig's: each is exact or stable in itself, so that steps of 0.1 ms will do.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

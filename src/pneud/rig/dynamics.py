@@ -6,8 +6,6 @@ drift. Every part is exact or stable for any stiffness, so the whole is of secon
 whole travel with the valve fully open.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Timing of a classic CAN bus: bits on the wire, priority by identifier, one frame at a time."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 from pneud.bus.wire import CAN_EFF_FLAG

@@ -4,8 +4,6 @@ Everything is attempted and reported and nothing raises, so that an axis still r
 and says so. Linux only.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import errno

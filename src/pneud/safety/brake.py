@@ -5,8 +5,6 @@ holds again before the valve is centred, and at once where a fault centres it. A
 state, in one place, after the state machine of the axis has had its say.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pneud.safety.faults import F

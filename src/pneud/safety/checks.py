@@ -1,7 +1,5 @@
 """The checks: which faults a tick shows. Numbers in, bits of the fault table out."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """What a row of the fault table says: which bit, what is done, when, and what a person can do."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from enum import Enum, IntEnum
 from typing import NamedTuple

@@ -4,8 +4,6 @@ Finite comes first, since `max(-5, min(5, nan))` is +5 in Python. Leaving the en
 valve at once, past the slew limit.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 Bits count as the configuration names inputs and outputs. What a message said last holds until it is lost.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pneud.safety.brake import BrakeRules, is_let_go

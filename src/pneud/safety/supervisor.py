@@ -1,7 +1,5 @@
 """The state machine of an axis: a pure function of its state, the faults that hold now, and one request."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pneud.safety.faults import BLOCKS_ARM, CENTRES, NO_SENSORS, STOPS, F

@@ -3,8 +3,6 @@
 Data in, data out: `Devices` is what is known of a rig's devices, the rest is what each lack costs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 Their whole memory is one record. A condition of a row with a debounce counts only after it has lasted.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """What a screen says of an axis beside its records; apart from the screen, so that it costs no imports."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, NamedTuple, Protocol

@@ -4,8 +4,6 @@ The observer is the [x, v, F] filter, which knows the force by the pressures; or
 encoder and opening only, and finds a total disturbance instead.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

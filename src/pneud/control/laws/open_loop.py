@@ -1,7 +1,5 @@
 """How a linear law is judged: its loop on the chain of integrators that the model leaves of the axis."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

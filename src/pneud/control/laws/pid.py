@@ -4,8 +4,6 @@ Velocity, acceleration, jerk and friction of the reference are fed forward; the 
 model's F0 and F1.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pneud.control.laws.open_loop import OpenLoop, cube_root

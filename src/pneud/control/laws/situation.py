@@ -1,7 +1,5 @@
 """What a law is asked about, and what it answers."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from pneud.control.feedforward import FrictionAhead

@@ -3,8 +3,6 @@
 The extension: an unmatched force F̂, estimated by the motion filter, stands in w3, and its rate in Z.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ Another law is a module like `pid` and a few lines here: its kind, its gains, it
 function and its line in the table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """What a log says about its run; apart from what writes it, so that it costs no imports."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal, NamedTuple
 

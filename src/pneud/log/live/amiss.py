@@ -3,8 +3,6 @@
 A run bears them one at a time. Only their share over a window is a fault; how often they come tells before.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from typing import NamedTuple
 

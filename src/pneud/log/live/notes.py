@@ -1,7 +1,5 @@
 """Words for the log from other processes, on their way to the recorder: one datagram each."""
 
-from __future__ import annotations
-
 import socket
 import struct
 import time

@@ -4,8 +4,6 @@ Whatever fields its parts have, they are there.
 `pack.c` beside this file does the same, sooner.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from marshal import dumps, loads
 from mmap import mmap
