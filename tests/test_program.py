@@ -34,7 +34,7 @@ def looked(
 ) -> Run:
     phase, inputs = int(seen.get("phase", 0)), int(seen.get("inputs", 0))
     e = estimate(x, seen.get("v", 0.0), seen.get("x3", 0.0))
-    r = Reference(goal, 0.0, 0.0, 0.0)
+    r = Reference(goal, seen.get("goes", 0.0), 0.0, 0.0)
     return program.look(run, t_ns, int(state), phase, int(seen.get("there", 0)), e, r, inputs, 10.0)
 
 
@@ -99,12 +99,15 @@ def test_a_record_waits_for_what_it_says() -> None:
     assert looked(near, x=0.291, goal=0.292).stage == UNDER_WAY
     assert looked(near, State.MOVING, x=0.291, goal=0.293).stage == DUE
     standing = Run(UNDER_WAY, what=program.STANDING, tolerance_m=0.01, velocity_m_s=0.002, time_ns=5)
-    for seen in ({"state": State.MOVING}, {"x": 0.0111}):
-        assert looked(standing, 3, **seen).within_ns == -1
+    for x, goal in ((0.0111, 0.0), (1.1e-5, 1.1e-5)):
+        assert looked(standing, 3, x=x, goal=goal).within_ns == -1
+    assert looked(standing, 3, State.MOVING, x=0.009, goal=0.9e-5).within_ns == 3
     begun = looked(standing, 3, x=-0.009, v=0.3)
     assert (begun.within_ns, begun.stage) == (3, UNDER_WAY)
     assert looked(begun, 7).stage == UNDER_WAY
     assert looked(begun, 8).stage == DUE
+    assert looked(begun, 8, State.MOVING).stage == DUE
+    assert looked(begun, 8, State.MOVING, goes=1e-9).stage == UNDER_WAY
     assert looked(begun, 8, v=-0.0021).stage == UNDER_WAY
     assert looked(begun, 8, x=0.02).within_ns == -1
     joined = Run(UNDER_WAY, what=program.JOINED)
@@ -193,7 +196,7 @@ def test_only_what_is_under_way_is_halted() -> None:
 
 def test_a_run_waits_for_what_its_kind_of_step_is_done_with() -> None:
     def what(step: Step) -> tuple[int, int]:
-        run = program.awaiting(Run(record=3, led=1), step, 7)
+        run = program.awaiting(Run(record=3, led=1), step, 7, 1)
         assert (run.stage, run.since_ns) == (UNDER_WAY, 7)
         return run.what, run.led
 
@@ -204,3 +207,15 @@ def test_a_run_waits_for_what_its_kind_of_step_is_done_with() -> None:
     assert what(Step(program.FORCE)) == (program.PRESSED, 3)
     assert what(WAIT) == (program.NOTHING, 1)
     assert what(Step(program.UNTIL, what=program.THRUST)) == (program.THRUST, 1)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(1, 12), st.lists(st.integers(-240_000, 240_000), min_size=13, max_size=13))
+def test_a_time_of_whole_periods_takes_as_many_ticks_whenever_they_come(n: int, off_ns: list[int]) -> None:
+    begun_ns = 1_000_000_000 + off_ns[0]
+    run = program.awaiting(Run(record=1), WAIT._replace(time_s=n * 1e-3), begun_ns, 1_000_000)
+    run, ticks = looked(run, begun_ns), 0
+    while run.stage == UNDER_WAY:
+        ticks += 1
+        run = looked(run, 1_000_000_000 + ticks * 1_000_000 + off_ns[ticks])
+    assert ticks == n

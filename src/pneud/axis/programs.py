@@ -152,7 +152,7 @@ def proceed(
     law = asked.law
     if step.mass_kg != run.mass_kg:
         law = carrying(state.law, step.mass_kg, p)
-    run = program.awaiting(run, step, t_ns)._replace(mass_kg=step.mass_kg)
+    run = program.awaiting(run, step, t_ns, round(state.law.h * 1e9))._replace(mass_kg=step.mass_kg)
     return asked._replace(answer=0, run=run, law=law)
 
 

@@ -27,6 +27,9 @@ LONGEST_S = 1e6
 # of the tolerance of a FAST step: where the reference has to be, too, which does so at the same time in every
 # round; a load that is as near may be so a little sooner or later
 LED_NEAR = 0.75
+# and of that of an EXACT step: where the reference stands for its load. That is so some ticks before its way
+# has ended; a way of whole periods ends with a tick, or just behind it
+LED_THERE = 1e-3
 
 NO_STAGE, STOPPED, ENDED = int(Stage.NONE), int(Stage.STOPPED), int(Stage.ENDED)
 UNDER_WAY, DONE = int(Stage.UNDER_WAY), int(Stage.DONE)
@@ -162,13 +165,15 @@ def look(
     if run.stage != UNDER_WAY:
         return run
     what = run.what
-    met = what == NOTHING
-    slow = what != STANDING or abs(e.velocity_m_s) <= run.velocity_m_s
+    met, slow = what == NOTHING, True
     if what == NEAR:
         led = abs(run.target_m - r.position_m) <= LED_NEAR * run.tolerance_m
         met = led and abs(run.target_m - e.position_m) <= run.tolerance_m
     elif what == STANDING:
-        met = state == HOLDING and abs(r.position_m - e.position_m) <= run.tolerance_m
+        led = abs(run.target_m - r.position_m) <= LED_THERE * run.tolerance_m
+        met = led and abs(r.position_m - e.position_m) <= run.tolerance_m
+        at_rest = state == HOLDING or r.velocity_m_s == 0.0
+        slow = at_rest and abs(e.velocity_m_s) <= run.velocity_m_s
     elif what == JOINED:
         met = phase == FOLLOWING
     elif what == PRESSED:
@@ -222,8 +227,18 @@ def repeated(run: Run, step: Step) -> Run:
     return run._replace(stage=DUE, next=step.to if again else run.next, counts=counts)
 
 
-def awaiting(run: Run, step: Step, t_ns: int) -> Run:
-    """The run that waits for what its step waits for."""
+def awaiting(run: Run, step: Step, t_ns: int, period_ns: int) -> Run:
+    """The run that waits for what its step waits for.
+
+    A time is over in the tick that is nearest to its end: ticks are off by microseconds either way, and by
+    that a time of whole periods would take one more of them, or not.
+
+    Args:
+        run: whose step begins.
+        step: the step.
+        t_ns: the tick's SYNC.
+        period_ns: of the ticks.
+    """
     what = step.what
     if step.kind in MOTIONS:
         what = (NOTHING, NEAR, STANDING)[step.ends]
@@ -242,7 +257,7 @@ def awaiting(run: Run, step: Step, t_ns: int) -> Run:
         high=step.high,
         bit=step.bit,
         on=step.on,
-        time_ns=round(step.time_s * 1e9),
+        time_ns=max(0, round(step.time_s * 1e9) - period_ns // 2),
         timeout_ns=round(step.timeout_s * 1e9),
     )
 

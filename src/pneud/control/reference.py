@@ -18,6 +18,7 @@ LONGEST_S = 1e7  # of any way
 LEAST_S = 0.02  # shortest piece of a way
 ROOM = 1.5  # what a motion already has of acceleration and jerk, times this, cannot be forbidden on its way
 LEAST_CRUISE_S = 1e-9
+LEAST_M = 1e-12  # a way from rest that is shorter is none: it would be what roundings make of it
 HALVINGS = 40
 MAX_HARDENINGS = 10
 SAMPLES = 32
@@ -237,7 +238,7 @@ def _way_on(first: tuple[Septic, ...], x: float, v: float, end_m: float, bounds:
     """The way behind these pieces, from a motion without acceleration that can stop ahead."""
     pieces = [*first]
     distance, speed, side = abs(end_m - x), abs(v), math.copysign(1.0, end_m - x)
-    top = _cruise(speed, distance, bounds)
+    top = _cruise(speed, distance, bounds) if speed > 0.0 or distance >= LEAST_M else 0.0
     if top > 0.0:
         if top != speed:
             pieces.append(_ramp(x, side * speed, side * top, bounds))
