@@ -89,7 +89,7 @@ def serve(post: Post, daemon: int, keeper: int, place: int) -> None:
     from pneud.console.server import Server  # noqa: PLC0415
     from pneud.console.status_reply import StatusWatch  # noqa: PLC0415
 
-    def refused(error: ProtocolError) -> None:
+    def refused(error: "ProtocolError") -> None:
         print(f"pneud: {error}", file=sys.stderr, flush=True)
 
     seats, ring = post.seats, post.ring
