@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from axis_rig import loaded
-from pneud.config.toml import tables_of
+from pneud.config.toml import tables_of, toml_text
 from pneud.console import programs, records
 from pneud.console.programs import AxisFacts, compiled
 from pneud.console.records import ProgramError
@@ -108,6 +108,7 @@ REFUSED = [
         "record 1 (goto): to_mm: no point 'up'; there are no points: pneud teach up",
     ),
     (tree({**GOTO, "to_mm": "up"}, points={"a": 1}), "no point 'up'; there is a"),
+    (tree({**GOTO, "to_mm": "-3.5"}), "to_mm: '-3.5' is a text; a number has no quotation marks"),
     (tree({**GOTO, "to_mm": {"z": 1}}), "is a position, or one by axis (x)"),
     (tree({**GOTO, "axis": "z"}), "record 1 (goto): no axis 'z'; there is x"),
     (tree({**GOTO, "speed_mm_s": 0}), "speed_mm_s is a number from 0.001"),
@@ -273,6 +274,33 @@ def test_a_file_that_cannot_be_read_is_told(tmp_path: Path) -> None:
     (tmp_path / "p.toml").write_text('points = "q.toml"')
     (tmp_path / "q.toml").write_text("a = 1.5")
     assert programs.tree_of(tmp_path / "p.toml") == {"points": {"a": 1.5}}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[points]\na = nan", "p.toml: points.a is nan, neither"),
+        ("[[record]]\n[[record]]\nto_mm = { x = -inf }", "p.toml: record 2: to_mm.x is -inf, neither"),
+        ("schema = 1979-05-27", "p.toml: schema is 1979-05-27, neither a number nor a text"),
+    ],
+)
+def test_what_no_field_takes_is_told_by_its_place(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "p.toml").write_text(text)
+    with pytest.raises(ProgramError, match=re.escape(words)):
+        programs.tree_of(tmp_path / "p.toml")
+
+
+NAMES = st.text(st.characters(exclude_categories=["Cs"]), max_size=9)
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    st.dictionaries(
+        NAMES, st.floats(allow_nan=False) | NAMES | st.dictionaries(NAMES, st.booleans()), max_size=5
+    )
+)
+def test_tables_of_any_names_are_read_as_they_were_written(tables: dict[str, Any]) -> None:
+    assert tables_of(toml_text(tables)) == tables
 
 
 def test_the_page_names_every_record_and_field() -> None:

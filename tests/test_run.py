@@ -13,6 +13,7 @@ import pytest
 from commands import PNEUD, eventually, object_of, pneud, pneud_here
 from console_bench import bench, served
 from log_samples import noisy
+from pneud.config.toml import tables_of
 from pneud.console.client import Client, RefusedError
 from pneud.console.endpoint import PlaceError
 from pneud.console.going import go_through
@@ -68,6 +69,7 @@ def test_a_program_is_handed_over_whole_and_set_going(tmp_path: Path, file: Path
         }  # fmt: skip
         assert b.error(client, "run", program=tree, record=3) == "program"
         assert b.error(client, "run", program={"schema": 1}) == "program"
+        assert b.error(client, "run", program=tree, load=True) == "program"  # which no input would begin
         assert b.ask(client, "run")["ok"]
         assert b.requests[-1] == Request(RequestKind.RUN, (0.0, 0.0, 0.0))
 
@@ -117,6 +119,11 @@ def test_the_end_is_waited_for() -> None:
         (status(order={"number": 8, "words": "goto 3 mm"}), "replaced", "replaced by goto 3 mm"),
         (status(order=None), "replaced", "replaced by another command"),
         (
+            status("stopped", order={"number": 8, "words": "stop"}),
+            "replaced",
+            "replaced by stop; pneud run --resume goes on",
+        ),
+        (
             status("stopped", "stopping"),
             "stopped",
             "stopped; the axis is stopping; pneud run --resume goes on",
@@ -140,6 +147,7 @@ def test_what_does_not_come_to_its_end_says_why(said: dict[str, Any] | None, kin
         ("run {} --resume", "--resume goes on"),
         ("run {} --cycles -1", "--cycles -1"),
         ("run {} --from nowhere", "no record has that label"),
+        ("run {} --from 0", "records count from 1"),
         ("run {} -o x.mcap", "for --dry-run"),
         ("run {} --dry-run --cycles 0", "--dry-run ends"),
         ("run {} --dry-run --from 9", "record 9: short has 2"),
@@ -183,7 +191,11 @@ def test_a_point_is_taught_into_a_file(tmp_path: Path) -> None:
         b.ring.put(record._replace(tick=tick._replace(estimate=tick.estimate._replace(position_m=0.1234))))
         assert pneud_here("teach", "a", *at).stdout == f"a = 123.4 mm, in {points}\n"
         assert object_of(pneud_here("teach", "b", "--json", *at))["mm"] == 123.4
-    assert points.read_text() == "a = 123.4\nb = 123.4\n"
+        assert points.read_text() == "a = 123.4\nb = 123.4\n"
+        for name in ("above the pick", "pick.1", 'der "höchste" 🏭'):
+            pneud_here("teach", name, *at)
+        names = ("a", "b", "above the pick", "pick.1", 'der "höchste" 🏭')
+        assert tables_of(points.read_text()) == dict.fromkeys(names, 123.4)
     points.write_text("a = ")
     assert pneud_here("teach", "a", "-o", points).returncode == 2
     program = 'schema = 1\n[[record]]\ndo = "wait"\nfor_s = 1.0\n'

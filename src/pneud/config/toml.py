@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Mapping
 from typing import Any
+
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
 class TomlError(ValueError):
@@ -47,11 +50,21 @@ def toml_text(data: dict[str, Any], prefix: str = "") -> str:
     """Tables of plain values as TOML; None is left out."""
     plain = {key: v for key, v in data.items() if not isinstance(v, dict) and v is not None}
     tables = [
-        f"\n[{prefix}{key}]\n{toml_text(v, f'{prefix}{key}.')}"
+        f"\n[{prefix}{_key(key)}]\n{toml_text(v, f'{prefix}{_key(key)}.')}"
         for key, v in data.items()
         if isinstance(v, dict)
     ]
-    return "".join([f"{key} = {_value(v)}\n" for key, v in plain.items()] + tables)
+    return "".join([f"{_key(key)} = {_value(v)}\n" for key, v in plain.items()] + tables)
+
+
+def _key(name: str) -> str:
+    """A name as TOML has it: dots and spaces would be more than one."""
+    return name if _BARE.fullmatch(name) else _quoted(name)
+
+
+def _quoted(text: str) -> str:
+    """A text; JSON's escapes are TOML's, but for halves of a character, and for the one that deletes."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _value(value: Any) -> str:
@@ -61,8 +74,8 @@ def _value(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_value, value))}]"
     if isinstance(value, dict):
-        return f"{{{', '.join(f'{k} = {_value(v)}' for k, v in value.items() if v is not None)}}}"
-    return json.dumps(value)
+        return f"{{{', '.join(f'{_key(k)} = {_value(v)}' for k, v in value.items() if v is not None)}}}"
+    return _quoted(value) if isinstance(value, str) else json.dumps(value)
 
 
 def merged(data: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:

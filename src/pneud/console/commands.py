@@ -35,6 +35,8 @@ _EMPTY = Request(RequestKind.PIECE)  # the profile
 _RESUME = Request(RequestKind.RUN, (0.0, 0.0, 0.0))
 _URGENT = ("disarm", "stop")
 _STEERED = tuple(State(state).label for state in STEERED)
+_LEADS = ("goto", "jog", "hold", "track", "force", "run")
+_FIRST = {State.DISARMED.label: "; pneud arm", State.FAULT.label: "; pneud clear, and pneud arm"}
 _MOVING = tuple(state for state in STEERED if state != State.HOLDING)
 _PLAIN = {verb: RequestKind[verb.upper()] for verb in ("clear", "hold", "home", *_URGENT)}
 
@@ -245,6 +247,11 @@ class AxisDesk:
         asked = (*programs.requests(found.steps[0]), begun)
         words = programs.run_in_words(found, m.record, m.cycles)
         if m.load:
+            if self._run.config.io.start != "program":
+                raise ProtocolError(
+                    Error.PROGRAM,
+                    'run: no input begins a program here; bus.inputs.start does, with io.start = "program"',
+                )
             return Orders(f"load {found.name}", asked[:-1], done=lambda: self.taken(found))
         return Orders(words, asked, attended=m.attended, done=lambda: self.taken(found))
 
@@ -319,7 +326,9 @@ class AxisDesk:
                 )
         if m.speed_mm_s is not None and m.speed_mm_s * _MM > self._run.config.limits.speed_m_s:
             raise ProtocolError(
-                Error.BEYOND_LIMITS, f"force: {m.speed_mm_s:g} mm/s is faster than limits.speed_m_s"
+                Error.BEYOND_LIMITS,
+                f"force: {m.speed_mm_s:g} mm/s is faster than limits.speed_m_s,"
+                f" {self._run.config.limits.speed_m_s / _MM:g} mm/s",
             )
         words = f"force {m.force_n:g} N"
         more = (m.rate_n_s, *((x or 0.0) * _MM for x in (*window, m.speed_mm_s)), m.timeout_s)
@@ -346,6 +355,8 @@ class AxisDesk:
         match kind:
             case Answer.WRONG_STATE:
                 text = f"{words}: not while the axis is {state}"
+                if words.partition(" ")[0].rstrip(",") in _LEADS:
+                    text += _FIRST.get(state, "")
                 if words.startswith("run") and state in _STEERED:
                     text = f"{words}: a program is under way; pneud hold ends it"
             case Answer.BLOCKED:
@@ -362,7 +373,12 @@ class AxisDesk:
                     f" {limits.travel_min_m / _MM:g} … {limits.travel_max_m / _MM:g} mm"
                 )
                 if words.startswith("force "):
-                    text = f"{words}: the load stands outside the window that is asked for"
+                    allowed = self._limits()
+                    text = (
+                        f"{words}: the load stands outside the window, which is the travel"
+                        f" {allowed['min_mm']:g} … {allowed['max_mm']:g} mm unless another is asked for;"
+                        " lead it there: pneud goto"
+                    )
             case Answer.BEYOND_LIMITS:
                 text = f"{words}: faster or harder than the configuration's limits"
             case Answer.UNSTABLE:

@@ -81,6 +81,8 @@ def _check(status: dict[str, Any], program: dict[str, Any] | None, order: int, w
         text += f"; when it is cleared and armed, {GO_ON}"
     elif last is None or last["number"] != order:
         kind, text = "replaced", f"{where}: replaced by {last['words'] if last else 'another command'}"
+        if program is not None and program["stage"] == STOPPED:
+            text += f"; {GO_ON}"
     elif program is None or program["stage"] == STOPPED:
         kind, text = "stopped", f"{where}: stopped; the axis is {status['state']}; {GO_ON}"
     else:

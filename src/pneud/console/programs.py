@@ -6,6 +6,7 @@ never reached, positions, speeds, and where relative ways lead.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +14,7 @@ from typing import Any, NamedTuple
 from pneud.config.conversions import expected_of, pressing_of
 from pneud.config.models import Config
 from pneud.config.station import OUTPUT_ROLES
-from pneud.config.toml import TomlError, tables_of
+from pneud.config.toml import TomlError, flat, tables_of
 from pneud.console import records
 from pneud.console.records import CLASSES, CODES, DEFAULTS, EXACT, FAST, START, TOP, ProgramError, told
 from pneud.control import program
@@ -494,8 +495,21 @@ def tree_of(path: Path) -> dict[str, Any]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return tables_of(path.read_text(encoding="utf-8"))
+        tree = tables_of(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as e:
         raise ProgramError(f"{path}: cannot be read: {getattr(e, 'strerror', None) or e}") from None
     except TomlError as e:
         raise ProgramError(f"{path}: {e}") from None
+    for key, value in flat(tree).items():
+        _check_plain(f"{path}: {key}", value)
+    return tree
+
+
+def _check_plain(what: str, value: Any) -> None:
+    """Refuse what TOML has, and no field takes: numbers that are none, and dates."""
+    if isinstance(value, list):
+        for place, one in enumerate(value, start=1):
+            for key, inner in flat(one).items():
+                _check_plain(f"{what} {place}{f': {key}' if key else ''}", inner)
+    elif not isinstance(value, str | int | float) or (isinstance(value, float) and not math.isfinite(value)):
+        raise ProgramError(f"{what} is {value}, neither a number nor a text")

@@ -171,6 +171,8 @@ def _place(what: str, value: Any, points: Mapping[str, Any], axes: tuple[str, ..
     """A number, or one by the names of axes."""
     if isinstance(value, str):
         if value not in points:
+            if value.removeprefix("-").replace(".", "", 1).isdecimal():
+                raise ProgramError(f"{what}: {value!r} is a text; a number has no quotation marks")
             known = f"there is {', '.join(points)}" if points else "there are no points"
             raise ProgramError(f"{what}: no point {value!r}; {known}: pneud teach {value} makes it")
         value = points[value]

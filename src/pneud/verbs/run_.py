@@ -11,6 +11,7 @@ from pneud.console import programs
 from pneud.console.client import Client, RefusedError
 from pneud.console.going import Sharing, go_through
 from pneud.console.results import refused, show
+from pneud.control.program import MOST_STEPS
 from pneud.verbs import (
     AxisOption,
     ConfigOption,
@@ -111,6 +112,8 @@ def _first(tree: dict[str, Any], record: str | None) -> int:
     if record is None:
         return 1
     if record.isdecimal():
+        if not 1 <= int(record) <= MOST_STEPS:
+            raise VerbError(f"run: --from {record}: records count from 1 to {MOST_STEPS} at most")
         return int(record)
     listed = tree.get("record")
     labels = (

@@ -49,6 +49,8 @@ def teach(
     write_whole(points, changed_text(text, {name: found}))
     place = found if isinstance(found, float) else " ".join(f"{a}={x:g}" for a, x in found.items())
     words = f"{name} = {place if isinstance(place, str) else f'{place:g}'} mm, in {points}"
+    each = status.get("axes", {"": status}).values()
+    words += ", taken in motion" if any(one["state"] in ("tracking", "moving") for one in each) else ""
     show({"point": name, "mm": found, "file": str(points)}, json, words)
     return 0
 
