@@ -16,7 +16,7 @@ pytest.importorskip("greenlet")
 
 from historical import MISTAKES
 from pneud.loop.loop import Loop
-from pneud.prove.plan import NAMES, OTHERS, Item, Plan, plan_of
+from pneud.prove.plan import NAMES, OTHERS, TWO, Item, Plan, plan_of
 from pneud.prove.run import Bench, shrunk
 from pneud.verbs import VerbError
 from pneud.verbs.prove import prove
@@ -93,7 +93,7 @@ def test_a_fault_of_one_axis_touches_the_other_as_its_table_says(
     others: int, whose: int, then: str, bench: Bench
 ) -> None:
     lost = {"trouble": "drop", "for_s": 0.2, "share": 1.0, "by_s": 0.0, "towards": "", "axis": whose}
-    outcome = bench.run(plan_with(Item(0.8, "bus", lost), length_s=1.2, others=OTHERS[others]))
+    outcome = bench.run(plan_with(Item(0.8, "bus", lost), length_s=1.2, others=OTHERS[others], file=TWO))
     assert not outcome.found
     assert all(any(f"{name} tracking" in line for line in outcome.trace) for name in NAMES)
     until_end = outcome.trace[: next(n for n, line in enumerate(outcome.trace) if "all is well" in line)]
@@ -143,6 +143,12 @@ def test_options_that_make_no_sense_are_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(VerbError, match=r"^prove: "):
             prove(**options)
+
+
+def test_a_library_that_is_lacking_is_named_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pneud.verbs.prove.find_spec", lambda name: None if name == "canopen" else name)
+    with pytest.raises(VerbError, match="prove needs canopen; install it with"):
+        prove()
 
 
 def test_a_seed_leaves_its_logs_and_its_trace(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -32,10 +32,22 @@ _QUIET_S = 1.0  # longest that the loop takes to be quiet, once its axis is not 
 
 
 class Readiness:
-    """Whether the nodes are ready, in memory that loop and keeper share."""
+    """Whether the nodes are ready, in memory that loop and keeper share.
+
+    Attributes:
+        keeper: its process id, for the loop; 0 where there is none.
+        lost: it has died, and nobody configures the nodes any more; known by `look`.
+    """
 
     def __init__(self) -> None:
         self._memory = mmap.mmap(-1, mmap.PAGESIZE)
+        self.keeper = 0
+        self.lost = False
+
+    def look(self) -> None:
+        """See whether the keeper is there; in the loop's process, which is its parent."""
+        if self.keeper and not self.lost and crew.gone(self.keeper):
+            self.lost, self.ready = True, False
 
     @property
     def ready(self) -> bool:
@@ -62,7 +74,7 @@ def fork_keeper(channel: str, plans: Sequence[Plan], readiness: Readiness) -> in
     Args:
         channel: the bus, not "auto".
         plans: of the nodes.
-        readiness: shared with the loop.
+        readiness: shared with the loop; it is told of the process.
 
     Returns:
         Its process id.
@@ -72,7 +84,8 @@ def fork_keeper(channel: str, plans: Sequence[Plan], readiness: Readiness) -> in
         keeper = Keeper(channel, plans, readiness, crew.asked_to_leave(signal.SIGTERM))
         keeper.run()
 
-    return crew.fork(main, name="nodes", known=(LinkError, MissingLibraryError))
+    readiness.keeper = crew.fork(main, name="nodes", known=(LinkError, MissingLibraryError))
+    return readiness.keeper
 
 
 class Keeper:
@@ -104,7 +117,7 @@ class Keeper:
         self._emergencies: dict[int, int] = {}
         self._guarded = {plan.node.id: plan.node for plan in plans if plan.node.guard}
         self._asked_at = dict.fromkeys(self._guarded, 0.0)  # for their state
-        self._told_at = dict.fromkeys(self._guarded, 0.0)
+        self._told_at = dict.fromkeys(self._plans, 0.0)
         self._reset_at = 0.0
 
     def run(self) -> None:
@@ -126,6 +139,8 @@ class Keeper:
         if not self._readiness.quiet:
             return False
         plans = [plan for node, plan in self._plans.items() if node in self._to_do]
+        if link.down:
+            link.reopen()
         try:
             with network_on(self._channel) as network:
                 found = Master(network).configure(plans)
@@ -136,8 +151,8 @@ class Keeper:
             self._tell(f"nodes: {e}")
             return False
         done, self._to_do = self._to_do, set()
-        self._told_at = dict.fromkeys(self._guarded, time.monotonic())
-        self._hear(link, known=done)
+        self._told_at |= dict.fromkeys(done, time.monotonic())
+        self._hear(link, just_done=done)
         for note in (note for one in found for note in one.notes):
             self._say(f"nodes: {note}")
         self._say(f"nodes: {', '.join(str(one.node) for one in found)} configured and started")
@@ -150,44 +165,62 @@ class Keeper:
             time.sleep(_LOOK_S)
             self._hear(link)
             self._guard(link)
+            self._miss()
             self._end_faults(link)
 
-    def _hear(self, link: Link, known: Set[int] = frozenset()) -> None:
+    def _hear(self, link: Link, just_done: Set[int] = frozenset()) -> None:
         """Take what has come.
 
         Args:
             link: to the bus.
-            known: nodes that have just been configured, however often they have booted meanwhile.
+            just_done: nodes that have just been configured, however often they have booted meanwhile: of
+                these the last that they have said of their state counts.
         """
         frames: list[Frame] = []
+        last: dict[int, int] = {}  # state of those
         link.watch_clock()
         link.drain(frames)
         for _, can_id, data in frames:
             node = can_id & 0x7F
             if node not in self._plans or not data:
                 continue
-            if can_id == objects.HEARTBEAT_ID + node and node in self._guarded:
+            if can_id == objects.HEARTBEAT_ID + node:
                 self._told_at[node] = time.monotonic()
-            if can_id == objects.HEARTBEAT_ID + node and node not in known and node not in self._to_do:
-                state = data[0] & 0x7F
-                if state != Nmt.OPERATIONAL:
-                    word = "has rebooted" if state == Nmt.BOOT else "is no longer operational"
-                    name = self._plans[node].name
-                    self._say(f"nodes: {name} {word}; {_AGAIN}")
-                    self._to_do.add(node)
+                if node in just_done:
+                    last[node] = data[0] & 0x7F
+                else:
+                    self._see(node, data[0] & 0x7F)
             elif can_id == objects.EMCY_ID + node and len(data) >= 2:
                 self._emergency(node, int.from_bytes(data[:2], "little"))
+        for node, state in last.items():
+            self._see(node, state)
+
+    def _see(self, node: int, state: int) -> None:
+        """A node says what state it is in."""
+        if state != Nmt.OPERATIONAL and node not in self._to_do:
+            word = "has rebooted" if state == Nmt.BOOT else "is no longer operational"
+            self._again(node, word)
+
+    def _again(self, node: int, why: str) -> None:
+        """A node has to be configured anew."""
+        self._say(f"nodes: {self._plans[node].name} {why}; {_AGAIN}")
+        self._to_do.add(node)
 
     def _guard(self, link: Link) -> None:
-        """Ask nodes without a heartbeat for their state; one that does not tell it is not ready any more."""
+        """Ask nodes without a heartbeat for their state."""
         now = time.monotonic()
         for node, told in self._guarded.items():
             if now - self._asked_at[node] >= told.heartbeat_ms * 1e-3:
                 self._asked_at[node] = now
                 link.send(objects.HEARTBEAT_ID + node | CAN_RTR_FLAG, b"")
-            if now - self._told_at[node] > told.patience_ms * 1e-3:
-                self._say(f"nodes: {self._plans[node].name} does not answer its guarding; {_AGAIN}")
-                self._to_do.add(node)
+
+    def _miss(self) -> None:
+        """A node that says nothing of its state may have rebooted unheard, and is not ready any more."""
+        now = time.monotonic()
+        for node, plan in self._plans.items():
+            if now - self._told_at[node] > plan.node.patience_ms * 1e-3 and node not in self._to_do:
+                what = "does not answer its guarding" if node in self._guarded else "sends no heartbeat"
+                self._again(node, what)
 
     def _emergency(self, node: int, code: int) -> None:
         if code != self._emergencies.get(node, 0):

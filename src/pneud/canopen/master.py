@@ -138,6 +138,7 @@ class Master:
         self._patience = patience
         self._pause, self._clock = pause, clock
         self._clients: dict[int, Any] = {}
+        self._configured_at: dict[int, int] = {}  # boots of each node, when it was
 
     def configure(self, plans: Sequence[Plan], *, save: bool = False, start: bool = True) -> list[Configured]:
         """Configure all nodes, and start them in this order.
@@ -272,6 +273,7 @@ class Master:
             self._find(plan)
             boots = self.boots[plan.node.id]
             self.command(plan.node.id, Command.PRE_OPERATIONAL)
+            self._configured_at[plan.node.id] = boots
             try:
                 return self._configured(plan, boots, save=save)
             except _RebootedError:
@@ -376,17 +378,21 @@ class Master:
             client.RESPONSE_TIMEOUT = self._patience.answer_s
 
     def _start(self, plans: Sequence[Plan], found: dict[int, Configured]) -> None:
-        """Start all nodes in order, or none; one that reboots meanwhile is configured again."""
+        """Start all nodes in order, or none; one that has rebooted since it was configured is that again."""
+        rounds, running = Counter[int](), dict[int, int]()  # boots with which each runs
         try:
-            for plan in plans:
-                for _ in range(self._patience.rounds):
-                    boots = self.boots[plan.node.id]
-                    self.command(plan.node.id, Command.START)
+            while left := [plan for plan in plans if running.get(plan.node.id) != self.boots[plan.node.id]]:
+                for plan in left:
+                    node = plan.node.id
+                    if rounds[node] == self._patience.rounds:
+                        raise self._restless(plan)
+                    rounds[node] += 1
+                    if self.boots[node] != self._configured_at[node]:
+                        found[node] = self._one(plan, save=False)
+                    boots = self._configured_at[node]
+                    self.command(node, Command.START)
                     if self._is_started(plan, boots):
-                        break
-                    found[plan.node.id] = self._one(plan, save=False)
-                else:
-                    raise self._restless(plan)
+                        running[node] = boots
         except NodeError:
             for plan in plans:
                 self.command(plan.node.id, Command.PRE_OPERATIONAL)

@@ -283,7 +283,12 @@ class Session:
         readiness = Readiness()
         plans = tuple(plan for axis in self.axes for plan in plans_of_nodes(axis.ready.loaded))
         keeper = fork_keeper(self.ready.link.name, plans, readiness)
-        ends.callback(crew.end, keeper, KEEPER_PATIENCE_S)
+
+        def end() -> None:
+            if not readiness.lost:  # its number may be another process's by now
+                crew.end(keeper, KEEPER_PATIENCE_S)
+
+        ends.callback(end)
         return readiness
 
     def _start_viewers(self, ends: ExitStack, at: ViewersPlace) -> None:

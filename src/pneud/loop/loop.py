@@ -39,6 +39,10 @@ class Nodes(Protocol):
 
     ready: bool  # they are configured; until then nothing is armed
     quiet: bool  # no SYNC is sent, so that they can be
+    lost: bool  # who configures them has died
+
+    def look(self) -> None:
+        """See whether that has died; it costs a system call."""
 
 
 class Loop:
@@ -187,7 +191,7 @@ class Loop:
         """What the host lacks while nodes have yet to be configured, which takes a bus without SYNC."""
         ready = nodes.ready
         engaged = self._count and any(is_engaged(turn.tick.state) for turn in self._turns)
-        self._hushed = not ready and not engaged
+        self._hushed = not ready and not engaged and not nodes.lost
         if nodes.quiet != self._hushed:
             nodes.quiet = self._hushed
         return 0 if ready else UNREADY
@@ -235,6 +239,8 @@ class Loop:
         if self._count % self._check_ticks == self._check_ticks - 1:
             for lane in self.lanes:
                 lane.recorder.look()
+            if self._nodes is not None:
+                self._nodes.look()
         if not self._ending and (self._stop or (self._total is not None and self._passed >= self._total)):
             self._ending = True
             self._service.stopping()

@@ -38,6 +38,7 @@ LATE_NS = 205_000_000  # after which a request that waits for the loop is turned
 DEATH_S = 0.9  # after which the loop has to have seen that a console or a recorder is gone
 _TAKEN = int(Answer.TAKEN)
 _STOP, _CENTRE, _ARM = int(RequestKind.STOP), int(RequestKind.CENTRE), int(RequestKind.ARM)
+_DISARM = int(RequestKind.DISARM)
 _STOPPING = int(State.STOPPING)
 _TOUCHES = {"stop": _STOP, "centre": _CENTRE, "go_on": 0}
 _NEVER_LATE = (_STOP, int(RequestKind.DISARM))
@@ -116,6 +117,7 @@ class AxisJudge:
         self._slew_v = config.limits.slew_v_s / config.loop.rate_hz
         self._wall_ns = self._world.wall_ns
         self._idle_ns = 0  # since when it is not engaged
+        self._engaged_ns = 0  # when it was last
         self._begin()
 
     def _begin(self) -> None:
@@ -135,6 +137,11 @@ class AxisJudge:
         """A loop is about to run."""
         self.session = session
         self._begin()
+
+    @property
+    def calm(self) -> int:
+        """Ticks in a row in which nothing was wrong with its frames, rig, machine and loop."""
+        return self._calm
 
     def _says_no(self, oracle: str, words: str) -> None:
         self._judge.says_no(oracle, words if len(self._judge.axes) == 1 else f"{self.name}: {words}")
@@ -160,6 +167,8 @@ class AxisJudge:
         session.ticks.append(Taken(tick.t_ns, tick.state, tick.command.voltage_v, tick.answer))
         engaged = is_engaged(tick.state)
         self.engaged_ticks += engaged
+        if engaged:
+            self._engaged_ns = self._world.now_ns
         self._engaged = self._engaged + 1 if engaged else 0
         self._see_calm(tick)
         self._output(tick, engaged=engaged)
@@ -168,6 +177,8 @@ class AxisJudge:
         self._valve(tick)
         self._watches(session, tick, engaged=engaged)
         self._waiting(record)
+        if self._judge.nodes is not None:
+            self._judge.nodes.decided(tick)
         if len(self._judge.axes) > 1:
             self._others(session, tick, engaged=engaged)
         if tick.request is not None and tick.answer == _TAKEN:
@@ -177,6 +188,8 @@ class AxisJudge:
         if before is None or before.state != tick.state:
             self._world.note(f"{self.name} {State(tick.state).label}, faults {tick.latched:x}")
         self.last, self._last_ns, self._last_v = tick, self._world.now_ns, tick.command.voltage_v
+        if self._judge.tie is not None and self is self._judge.axes[-1]:
+            self._judge.tie.decided()
 
     def _see_calm(self, tick: Tick) -> None:
         """Count ticks in which nothing is wrong with its frames, rig, machine and loop."""
@@ -186,6 +199,7 @@ class AxisJudge:
         calm = calm and now_ns - self._bus.troubled_ns(self._number) > SETTLES_NS
         calm = calm and not judge.held_since(tick.t_ns - 2 * self.period_ns) and judge.rig_is_well()
         calm = calm and now_ns - self._last_ns < 2 * self.period_ns
+        calm = calm and (judge.nodes is None or judge.nodes.well)
         self._calm = self._calm + 1 if calm else 0
         if self._world.wall_ns != self._wall_ns:  # what comes in the same tick has a stamp that says nothing
             self._wall_ns = self._world.wall_ns
@@ -314,6 +328,10 @@ class AxisJudge:
         """A fault touches others as their tables say, and not otherwise; all arm together, or none."""
         request, asked = tick.request, session.lane._asked
         kind = request.kind if request is not None and not asked else 0
+        if (tie := self._judge.tie) is not None and tie.joins(self) is not None:
+            if kind in (_STOP, _CENTRE, _DISARM) and not tie.may_centre(self):
+                self._says_no("touched", f"it is to {RequestKind(kind).name.lower()}, and its half goes on")
+            return
         if kind in (_STOP, _CENTRE) and kind != self._touch:
             self._says_no("touched", f"it is to {RequestKind(kind).name.lower()}, for no fault")
         if self._touch:
@@ -365,14 +383,13 @@ class AxisJudge:
 
     def look(self) -> None:
         """From time to time: whether the valve is closed where nothing is engaged, and no loop runs."""
-        now_ns, node, last = self._world.now_ns, self.node, self.last
+        now_ns, node = self._world.now_ns, self.node
         if node is None or not self._judge.rig_is_well():
             self._idle_ns = now_ns
             return
         if self._bus.troubled_ns(self._number) + self._valve_ns > now_ns:  # it may have obeyed somebody else
             self._idle_ns = now_ns
-        if last is not None and is_engaged(last.state) and now_ns - last.t_ns < 2 * self.period_ns:
-            self._idle_ns = now_ns
+        self._idle_ns = max(self._idle_ns, self._engaged_ns)
         most_ns = self._valve_ns + (PATIENCE_TICKS + 4) * self.period_ns + 60_000_000
         if now_ns - self._idle_ns > most_ns and node.valve.output_v != 0.0:
             self._says_no("valve", f"nothing is engaged, and it puts out {node.valve.output_v:.3f} V")

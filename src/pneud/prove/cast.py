@@ -21,7 +21,7 @@ from pneud.console.endpoint import Endpoint, PlaceError
 from pneud.daemon.preparation import AxisReady, Ready, RunOptions
 from pneud.daemon.result import tell
 from pneud.daemon.session import Session
-from pneud.loading import Loaded, listening_s
+from pneud.loading import Loaded, listening_s, plans_of_plant
 from pneud.log.files.naming import LogError, open_log
 from pneud.log.live.notes import Teller
 from pneud.log.live.ring import Ring
@@ -44,7 +44,7 @@ SLOTS = 2048  # of the ring: seconds, at the rate of a run
 SETTLES_NS = 200_000_000  # from the rig's beginning until it answers
 LOADING_S = (0.0, 0.01, 0.1, 1.0)  # that a process takes at most to load what it needs
 AGAIN_S = 0.5  # from a daemon's death to the next one
-CREW = ("daemon", "recorder", "keeper", "console", "plant", "screen")
+CREW = ("daemon", "recorder", "keeper", "console", "plant", "screen", "nodes")
 _MANAGER_S = 0.05
 
 
@@ -125,7 +125,22 @@ class Cast:
             "pneud.rig.plant_process.open_link": lambda *_, **__: self.bus.link("rig"),
             "pneud.rig.plant_process.PlantNode": self._node,
             "pneud.view.terminal.Console": lambda **_: Console(file=self.terminal, highlight=False),
+            **self._of_nodes(),
         }
+
+    def _of_nodes(self) -> dict[str, Any]:
+        """The same, where there are nodes that have to be configured."""
+        nodes = self.judge.nodes
+        if nodes is None:
+            return {}
+        from pneud.prove import canlib  # noqa: PLC0415 - what it takes is loaded for few seeds only
+        from pneud.rig.canopen import CanopenRig  # noqa: PLC0415
+
+        def front(*args: Any, **kwargs: Any) -> CanopenRig:
+            nodes.front = CanopenRig(*args, **kwargs)
+            return nodes.front
+
+        return {"pneud.rig.canopen.CanopenRig": front, **canlib.adapters(self.world, self.bus)}
 
     def _fork(
         self,
@@ -234,6 +249,7 @@ class Cast:
                 0,
                 how.advance,
                 how.carriage,
+                plans_of_plant(axis),
             )
             for number, (axis, how) in enumerate(zip(self.begin.axes, self.begin.hows, strict=True))
         ]

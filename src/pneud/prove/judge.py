@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pneud.loading import Loaded
+from pneud.loading import Loaded, plans_of_plant
+from pneud.loop.company import ties_of
 from pneud.prove.axis_judge import AxisJudge, Session
 from pneud.prove.canbus import CanBus
+from pneud.prove.tie_judge import TieJudge
 from pneud.prove.world import START_NS, Process, World
 from pneud.signals import RequestKind
+
+if TYPE_CHECKING:
+    from pneud.prove.node_judge import NodeJudge
 
 END_S = 30.0  # after which a run that was told to end has to have ended
 QUEUE_BYTES = 512 * 1024
@@ -42,6 +47,8 @@ class Judge:
         bus: of the axes.
         by_itself: the run may arm the axes.
         axes: those who look at each.
+        nodes: who looks at nodes that have to be configured; None where there are none.
+        tie: who looks at an axis together with the one that leads it; None where there are none.
         found: what has been found; the first one ends a run.
         sessions: of all axes, one after the other.
         daemon: the process of the loop that runs.
@@ -55,10 +62,20 @@ class Judge:
         self.daemon: Process | None = None
         self.rig_is_well: Callable[[], bool] = lambda: True
         self.axes = [AxisJudge(self, axis, number) for number, axis in enumerate(axes)]
+        self.nodes = self._nodes(axes[0])
+        ties = ties_of([axis.config for axis in axes])
+        self.tie = TieJudge(self, ties[0]) if ties else None
         self._commands = {axis.command_id: axis for axis in self.axes}
         self._asked: deque[tuple[int, str, str | None]] = deque(maxlen=64)  # when, verb, axis
         self._acknowledged: Counter[tuple[str, int]] = Counter()  # by axis, or "" for some of all
         world.on_death = self._died
+
+    def _nodes(self, axis: Loaded) -> NodeJudge | None:
+        if not (plans := plans_of_plant(axis)):
+            return None
+        from pneud.prove.node_judge import NodeJudge  # noqa: PLC0415 - what it takes is loaded for few seeds
+
+        return NodeJudge(self, plans)
 
     def says_no(self, oracle: str, words: str) -> None:
         """Note a finding."""
@@ -73,6 +90,9 @@ class Judge:
         self.sessions += sessions
         for axis, session in zip(self.axes, sessions, strict=True):
             axis.begins(session)
+        for more in (self.nodes, self.tie):
+            if more is not None:
+                more.begins()
 
     def ended(self, status: int) -> None:
         """A run has ended in order, and has told its status."""
@@ -93,6 +113,8 @@ class Judge:
     def _died(self, process: Process) -> None:
         for axis in self.axes:
             axis.died(process)
+        if self.nodes is not None:
+            self.nodes.died(process)
 
     def look(self) -> None:
         """From time to time: what holds also where no loop runs."""
@@ -113,9 +135,11 @@ class Judge:
 
     def was_asked_to_engage(self, name: str) -> bool:
         """Whether somebody has lately asked for what engages an axis."""
-        since_ns = self.world.now_ns - ASKED_NS
+        since_ns, names = self.world.now_ns - ASKED_NS, {None, name}
+        if self.tie is not None and self.tie.gantry:
+            names |= {axis.name for axis in self.axes}  # who arms one half arms both
         return any(
-            t_ns > since_ns and verb in _ENGAGING and axis in (None, name) for t_ns, verb, axis in self._asked
+            t_ns > since_ns and verb in _ENGAGING and axis in names for t_ns, verb, axis in self._asked
         )
 
     def told(self, verb: str, reply: dict[str, Any]) -> None:

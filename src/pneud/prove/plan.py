@@ -12,10 +12,17 @@ RATES_HZ = (100.0, 200.0)
 PERIOD_S = 0.005  # that troubles are measured by
 TROUBLES = ("drop", "twice", "late", "behind", "shuffle", "stamp", "corrupt")
 VICTIMS = ("daemon", "recorder", "keeper", "console", "rig")
+CANOPEN_KEEPER = "nodes"
+NMT_COMMANDS = (1, 2, 128, 129, 130)
+CONFIGURED_S = 1.5  # that it takes at least until nodes are
 _RIG_BEGINS_S = 0.1  # the manager starts the daemon somewhat later
 _GOOD, _BAD = "good", "bad"
 TWO_AXES, SERVICE, SHOWN = 0.25, 0.4, 0.1  # of the seeds; of the rest, the last
+NODES = 0.04  # of the seeds with one axis
+TIED = 0.35  # of the seeds with two
 NAMES = ("x", "y")
+TWO, LED, GANTRY, CANOPEN = "two-axes.toml", "led.toml", "gantry.toml", "canopen.toml"
+AXES = {TWO: NAMES, LED: NAMES, GANTRY: ("x1", "x2")}
 OTHERS = (
     (("stop", "stop"), ("stop", "stop")),
     (("centre", "stop"), ("go_on", "go_on")),
@@ -50,6 +57,7 @@ class Plan(NamedTuple):
     service: bool = False  # of a manager that has a watchdog
     shown: bool = False  # on a screen
     others: tuple[tuple[str, str], ...] = ()  # of several axes: `[faults.others]` of each, centre and stop
+    file: str = "virtual.toml"  # of the configuration
 
     @property
     def axes(self) -> int:
@@ -89,8 +97,12 @@ def plan_of(seed: int) -> Plan:
         tuple(sorted(items, key=_at)),
     )
     more = random.Random(f"more {seed}")
+    what = random.Random(f"rig {seed}")
     if more.random() < TWO_AXES:
-        plan = _with_two_axes(more, plan)
+        file = what.choice((LED, GANTRY)) if what.random() < TIED else TWO
+        plan = _with_two_axes(more, plan, file)
+    elif what.random() < NODES:
+        plan = _with_nodes(what, plan)
     if more.random() < SERVICE:
         return plan._replace(service=True, items=_with(more, plan, "deaf", 0.5))
     if more.random() < SHOWN:
@@ -111,25 +123,47 @@ def _with(rng: random.Random, plan: Plan, kind: str, share: float) -> tuple[Item
     return tuple(sorted((*plan.items, *more), key=_at))
 
 
-def _with_two_axes(rng: random.Random, plan: Plan) -> Plan:
-    """The plan, with each thing happening to one of two axes, or to both."""
+def _with_nodes(rng: random.Random, plan: Plan) -> Plan:
+    """The plan, for an axis whose nodes have to be configured first; and what happens to these."""
     items = []
+    for item in plan.items:
+        what = item.what
+        if what.get("trouble") == "corrupt":  # of what has no checksum but CAN's, nobody could tell
+            what = what | {"trouble": "drop"}
+        items.append(item._replace(what=what, at_s=item.at_s + CONFIGURED_S * (item.kind == "operator")))
+    length_s = plan.length_s + CONFIGURED_S
+    for _ in range(rng.choice((0, 1, 2, 4))):
+        kind = rng.choice(("slave", "slave", "nmt", "kill", "stop"))
+        what = {"who": CANOPEN_KEEPER, "step": _at_step(rng), "for_s": rng.choice((0.03, 0.4, 2.0))}
+        if kind == "slave":
+            what = {"node": rng.randrange(3), "boot_s": rng.choice((0.0, 0.03, 0.5)) * rng.random()}
+        elif kind == "nmt":
+            what = {"node": rng.randrange(4), "command": rng.choice(NMT_COMMANDS)}
+        items.append(Item(rng.uniform(_RIG_BEGINS_S, length_s), kind, what))
+    items.sort(key=_at)
+    return plan._replace(length_s=length_s, items=tuple(items), file=CANOPEN)
+
+
+def _with_two_axes(rng: random.Random, plan: Plan, file: str) -> Plan:
+    """The plan, with each thing happening to one of two axes, or to both."""
+    items, names = [], AXES[file]
     for item in plan.items:
         what = dict(item.what)
         if item.kind != "operator":
             what["axis"] = rng.choice((0, 1, 1, ALL))
         elif what["verb"] == "goto" and rng.random() < 0.3:
-            x_mm = {name: rng.uniform(100.0, 800.0) for name in NAMES}
+            x_mm = {name: rng.uniform(100.0, 800.0) for name in names}
             what = {"who": what["who"], "verb": "goto_all", "axes": x_mm}
         elif what["verb"] not in _OF_ALL or rng.random() < 0.3:
-            what["axis"] = rng.choice(NAMES)
+            what["axis"] = rng.choice(names)
         items.append(item._replace(what=what))
     if rng.random() < 0.6:  # what one of them cannot do without, for longer than it is borne
         what = {"trouble": "drop", "for_s": 0.2, "share": 1.0, "by_s": 0.0, "towards": ""}
         at_s = rng.uniform(0.3, plan.length_s)
-        items.append(Item(at_s, "bus", {**what, "axis": rng.randrange(len(NAMES))}))
+        items.append(Item(at_s, "bus", {**what, "axis": rng.randrange(len(names))}))
     items.sort(key=_at)
-    return plan._replace(items=tuple(items), others=rng.choice(OTHERS), rate_hz=RATES_HZ[0])
+    others = rng.choice(OTHERS)
+    return plan._replace(items=tuple(items), others=others, rate_hz=RATES_HZ[0], file=file)
 
 
 def _at(item: Item) -> float:

@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pneud.bus.shared import identifiers
 from pneud.config.toml import changed_text, tables_of
@@ -22,13 +22,17 @@ from pneud.prove.doors import doors
 from pneud.prove.judge import END_S, Finding, Judge
 from pneud.prove.manager import ENVIRON
 from pneud.prove.plan import Plan
-from pneud.prove.seams import opened
+from pneud.prove.seams import SEAMS, opened
 from pneud.prove.troubles import Troubles
 from pneud.prove.world import START_NS, World
 from pneud.replay.lockstep import backend_of
 from pneud.resources import find
 
+if TYPE_CHECKING:
+    from pneud.prove.node_judge import NodeJudge
+
 MOST_STEPS = 20_000_000
+SETTLE_S = 15.0  # after which nodes to which nothing happens any more are ready
 COLLECT = 8  # runs, from one collection of what is left of them to the next
 _NAME = "prove.toml"
 _LIMITS = {"slew_v_s": 500.0}  # so that it bounds the command
@@ -67,7 +71,7 @@ class Bench:
 
     def _begin(self, plan: Plan) -> Begin:
         """What a run begins with; its text is in the file afterwards."""
-        key = plan.detail, plan.rate_hz, plan.others
+        key = plan.file, plan.detail, plan.rate_hz, plan.others
         if key not in self._begins:
             text = _text(plan)
             self.file.write_text(text, encoding="utf-8")
@@ -115,9 +119,9 @@ def _text(plan: Plan) -> str:
         "limits": _LIMITS,
         "log": {"detail": plan.detail},
     }
+    text = find(plan.file).read_text(encoding="utf-8")
     if not plan.others:
-        return changed_text(find("virtual.toml").read_text(encoding="utf-8"), change)
-    text = find("two-axes.toml").read_text(encoding="utf-8")
+        return changed_text(text, change)
     change["axis"] = [
         axis | {"faults": {"others": {"centre": centre, "stop": stop}}}
         for axis, (centre, stop) in zip(tables_of(text)["axis"], plan.others, strict=True)
@@ -139,7 +143,12 @@ def _run(plan: Plan, begin: Begin, folder: Path, most_steps: int | None) -> Outc
     troubles = Troubles(cast)
     opens = doors(world, disk)
     opens["socket"].manager = cast.manager.hear
-    with opened(opens, cast.adapters(), ENVIRON if plan.service else {}):
+    seams = SEAMS
+    if judge.nodes is not None:
+        from pneud.prove import canlib  # noqa: PLC0415 - what it takes is loaded for few seeds only
+
+        seams = SEAMS | canlib.SEAMS
+    with opened(opens, cast.adapters(), ENVIRON if plan.service else {}, seams):
         try:
             cast.start()
             troubles.begin()
@@ -174,6 +183,8 @@ def _live(plan: Plan, world: World, judge: Judge, troubles: Troubles, *, cut_sho
     if judge.found:
         return
     troubles.heal()
+    if judge.nodes is not None:
+        _settle(world, judge, judge.nodes)
     world.note("all is well, and ends")
     for daemon in world.named(("daemon",)):
         world.send(daemon, signal.SIGTERM)
@@ -184,6 +195,15 @@ def _live(plan: Plan, world: World, judge: Judge, troubles: Troubles, *, cut_sho
     if left and not judge.found and not cut_short:
         judge.says_no("end", f"{', '.join(one.name for one in left)} run {END_S:g} s after they were to end")
     judge.look()
+
+
+def _settle(world: World, judge: Judge, nodes: NodeJudge) -> None:
+    """Wait until nodes to which nothing happens any more are ready."""
+    last_ns = world.now_ns + round(SETTLE_S * 1e9)
+    world.at(last_ns, lambda: None)
+    world.run(lambda: bool(judge.found) or world.now_ns >= last_ns or nodes.settled())
+    if not judge.found:
+        nodes.expects(SETTLE_S)
 
 
 def _digest(trace: Sequence[str], folder: Path) -> str:

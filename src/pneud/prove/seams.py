@@ -53,7 +53,10 @@ Where a function has a clock or a sleep as a default, given when it was made, th
 
 @contextmanager
 def opened(
-    doors: Mapping[str, Any], adapters: Mapping[str, Any], environ: Mapping[str, str]
+    doors: Mapping[str, Any],
+    adapters: Mapping[str, Any],
+    environ: Mapping[str, str],
+    seams: Mapping[str, tuple[str, ...]] = SEAMS,
 ) -> Iterator[None]:
     """Have the modules find doors for as long as a block lasts.
 
@@ -61,6 +64,7 @@ def opened(
         doors: by the names of the modules that they stand for.
         adapters: what takes the place of functions, by module and name.
         environ: in the place of the environment, for functions that have it as a default.
+        seams: the modules, and what they find doors for.
     """
     clock = doors["time"]
     bound: dict[Any, Any] = {
@@ -70,9 +74,9 @@ def opened(
     }
     undo: list[Callable[[], None]] = []
     try:
-        for name, seams in SEAMS.items():
+        for name, named in seams.items():
             module = import_module(name)
-            for seam in seams:
+            for seam in named:
                 _put(module, seam, doors[seam], undo)
             for function in _functions(module):
                 _bind(function, bound, environ, undo)

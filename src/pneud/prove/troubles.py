@@ -15,6 +15,7 @@ from pneud.prove.plan import Item
 from pneud.prove.world import START_NS, Actor, Process
 
 _NS = 1e9
+NMT_ID = 0
 
 
 class Troubles:
@@ -219,10 +220,28 @@ class Troubles:
         bus.on_frame = on_frame
 
     def _node(self, item: Item) -> None:
-        node = self._axis(item).node
-        if node is not None:
+        node, nodes = self._axis(item).node, self._cast.judge.nodes
+        if nodes is not None:
+            self._reboots(item, 0.0)
+        elif node is not None:
             self._trouble(item)
             node.reboot(item.what["node"])
+
+    def _slave(self, item: Item) -> None:
+        self._reboots(item, item.what["boot_s"])
+
+    def _reboots(self, item: Item, boot_s: float) -> None:
+        nodes = self._cast.judge.nodes
+        if nodes is not None and nodes.front is not None:
+            self._trouble(item)
+            slave = nodes.front.slaves[item.what["node"]]
+            slave.odd = slave.odd._replace(boot_ms=1e3 * boot_s)
+            slave.power_up(self._world.now_ns)
+
+    def _nmt(self, item: Item) -> None:
+        """Somebody else is a master of the network, too."""
+        self._trouble(item)
+        self._cast.bus.carry(None, NMT_ID, bytes((item.what["command"], item.what["node"])))
 
     # clients
 

@@ -3,6 +3,7 @@
 import json as json_
 import tempfile
 import time
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -47,13 +48,11 @@ def prove(
         raise VerbError("prove: --keep and --only are for one seed")
     if keep is not None and keep.exists() and (not keep.is_dir() or any(keep.iterdir())):
         raise VerbError(f"prove: --keep {keep}: is no empty folder")
-    try:
-        from pneud.prove.plan import plan_of  # noqa: PLC0415 - what not everybody has
-        from pneud.prove.run import Bench, Outcome, shrunk  # noqa: PLC0415
-    except ModuleNotFoundError as e:
-        if e.name != "greenlet":
-            raise
-        raise VerbError("prove needs greenlet; install it with: pip install 'pneud[prove]'", 3) from None
+    for library in ("greenlet", "canopen"):
+        if find_spec(library) is None:
+            raise VerbError(f"prove needs {library}; install it with: pip install 'pneud[prove]'", 3)
+    from pneud.prove.plan import plan_of  # noqa: PLC0415 - what not everybody has
+    from pneud.prove.run import Bench, Outcome, shrunk  # noqa: PLC0415
 
     begun_s, cpu_s = time.monotonic(), time.process_time()
     done: list[Outcome] = []
