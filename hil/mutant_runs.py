@@ -161,7 +161,7 @@ class Runner:
         try:
             verdict = self._forked(job["tests"], job["seeds"], job, honest)
             cold = job["cold"] or verdict.by == "cold"
-            if verdict.how == "survived" and cold:
+            if verdict.how == "survived" and cold and job["tests"]:  # without, all there are would be run
                 verdict = _cold(job["tests"])
         finally:
             path.write_text(honest, encoding="utf-8")
