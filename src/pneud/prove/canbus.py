@@ -17,6 +17,7 @@ EMPTY_LOOK_NS = 30_000  # that a look at an empty queue takes
 MOST_WAITING = 4096  # frames, at a party that does not read
 _ARRIVES_NS = 3_000
 ALL = -1  # axes
+OURS = ("loop", "nodes")  # parties of the daemon, by one interface
 
 
 class Trouble(NamedTuple):
@@ -36,11 +37,20 @@ class Party(Readable):
     def __init__(self, world: World, bus: CanBus, name: str) -> None:
         super().__init__(world)
         self.name = name
-        self.down = self.full = False
         self.heard_ns: dict[int, int] = {}  # when a frame came last, by identifier
         self._bus = bus
         self._waiting: list[tuple[int, int, int, int, bytes]] = []  # when, number, stamp, identifier, data
         bus.parties.append(self)
+
+    @property
+    def down(self) -> bool:
+        """The interface by which it is on the bus is."""
+        return self._bus.down and self.name in OURS
+
+    @property
+    def full(self) -> bool:
+        """The queue of that takes nothing more."""
+        return self._bus.full and self.name in OURS
 
     @property
     def dropped(self) -> int:
@@ -53,7 +63,7 @@ class Party(Readable):
 
     def put(self, due_ns: int, stamp_ns: int, can_id: int, data: bytes) -> None:
         """A frame comes, then."""
-        if len(self._waiting) < MOST_WAITING:
+        if len(self._waiting) < MOST_WAITING and not self.down:
             self._bus.number += 1
             heapq.heappush(self._waiting, (due_ns, self._bus.number, stamp_ns, can_id, data))
             self.world.happens_at(self.readable, due_ns)
@@ -110,6 +120,8 @@ class CanBus:
         parties: on it.
         troubles: that it has.
         on_frame: told of every frame that is sent: by whom, identifier, data.
+        down: the interface of the daemon's machine is.
+        full: its queue takes nothing more.
     """
 
     def __init__(self, world: World, own: Sequence[Collection[int]]) -> None:
@@ -122,6 +134,7 @@ class CanBus:
         self.parties: list[Party] = []
         self.troubles: list[Trouble] = []
         self.number = 0
+        self.down = self.full = False
         self.on_frame: Callable[[str, int, bytes], None] = lambda *_: None
         self._own = own
         self._troubled_ns = [0] * len(own)

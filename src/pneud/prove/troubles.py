@@ -42,8 +42,7 @@ class Troubles:
         cast, world = self._cast, self._world
         cast.finishing = True
         cast.bus.troubles.clear()
-        for party in cast.bus.parties:
-            party.down = party.full = False
+        cast.bus.down = cast.bus.full = False
         cast.disk.heal()
         cast.manager.deaf_until_ns = cast.terminal.stands_until_ns = 0
         self._file.write_text(self._good, encoding="utf-8")
@@ -151,15 +150,17 @@ class Troubles:
         self._cast.bus.troubles.append(trouble)
 
     def _interface(self, item: Item) -> None:
-        party = self._cast.bus.party("loop")
-        if party is None:
+        bus = self._cast.bus
+        if bus.party("loop") is None:
             return
         down = item.what["state"] == "down"
-        party.down, party.full = party.down or down, party.full or not down
-        self._world.happens(party.readable)
+        bus.down, bus.full = bus.down or down, bus.full or not down
+        for party in bus.parties:
+            if party.down:
+                self._world.happens(party.readable)
 
         def up() -> None:
-            party.down = party.full = False
+            bus.down = bus.full = False
 
         self._world.at(self._world.now_ns + round(item.what["for_s"] * _NS), up)
 
