@@ -15,7 +15,7 @@ import pytest
 
 from commands import object_of, pneud_here
 from pneud import resources
-from pneud.log.files.listing import listed
+from pneud.log.files.listing import length_s, listed
 from pneud.log.files.naming import LogError
 from pneud.log.files.reader import read_log
 from pneud.replay import viewing
@@ -57,6 +57,12 @@ def test_the_parts_of_a_run_are_one_log(tmp_path: Path, folder: Path) -> None:
     shutil.copy(folder / "a.mcap", parts / "y.mcap")
     runs = {read_log(path).metadata.get("run") for path in parts.glob("*.mcap")}
     assert [log.parts for log in listed(parts)] == ([2] if runs != {None} else [1, 1])
+
+
+def test_files_of_a_run_are_as_long_as_from_the_first_message_to_the_last(folder: Path) -> None:
+    whole = next(log for log in listed(folder) if log.closed)
+    assert length_s([folder / "a.mcap"] * 2) == pytest.approx(whole.length_s, abs=1e-9) != 0.0
+    assert length_s([]) == 0.0
 
 
 def test_logs_of_the_daemon_are_the_default(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

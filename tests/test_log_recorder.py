@@ -17,7 +17,7 @@ from pneud.log.files.reader import read_log
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.schema import Level
 from pneud.log.live.recorder import start_recorder
-from pneud.log.live.ring import RecorderStatus, Ring
+from pneud.log.live.ring import _HEAD_BYTES, _NOTES_BYTE, RecorderStatus, Ring
 from pneud.loop.recorder_watch import RecorderWatch
 from pneud.signals import Frame, Host, Record, Request, RequestKind, State, Tick, Timing
 
@@ -47,6 +47,14 @@ def ended(pid: int) -> int:
 
     until(gone)
     return os.waitstatus_to_exitcode(status)
+
+
+def test_notes_fill_the_head_of_the_ring_and_no_more() -> None:
+    ring, room = Ring.create(slots=16), _HEAD_BYTES - _NOTES_BYTE - len('{"n": ""}')
+    with pytest.raises(ValueError, match=r"do not fit into the ring"):
+        ring.set_notes({"n": "x" * (room + 1)})
+    ring.set_notes({"n": "x" * room})
+    assert ring.notes() == {"n": "x" * room}
 
 
 def test_everything_put_is_in_the_file_when_the_ring_was_closed(tmp_path: Path) -> None:

@@ -139,6 +139,7 @@ REFUSED = [
     (tree({**PRESS, "ramp_n_s": 0.5}), "ramp_n_s is a number from 1 to"),
     (tree({**PRESS, "low_mm": 100}), "record 1 (force): low_mm and high_mm go together"),
     (tree({**PRESS, "low_mm": 200, "high_mm": 100}), "the window 200 … 100 mm has to lie within the travel"),
+    (tree({**PRESS, "low_mm": 200, "high_mm": 200}), "the window 200 … 200 mm has to lie within the travel"),
     (tree({**PRESS, "low_mm": 0, "high_mm": 100}), "within the travel 20 … 980 mm"),
     (tree({**PRESS, "speed_mm_s": 2100}), "2100 mm/s is faster than limits.speed_m_s, 2000 mm/s"),
     (

@@ -33,6 +33,7 @@ def told(
     latched: int = 0,
     virtual: bool = True,
     arm: bool = False,
+    struck: int = 0,
 ) -> int:
     """The exit status of a run of ten ticks that tracked to its end."""
     ring = Ring.create(slots=64)
@@ -43,16 +44,18 @@ def told(
     ready = SimpleNamespace(
         options=SimpleNamespace(json=False, virtual=virtual, arm=arm),
         scenario=scenario,
-        struck=0,
+        struck=struck,
         link=SimpleNamespace(name="unixcan:x", tx=20, rx_dropped=0),
     )
     axis = SimpleNamespace(
-        config=SimpleNamespace(loop=SimpleNamespace(rate_hz=1000.0)),
+        config=SimpleNamespace(name="x", loop=SimpleNamespace(rate_hz=1000.0)),
         ready=SimpleNamespace(log_file=log),
         ring=ring,
         recorded=recorded,
     )
-    session = SimpleNamespace(ready=ready, axes=[axis], reports=[], effects=None)
+    session = SimpleNamespace(
+        ready=ready, axes=[axis, SimpleNamespace(**vars(axis))][: 1 + struck], reports=[], effects=None
+    )
     tally = Tally(truth=False, timed=True)
     tally.state = int(State.FAULT if latched else State.TRACKING)
     tally.ever_latched = latched
@@ -61,7 +64,7 @@ def told(
         axis=SimpleNamespace(failure=None),
     )
     lane = SimpleNamespace(tally=tally, turn=turn, operated=False)
-    return tell(cast(Any, session), [cast(Any, lane)])
+    return tell(cast(Any, session), [cast(Any, lane)] * (1 + struck))
 
 
 @pytest.fixture
@@ -141,6 +144,11 @@ def test_a_scenario_that_takes_the_log_away_is_judged_by_its_verdict(log: Path) 
     lost = WHOLE._replace(written=7, finished=0)
     assert told(log, lost, expects=("recorder_lost",)) == 0
     assert told(log, lost, expects=("encoder_missing",)) == 1
+
+
+def test_a_scenario_of_another_axis_excuses_nothing(log: Path) -> None:
+    lost = WHOLE._replace(written=7, finished=0)
+    assert told(log, lost, expects=("recorder_lost",), struck=1) == 1
 
 
 @pytest.mark.parametrize(
