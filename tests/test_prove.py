@@ -130,6 +130,19 @@ def test_a_screen_that_hangs_or_dies_is_nothing_to_the_loop(bench: Bench) -> Non
     assert any("screen: is gone, -14" in line for line in outcome.trace)
 
 
+@pytest.mark.parametrize("happens", ["removed", "failing"])
+def test_a_log_is_none_if_it_goes_while_the_last_of_it_is_synced(happens: str, bench: Bench) -> None:
+    plan = plan_with(
+        Item(0.4, "disk", {"state": "slow", "for_s": 1.5, "room": 0}),
+        Item(0.5, "terminate", {"step": 0}),
+        Item(2.0, "disk", {"state": happens, "for_s": 0.7, "room": 0}),
+        length_s=2.8,
+    )
+    outcome = bench.run(plan._replace(virtual=False))
+    assert not outcome.found
+    assert any("daemon: is gone, 1" in line for line in outcome.trace)
+
+
 def test_options_that_make_no_sense_are_refused(tmp_path: Path) -> None:
     (tmp_path / "something").touch()
     for options in (

@@ -66,17 +66,21 @@ class LogOutput:
             self._sync = threading.Thread(target=self.sync, daemon=True)
             self._sync.start()
 
-    def sync(self) -> None:
-        """Wait until the disk keeps what was written."""
+    def sync(self) -> bool:
+        """Wait until the disk keeps what was written; False if it does not."""
         try:
             os.fdatasync(self._descriptor)
         except OSError as e:
             if e.errno != errno.EINVAL:  # a pipe or a device has nothing to sync
                 self.error = e.errno or FAILED
+                return False
+        return True
 
-    def close(self) -> None:
-        """Wait until the disk keeps everything, and close the file."""
+    def close(self) -> bool:
+        """Wait until the disk keeps all of it, and close the file; False if it does not, or has lost it."""
         if self._sync is not None:
             self._sync.join()
-        self.sync()
+        kept = self.sync()
+        kept = not self.is_removed() and kept  # by now: that may have taken seconds
         os.close(self._descriptor)
+        return kept

@@ -329,7 +329,7 @@ class LogWriter:
             self._message(self._last_t_ns, Level.ERROR, words)
 
     def close(self) -> bool:
-        """Write the index and close the file; False if the disk did not take all of it, or it was removed."""
+        """Write the index and close the file; False if the disk has not all of it, or it was removed."""
         if self._blocked_ns:
             self._retry(time.monotonic_ns())
         self._end_batch()
@@ -339,10 +339,8 @@ class LogWriter:
             self._accepted -= self._unsettled
             self.unwritten += self._unsettled
         self._unsettled = 0
-        removed = self._part.output.is_removed()
-        self._part.output.close()
         for thread in self._closing:
             thread.join()
         if self._tidying is not None:
             self._tidying.join()
-        return complete and not removed
+        return self._part.output.close() and complete
