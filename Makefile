@@ -16,7 +16,7 @@ COVERING := $(addprefix tests/test_,control_*.py safety_*.py $(addsuffix .py,axi
 PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 
 .DEFAULT_GOAL := help
-.PHONY: help virtual test lint types contracts ci-tests coverage mutation mutants lowest vm systemd install-service docs pages pictures campaign campaign-vm devices devices-vm device-faults canopen-starts information many-runs strange soak clean
+.PHONY: help virtual test lint types contracts ci-tests coverage mutation mutants lowest vm systemd install-service docs pages pictures campaign campaign-vm devices devices-vm device-faults canopen-starts information truths many-runs strange soak clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 17
@@ -104,6 +104,9 @@ canopen-starts: $(DEV) ## starts of a CANopen rig whose nodes misbehave, in real
 
 information: $(DEV) ## what late, lost and odd frames do to the command, in simulated time (see docs/hil.md)
 	@exec $(BIN)/python -m hil.information $(ARGS)
+
+truths: $(DEV) ## hidden truths, commissioned in simulated time: twelve, a minute each (see hil/README.md)
+	@exec $(BIN)/python -m hil.truths $(ARGS)
 
 many-runs: $(DEV) ## a campaign by one process, by two, by Dask, and with all of them killed (see docs/campaigns.md)
 	@exec $(BIN)/python -m hil.many_runs $(ARGS)

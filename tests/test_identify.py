@@ -15,12 +15,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from commands import pneud_here
+from pneud import resources
 from pneud.config.conversions import plant_of
 from pneud.config.flow import area_of, gas_of
 from pneud.config.models import Config
 from pneud.config.sections import ConfigError
-from pneud.loading import load
-from pneud.log.files.naming import new_log
+from pneud.loading import Loaded, load
+from pneud.log.files.naming import LogError, new_log
 from pneud.log.files.reader import read_log
 from pneud.log.files.writer import LogWriter
 from pneud.log.format.header import LogHeader
@@ -32,8 +33,19 @@ from pneud.replay.moves import Course, moves_of
 from pneud.rig.dynamics import advance, initial_state
 from pneud.safety.faults import FAULT_NAMES
 from pneud.study.commissioning.truths import Truth, drawn, rig_text
-from pneud.study.identification import chambers, comparing, estimating, forces, heat, motions, table, words
+from pneud.study.identification import (
+    chambers,
+    comparing,
+    estimating,
+    explaining,
+    forces,
+    heat,
+    motions,
+    table,
+    words,
+)
 from pneud.study.identification import parameters as key
+from pneud.study.identification.explaining import Bin
 from pneud.study.identification.fitting import Fit, Unknown, fit
 from pneud.study.identification.parameters import Estimate
 from pneud.study.identification.table import Piece, Table
@@ -268,6 +280,14 @@ def test_wear_is_what_has_changed_for_sure() -> None:
     assert "worn" in words.table(comparing.rows(now, {key.COULOMB: estimate(40.0, 2.0)}))[1]
 
 
+def test_a_flow_is_bent_where_no_edge_that_lies_elsewhere_explains_it() -> None:
+    just_open, wide = Bin(-0.38, -0.0315, -0.0332, 1e-4), Bin(2.0, 0.33, 0.36, 1e-3)
+    assert explaining.bent([just_open], 0.002) == []
+    assert explaining.bent([just_open, wide], 0.002) == [
+        "flow map: at +2.00 V the flow is 8 % less than a straight line has it"
+    ]
+
+
 def test_an_earlier_estimate_comes_back(tmp_path: Path) -> None:
     e = estimate(40.0, 1.0, 36.0)
     path = tmp_path / "before.json"
@@ -314,6 +334,53 @@ def test_logs_of_several_rates_are_refused() -> None:
     assert "has 100 Hz, composite.mcap 1000 Hz" in done.stderr
 
 
+def test_a_log_that_is_there_twice_is_refused(tmp_path: Path) -> None:
+    copy = tmp_path / "copy.mcap"
+    copy.write_bytes((GOLDEN / "composite.mcap").read_bytes())
+    done = pneud_here("identify", GOLDEN / "composite.mcap", copy)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert re.fullmatch(r"pneud: .*copy.mcap: the same is in .*composite.mcap; .*\n", done.stderr)
+
+
+def of_rig(folder: Path, name: str, **changes: str) -> Path:
+    """A log without a tick, whose configuration has some numbers of its own."""
+    text = resources.find("virtual.toml").read_text(encoding="utf-8")
+    for key_, value in changes.items():
+        text = re.sub(rf"(?m)^{key_} = .*", f"{key_} = {value}", text, count=1)
+    config = folder / f"{name}.toml"
+    config.write_text(text, encoding="utf-8")
+    path = folder / f"{name}.mcap"
+    with new_log(path) as descriptor:
+        LogWriter(descriptor, header(load(config))).close()
+    return path
+
+
+def test_logs_of_several_cylinders_are_refused(tmp_path: Path) -> None:
+    logs = [of_rig(tmp_path, "first"), of_rig(tmp_path, "second", piston_area_1_m2="1.0e-3")]
+    with pytest.raises(ConfigError, match=r"second\.mcap: has cylinder\.piston_area_1_m2 = 0\.001, first"):
+        table.read([read_log(log) for log in logs])
+    with pytest.raises(LogError, match="at least 2 s"):  # that holds for both
+        table.read([read_log(log) for log in logs], C)
+
+
+def test_a_configuration_of_another_cylinder_is_refused(tmp_path: Path) -> None:
+    cylinder = C.cylinder.model_copy(update={"stroke_m": 0.1})
+    with pytest.raises(ConfigError, match=r"--config: is of another cylinder .*stroke_m is 0\.1, and 1 in"):
+        table.read([read_log(of_rig(tmp_path, "run"))], C.model_copy(update={"cylinder": cylinder}))
+
+
+def test_logs_that_were_configured_otherwise_are_named(tmp_path: Path) -> None:
+    logs = [read_log(of_rig(tmp_path, "first", moving_mass_kg="7.5")), read_log(of_rig(tmp_path, "second"))]
+    assert table.differing(logs) == [(logs[0], (key.MASS,))]
+    assert table.differing(logs[1:]) == []
+
+
+def test_where_there_is_no_place_for_wear_is_said_before_anything_takes_time(tmp_path: Path) -> None:
+    done = pneud_here("identify", GOLDEN / "composite.mcap", "--wear", tmp_path / "none" / "wear.jsonl")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "there is no folder" in done.stderr
+
+
 def test_what_is_no_earlier_estimate_is_refused_before_anything_takes_time(tmp_path: Path) -> None:
     done = pneud_here("identify", GOLDEN / "composite.mcap", "--against", tmp_path / "none.json")
     assert done.returncode == 2
@@ -327,18 +394,22 @@ def test_without_scipy_the_cure_is_named(monkeypatch: pytest.MonkeyPatch) -> Non
     assert "pip install 'pneud[identify]'" in done.stderr
 
 
+def header(loaded: Loaded) -> LogHeader:
+    """Of a run in simulated time."""
+    return LogHeader(
+        name=loaded.config.name, bus="simulated", rate_hz=loaded.config.loop.rate_hz, detail="compact",
+        config_name=loaded.path.name, config_text=loaded.text, dbc_name=loaded.dbc.name,
+        dbc=loaded.dbc.read_bytes(), fault_names=FAULT_NAMES, realtime_offset_ns=0, extra={},
+    )  # fmt: skip
+
+
 def logged(path: Path, config: str, plant: dict[str, Any], seconds: float, places: str) -> Config:
     """A run in simulated time, on a rig that differs from its configuration."""
     loaded = load(config, None, {"plant": plant})
     course = Course(moves_of(places))
     run = Simulation(loaded, seconds, 1, backend_of(loaded), operator=course.ask)
-    header = LogHeader(
-        name=loaded.config.name, bus="simulated", rate_hz=loaded.config.loop.rate_hz, detail="compact",
-        config_name=loaded.path.name, config_text=loaded.text, dbc_name=loaded.dbc.name,
-        dbc=loaded.dbc.read_bytes(), fault_names=FAULT_NAMES, realtime_offset_ns=0, extra={},
-    )  # fmt: skip
     with new_log(path) as descriptor:
-        writer = LogWriter(descriptor, header)
+        writer = LogWriter(descriptor, header(loaded))
         for record in run.records():
             course.see(record)
             writer.write(record)

@@ -86,7 +86,7 @@ def test_no_valve(text: str) -> None:
         library.valve(text)
 
 
-@pytest.mark.parametrize("text", ["", "dsnu", "12/32", "32/x", "nan", "1e9", "32/12/8"])
+@pytest.mark.parametrize("text", ["", "dsnu", "12/32", "32/x", "32/", "nan", "1e9", "32/12/8"])
 def test_no_cylinder(text: str) -> None:
     with pytest.raises(ConfigError):
         library.cylinder(text)

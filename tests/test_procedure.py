@@ -233,6 +233,38 @@ def test_the_movement_test_alone_writes_nothing(tmp_path: Path) -> None:
     assert file.read_bytes() == before
 
 
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ("-o page.toml", "its name must end in .html"),
+        ("-o none/page.html", "there is no folder none"),
+        ("-o page.html --movement-test", "no use for -o"),
+        ("--movement-test --skip-dynamic", "no use for --skip-dynamic"),
+        ("--socket none --again", "no use for --socket, --again"),
+    ],
+)
+def test_what_would_come_to_nothing_is_refused(
+    options: str, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("page.toml").touch()
+    done = pneud_here("commission", "--virtual", *options.split())
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert why in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["page.toml"]
+    assert not Path("page.toml").read_bytes()
+
+
+def test_a_file_that_cannot_be_written_is_said_before_anything_moves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "rig.toml").write_text(resources.find("virtual.toml").read_text(encoding="utf-8"))
+    monkeypatch.setattr("os.access", lambda *_: False)
+    done = pneud_here("commission", "--virtual", "--config", tmp_path / "rig.toml", "--yes")
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (3, "", 1)
+    assert "rig.toml: cannot be written" in done.stderr
+
+
 def test_a_seed_is_of_a_software_rig() -> None:
     done = pneud_here("commission", "--seed", "3")
     assert (done.returncode, "--virtual" in done.stderr) == (2, True)

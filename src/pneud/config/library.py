@@ -133,12 +133,12 @@ def cylinder(text: str) -> CylinderSheet:
     text = _plain(text)
     if (table := _tables(CYLINDERS).get(text)) is not None:
         return CylinderSheet.model_validate(table)
-    bore, _, rod = text.partition("/")
+    bore, slash, rod = text.partition("/")
     own = {
         "title": f"bore {bore} mm, {f'rod {rod} mm' if rod else 'rodless'}",
         "source": "as given",
         "bore_mm": _number(bore),
-        "rod_mm": _number(rod) if rod else 0.0,
+        "rod_mm": _number(rod) if slash else 0.0,
         "friction": ROD_FRICTION if rod else RODLESS_FRICTION,
     }
     return _sheet(CylinderSheet, CYLINDERS, text, own)

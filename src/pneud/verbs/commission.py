@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import json as json_
+import os
 import sys
 import tempfile
 from pathlib import Path
@@ -24,7 +25,7 @@ from pneud.rt.outputs import require_folder, write_whole
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import State
 from pneud.study.commissioning.movement import CURES, Verdict
-from pneud.verbs import AxisOption, ConfigOption, JsonOption, SocketOption, VerbError
+from pneud.verbs import AxisOption, ConfigOption, JsonOption, SocketOption, VerbError, require_suffix
 
 if TYPE_CHECKING:
     from pneud.study.commissioning.procedure import Outcome, Wishes
@@ -82,7 +83,11 @@ def commission(
         raise VerbError("commission needs scipy; install it with: pip install 'pneud[identify]'", 3)
     from pneud.study.commissioning.procedure import Wishes, as_json  # noqa: PLC0415
 
+    _agreeing(virtual, test_only, {"--socket": socket, "--again": again}, {
+        "-o": output, "--skip-dynamic": skip_dynamic,
+    })  # fmt: skip
     if output is not None:
+        require_suffix(output, ".html", "the report is a page of HTML")
         require_folder(output)
     wishes = Wishes(steps=not test_only, dynamic=not skip_dynamic, write=not dry_run)
     if not virtual and seed is not None:
@@ -99,6 +104,36 @@ def commission(
     else:
         print("\n".join(_in_words(outcome, findings)))
     return 0 if outcome.good else 1
+
+
+def _agreeing(virtual: bool, test_only: bool, of_a_rig: dict[str, Any], of_steps: dict[str, Any]) -> None:
+    """Refuse what would be left out of account.
+
+    Raises:
+        VerbError: something would.
+    """
+    for given, what, others in (
+        (virtual, "--virtual: a software rig", of_a_rig),
+        (test_only, "--movement-test: that alone", of_steps),
+    ):
+        if given and (idle := [name for name, value in others.items() if value]):
+            raise VerbError(f"{what} has no use for {', '.join(idle)}")
+
+
+def _require_writable(path: Path) -> None:
+    """Find out before the motion, not after it, that what comes of it cannot be written.
+
+    Raises:
+        VerbError: so it is.
+    """
+    if path.resolve().is_relative_to(resources.configs().resolve()):
+        words = "comes with pneud and stays as it is; copy it, and run the daemon with the copy"
+        raise VerbError(f"{path}: {words}; --dry-run does without")
+    if not os.access(path.resolve().parent, os.W_OK):
+        raise VerbError(
+            f"{path}: cannot be written by this user, and neither could what is found;"
+            " --dry-run does without, another user may", 3
+        )  # fmt: skip
 
 
 class _Talk:
@@ -125,6 +160,8 @@ def _simulated(
     packaged = loaded.path.is_relative_to(resources.configs())
     if packaged and wishes.write and wishes.steps:
         print("pneud: nothing is written into a configuration that comes with pneud", file=sys.stderr)
+    if wishes.write and wishes.steps and not packaged:
+        _require_writable(loaded.path)
     truth = truths.drawn(loaded.config, seed) if seed is not None else {}
     with tempfile.TemporaryDirectory(prefix="pneud-") as folder:
         rig = Simulated(loaded, truth, seed or 0, Path(folder))
@@ -156,6 +193,8 @@ def _on_the_rig(
         raise VerbError(f"commission: the daemon runs {status['config']}, another configuration")
     passed = proven(loaded.proof_file, digest(loaded.config, loaded.dbc.read_bytes())) == Proof.PASSED
     wishes = wishes._replace(movement=again or not passed or not wishes.steps)
+    if wishes.write and wishes.steps:
+        _require_writable(loaded.path)
     _agreed(loaded, wishes, yes)
     rig = Live(lambda: Client(socket, axis), loaded)
     try:

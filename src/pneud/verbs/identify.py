@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json as json_
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -82,11 +83,13 @@ def identify(
         require_folder(output)
     before = comparing.earlier(against) if against is not None else {}
     given = load_config(config) if config is not None else None
+    if kept is not None:
+        require_folder(kept)
     entries = wear.history(kept) if kept is not None else []
     readers = _readers(logs, newest=kept is not None)
     with progress(how) as report:
         watch(report, *readers)
-        measured, own = table.read(readers)
+        measured, own = table.read(readers, given)
         c = given or own
         report("estimating", 0, 0, "")
         found = estimating.identify(measured, c)
@@ -96,6 +99,8 @@ def identify(
         before = wear.at_first(entries)
         entries.append(now)
         wear.write(kept, entries)
+    elif given is None:
+        _say_whose(readers, table.differing(readers))
     rows = comparing.rows(found.parameters, before)
     unexplained = explaining.unexplained(found.valved, found.moved, found.noise_pa, c)
     verdict = words.verdict(rows, unexplained)
@@ -126,6 +131,14 @@ def _readers(logs: Sequence[str], newest: bool) -> list[LogReader]:
     for log in map(Path, logs):
         found += wear.newest(log) if newest and log.is_dir() else [read_log(log)]
     return found
+
+
+def _say_whose(readers: Sequence[LogReader], differing: Sequence[tuple[LogReader, Sequence[str]]]) -> None:
+    """With which configuration is compared, where the logs have several."""
+    for log, keys in differing:
+        last = readers[-1].path.name
+        words = f"{', '.join(keys)}; compared with that of {last}"
+        print(f"pneud: {log.path}: was configured otherwise than {last}: {words}", file=sys.stderr)
 
 
 def _said(found: Identified, unexplained: Sequence[str], verdict: str) -> list[str]:

@@ -62,7 +62,7 @@ def _bus(text: str) -> str:
     try:
         check_channel(text)
     except ValueError as e:
-        raise ConfigError(str(e)) from None
+        raise ConfigError(str(e).removeprefix("bus ")) from None
     return text
 
 

@@ -342,6 +342,7 @@ class LogReader:
     Attributes:
         path: the file, or the first one of several.
         paths: all of them.
+        parts: of which run each is, and which part of it.
         metadata: what the log says about its run: schema, bus, rate_hz, versions, fingerprint, …
         setup: the report of the real-time set-up; empty if there was none.
         config_name: name of the attached configuration.
@@ -372,6 +373,7 @@ class LogReader:
             if before.part == after.part:
                 raise LogError(f"{before.path} and {after.path}: are the same part of one run")
         self.paths = [file.path for file in self._files]
+        self.parts = [(file.run or str(file.path.resolve()), file.part) for file in self._files]
         self.path = first.path
         self.metadata = first.metadata
         self.setup = first.setup

@@ -100,7 +100,7 @@ def identify(t: Table, c: Config) -> Identified:
         _with_breakaway(found, moved, t, c)
         linked += _named(moved.fit, _SLIDE_KEYS)
     else:
-        notes.append("mass, load and friction: no motion away from the ends")
+        notes.append(f"mass, load and friction: hardly {LEAST_WINDOWS} s of motion away from the ends")
     notes += [f"{name}: {key.LACKING[name]}" for name, e in found.items() if not e.told]
     return Identified(found, linked, notes, noise_pa, valved, moved)
 

@@ -28,6 +28,7 @@ STEP_SHARE, MOST_BY_STEP = (
 )  # standard deviation of a step; share of Coulomb friction that it explains
 SURE = 4.0  # standard deviations of a mean
 BENT, ROUGH = 0.05, 0.1  # deviation of a flow, and of a friction in shares of Coulomb's, that is worth a word
+NEAR_V = 0.01  # of command, which an edge may lie elsewhere by: more than all else where it has just opened
 BY_PRESSURE = 0.015  # share of Coulomb friction that a bar more adds, worth a word
 FEWEST = 4  # windows in a bin
 SLIDES_M_S, LEAST_SLIDING, LEAST_BAR = (
@@ -57,7 +58,7 @@ def unexplained(valved: Valved | None, moved: Moved | None, noise_pa: float, c: 
                 f"pressures: {1e-3 * valved.misfit_pa:.2f} kPa RMS are left after a window of"
                 f" {valved.seconds:.1f} s, noise explains {1e-3 * noise_pa:.2f} kPa"
             )
-        found += _bent(flow_map(valved, c))
+        found += bent(flow_map(valved, c), NEAR_V / valved.rig.u_max_v)
     if moved is not None:
         coulomb = max(float(moved.fit.x[2]), 1e-9)
         if moved.misfit_n > _explained_n(moved, coulomb, noise_pa, c):
@@ -76,11 +77,17 @@ def _explained_n(moved: Moved, coulomb_n: float, noise_pa: float, c: Config) -> 
     return math.hypot(max(FORCE_SHARE * coulomb_n, noise_pa * c.cylinder.piston_area_1_m2), by_step)
 
 
-def _bent(bins: list[Bin]) -> list[str]:
+def bent(bins: Sequence[Bin], near: float) -> list[str]:
+    """Where the flow is another one than a straight line has it, in words.
+
+    Args:
+        bins: from `flow_map`.
+        near: relative opening that does not count.
+    """
     off = [
         (abs(b.measured / b.model - 1.0), b)
         for b in bins
-        if abs(b.measured - b.model) > max(SURE * b.deviation, BENT * abs(b.model))
+        if abs(b.measured - b.model) > max(SURE * b.deviation, BENT * abs(b.model), near)
     ]
     if not off:
         return []

@@ -18,6 +18,7 @@ from pneud.log.files.columns import blocks
 from pneud.log.files.naming import LogError
 from pneud.log.files.reader import LogReader
 from pneud.signals import ALL_SOURCES, Source, ValveState
+from pneud.study.identification.parameters import configured
 
 Floats = NDArray[np.float64]
 
@@ -26,6 +27,10 @@ FRAME_BITS, STUFFING = 111, 1.1  # of the command, on the wire
 LEAST_TICKS = 200  # of a piece that is of use
 LEAST_S = 2.0  # of all pieces
 BRIDGED = 3  # ticks in a row in which position or pressures may be missing
+GRANTED = (
+    "cylinder.piston_area_1_m2", "cylinder.piston_area_2_m2", "cylinder.stroke_m",
+    "cylinder.inclination_deg", "valve.u_max_v",
+)  # fmt: skip  # no log tells them: those of one rig have them alike
 
 
 class Piece(NamedTuple):
@@ -51,18 +56,24 @@ class Table(NamedTuple):
         return self.h * sum(len(p.position_m) for p in self.pieces)
 
 
-def read(logs: Sequence[LogReader]) -> tuple[Table, Config]:
+def read(logs: Sequence[LogReader], given: Config | None = None) -> tuple[Table, Config]:
     """The ticks of logs of one rig, and the configuration of the last one.
 
+    Args:
+        logs: each once.
+        given: what is to hold in place of the configurations in the logs.
+
     Raises:
-        LogError: too little in them is of use, or they are of different axes or rates.
-        ConfigError: the configuration in a log cannot be used.
+        LogError: too little in them is of use, they are of different axes or rates, or one is there twice.
+        ConfigError: the configuration in a log cannot be used, or the one given is of another cylinder.
     """
-    configs = [parse(log.config_text, f"{log.path}:{log.config_name}") for log in logs]
+    configs = [_config(log) for log in logs]
+    _check_each_once(logs)
     pieces: list[Piece] = []
     delays: list[float] = []
     for log, config in zip(logs, configs, strict=True):
         _check_same(log, config, configs[0], logs[0])
+        _check_granted(log, config, given, configs[0], logs[0])
         found, delay_s = _pieces(log, config)
         pieces += found
         delays.append(delay_s)
@@ -76,11 +87,58 @@ def read(logs: Sequence[LogReader]) -> tuple[Table, Config]:
     return table, configs[-1]
 
 
+def differing(logs: Sequence[LogReader]) -> list[tuple[LogReader, tuple[str, ...]]]:
+    """The logs whose configuration says something else of the rig than the last one's, and by which keys."""
+    said = [configured(_config(log)) for log in logs]
+    last = said[-1]
+    found = []
+    for log, says in zip(logs, said, strict=True):
+        if keys := tuple(name for name in {**last, **says} if says.get(name) != last.get(name)):
+            found.append((log, keys))
+    return found
+
+
+def _config(log: LogReader) -> Config:
+    return parse(log.config_text, f"{log.path}:{log.config_name}")
+
+
+def _check_each_once(logs: Sequence[LogReader]) -> None:
+    """What counts twice would seem twice as sure."""
+    seen: dict[tuple[str, int], LogReader] = {}
+    for log in logs:
+        for part in log.parts:
+            before = seen.setdefault(part, log)
+            if before is not log:
+                raise LogError(f"{log.path}: the same is in {before.path}; give each log once")
+
+
 def _check_same(log: LogReader, config: Config, first: Config, first_log: LogReader) -> None:
     if log.rate_hz != first_log.rate_hz:
         raise LogError(f"{log.path}: has {log.rate_hz:g} Hz, {first_log.path.name} {first_log.rate_hz:g} Hz")
-    if config.name != first.name or config.cylinder.stroke_m != first.cylinder.stroke_m:
+    if config.name != first.name:
         raise ConfigError(f"{log.path}: is of axis {config.name}, {first_log.path.name} of {first.name}")
+
+
+def _check_granted(
+    log: LogReader, config: Config, given: Config | None, first: Config, first_log: LogReader
+) -> None:
+    """What is given may be right where the logs' own was not, but for the stroke that the axis moved in."""
+    if given is not None:
+        if given.cylinder.stroke_m != config.cylinder.stroke_m:
+            own, other = config.cylinder.stroke_m, given.cylinder.stroke_m
+            raise ConfigError(
+                f"--config: is of another cylinder than {log.path}: its cylinder.stroke_m is {other:g},"
+                f" and {own:g} in the log"
+            )
+        return
+    for name in GRANTED:
+        section, key = name.split(".")
+        own, other = getattr(getattr(config, section), key), getattr(getattr(first, section), key)
+        if own != other:
+            raise ConfigError(
+                f"{log.path}: has {name} = {own:g}, {first_log.path.name} {other:g}: are they of one rig?"
+                " If so, --config says which holds"
+            )
 
 
 def _pieces(log: LogReader, config: Config) -> tuple[list[Piece], float]:
