@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import random
 import shutil
 from pathlib import Path
@@ -107,6 +108,22 @@ def test_most_ticks_are_done_by_strides_and_replay(tmp_path: Path) -> None:
     logged(loaded, path, True, 0.0, "full")
     outcome = replay(read_log(path))
     assert outcome.identical and outcome.engaged_ticks > 1000
+
+
+def test_a_stride_that_is_refused_is_not_tried_again_in_the_next_tick() -> None:
+    loaded = load("virtual.toml")
+    run = Simulation(loaded, 0.5, 1, backend_of(loaded))
+    tried: list[int] = []
+
+    def refusing(_: Any, __: Any, between: Any, *___: Any) -> tuple[Any, int]:
+        tried.append(run.count)
+        return between, 0
+
+    parts = list(striding.Striding(run, refusing, 1000).go())
+    assert len(parts) == run.count and all(isinstance(part, Record) for part in parts)
+    waited = [after - before for before, after in itertools.pairwise(tried)]
+    assert len(waited) >= 3
+    assert all(ticks >= 2 ** (i + 1) * striding.FEWEST for i, ticks in enumerate(waited))
 
 
 def test_whoever_has_a_part_in_each_tick_is_asked_in_each(tmp_path: Path) -> None:

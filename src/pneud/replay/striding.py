@@ -200,12 +200,16 @@ class Striding:
         """All ticks, one by one or many at once; none of those go beyond the next halt."""
         records = self._run.records()
         beat: Beat | None = None
-        calm = 0
+        calm, patience = 0, FEWEST
         while True:
-            rows = self._stride(beat) if beat is not None and calm >= FEWEST else None
-            if rows is not None:
-                yield rows
-                continue
+            if beat is not None and calm >= patience:
+                rows = self._stride(beat)
+                if rows is not None:
+                    patience = FEWEST
+                    yield rows
+                    continue
+                # what stands in the way will hardly be gone in the next tick
+                calm, patience = 0, min(2 * patience, self._most)
             record = next(records, None)
             if record is None:
                 return
