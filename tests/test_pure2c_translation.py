@@ -37,6 +37,7 @@ class Named(NamedTuple):
     n: int
 
 
+LARGEST = Pair(3.0, 7.0)
 START = Chain(0.0, (Pair(1.0, 2.0), Pair(3.0, 4.0)))
 LOOSE = Chain(1.0, ())
 LONG = Chain(0.0, tuple(Pair(float(i), 0.1 * i) for i in range(1000)))
@@ -257,6 +258,96 @@ def by_reference(p: Pair, c: Chain) -> tuple[Pair, Pair, float]:
     return p, q, looked_at(c.links[0], Pair(c.T, 1.0), c)
 
 
+# records that are the same for a while: whatever is done to one must not show in the other
+
+
+def kept_from_before(p: Pair) -> tuple[Pair, Pair]:
+    before, p = p, p._replace(a=p.a + 1.0)
+    if p.a > 2.0:
+        p = p._replace(b=before.a)
+    return before, p
+
+
+def exchanged(p: Pair, q: Pair) -> tuple[Pair, Pair]:
+    p, q = q, p
+    p = p._replace(a=10.0 * q.a)
+    return p, q
+
+
+def exchanged_in_turn(p: Pair, q: Pair, n: int) -> tuple[Pair, Pair]:
+    for _ in range(n):
+        p, q = q._replace(b=p.a), p
+    return p, q
+
+
+def the_last_but_one(p: Pair, n: int) -> Pair:
+    before = p
+    for _ in range(n):
+        before = p
+        p = Pair(p.b, p.a + p.b)
+    return before
+
+
+def greater(p: Pair, q: Pair) -> Pair:
+    if p.a > q.a:
+        return p
+    return q
+
+
+def greater_in_a_loop(p: Pair, n: int) -> tuple[Pair, Pair]:
+    best = p
+    for _ in range(n):
+        p = Pair(p.b, p.a * 0.5 + 1.0)
+        best = greater(best, p)
+    q = greater(p, best)
+    p = Pair(7.0, 7.0)
+    return q, best
+
+
+def lent(p: Pair, c: Chain) -> tuple[float, Pair]:
+    q = greater(greater(p, Pair(1.5, 9.0)), greater(LARGEST if c.T > 0.0 else p, Pair(c.T, 8.0)))
+    return q.a, q
+
+
+def replaced_and_given(p: Pair) -> tuple[float, Pair]:
+    q = p._replace(a=p.b)
+    return q.a, q
+
+
+def of_its_own(p: Pair) -> tuple[Pair, Pair]:
+    q = greater(p, Pair(0.0, 5.0))
+    r = Pair(q.a + 1.0, q.b)
+    q = Pair(r.b, q.a)
+    return q, r
+
+
+def given_early(p: Pair, n: int) -> tuple[Pair, Pair]:
+    q = Pair(p.b, p.a)
+    if n > 0:
+        return Pair(q.b + 1.0, q.a), q
+    q = Pair(q.b, q.b)
+    return q, q
+
+
+def in_one_branch_alone(p: Pair, n: int) -> float:
+    assert n >= 0
+    if n == 0:
+        q = Pair(p.b, p.a)
+    if n > 0:
+        q = p
+    return q.a
+
+
+def perhaps_changed(c: Chain, t: float) -> Chain:
+    last = c.last
+    if t > 0.0:
+        last = Pair(t, t)
+    elif t < 0.0:
+        last = None
+    c = c._replace(T=t)
+    return Chain(c.T, c.links, last if last is not None else greater(Pair(t, 1.0), Pair(0.0, 2.0)))
+
+
 SAME: dict[Callable[..., Any], tuple[tuple[Any, ...], ...]] = {
     asserted: ((Pair(1.0, 2.0),), (None,)),
     of_none: ((Pair(1.0, 2.0),), (None,)),
@@ -289,6 +380,19 @@ SAME: dict[Callable[..., Any], tuple[tuple[Any, ...], ...]] = {
     named_as_in_c: ((1.0, 2.0), (-3.0, 0.5)),
     both_of_one_name: ((1.0,), (2.5,)),
     by_reference: ((Pair(1.0, 2.0), START), (Pair(-0.0, 0.5), START._replace(T=0.25))),
+    kept_from_before: ((Pair(1.0, 2.0),), (Pair(3.0, 4.0),)),
+    exchanged: ((Pair(1.0, 2.0), Pair(3.0, 4.0)),),
+    exchanged_in_turn: tuple((Pair(1.0, 2.0), Pair(3.0, 4.0), n) for n in range(4)),
+    the_last_but_one: tuple((Pair(1.0, 2.0), n) for n in range(4)),
+    greater_in_a_loop: tuple((Pair(1.0, 2.0), n) for n in range(4)),
+    lent: ((Pair(1.0, 2.0), START), (Pair(2.0, 3.0), LOOSE), (Pair(5.0, 6.0), START)),
+    replaced_and_given: ((Pair(1.0, 2.0),),),
+    of_its_own: ((Pair(1.0, 2.0),), (Pair(-1.0, 2.0),)),
+    given_early: ((Pair(1.0, 2.0), 0), (Pair(1.0, 2.0), 1)),
+    in_one_branch_alone: ((Pair(1.0, 2.0), 0), (Pair(1.0, 2.0), 1), (Pair(1.0, 2.0), -1)),
+    perhaps_changed: tuple(
+        (c, t) for c in (START, LONG._replace(last=Pair(1.0, 2.0))) for t in (-1.0, 0.0, 1.0)
+    ),
 }
 
 

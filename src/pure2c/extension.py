@@ -126,7 +126,7 @@ static PyTypeObject held_type_{c} = {{
   .tp_methods = methods_{c}, .tp_getset = fields_{c},
 }};
 
-static PyObject *hold_{c}({c} *x) {{
+static PyObject *hold_{c}(const {c} *x) {{
   held_{c} *o = PyObject_New(held_{c}, &held_type_{c});
   if (!o) return NULL;
   o->value = *x;
@@ -155,15 +155,17 @@ static PyObject *series_{i}(PyObject *self, PyObject *const *args, Py_ssize_t n)
     Py_ssize_t most = given.len / sizeof({given}), done = 0, room = rows.len / sizeof({row});
     if (room < most) PyErr_SetString(PyExc_ValueError, "series: too few rows");
     else {{
+      const {given} *given_ = given.buf;
+      {made} others_[2]; /* by turns, so that no state has to be copied */
+      const {state} *at0 = &a0;
       for (; done < most; done++) {{
         failed_ = 0;
-        a1 = (({given} *)given.buf)[done];
-        {called}
+        const {made} *r = {called};
         if (failed_) break;
-        a0 = r.f0;
-        (({row} *)rows.buf)[done] = r.f1;
+        at0 = &r->f0;
+        (({row} *)rows.buf)[done] = r->f1;
       }}
-      PyObject *state = {give}(a0);
+      PyObject *state = {give}(*at0);
       if (state) found = Py_BuildValue("Nn", state, done);
     }}
   }}
@@ -237,13 +239,17 @@ class Extension:
         types = [plain(hint) for hint in hints.values()]
         declared = "".join(f"  {self._translator.type(t)} a{i};\n" for i, t in enumerate(types))
         taken = " && ".join(f"{self._take(t)}(args[{i}], &a{i})" for i, t in enumerate(types)) or "1"
-        given = self._translator.given(f, [f"a{i}" for i in range(len(types))], types)
-        called = f"{self._translator.type(plain(result))} r = {name}({given});"
+        given = [f"a{i}" if t in PLAIN else f"&a{i}" for i, t in enumerate(types)]
+        c = self._translator.type(plain(result))
+        called, got = f"{c} r = {name}({', '.join(given)});", "r"
+        if plain(result) not in PLAIN:
+            declared += f"  {c} made_;\n"
+            called, got = f"const {c} *r = {name}({', '.join(('&made_', *given))});", "*r"
         text = (
             f"static PyObject *call_{index}(PyObject *self, PyObject *const *args, Py_ssize_t n,"
             f" PyObject *names) {{\n{declared}  if (!names && n == {len(types)} && {taken}) {{\n"
             f"    failed_ = 0;\n    {called}\n"
-            f"    if (!failed_) return {self._give(result)}(r);\n"
+            f"    if (!failed_) return {self._give(result)}({got});\n"
             f"  }}\n  left_[{index}]++;\n"
             f"  return PyObject_Vectorcall(PyTuple_GET_ITEM(originals_, {index}), args, n, names);\n}}\n"
         )
@@ -258,7 +264,9 @@ class Extension:
                 ).replace("args[1]", "args[2]", 1),
                 given=self._translator.type(types[1]),
                 row=self._translator.type(plain(result)[1]),
-                called=called,
+                state=self._translator.type(types[0]),
+                made=c,
+                called=f"{name}({', '.join(('&others_[done & 1]', 'at0', 'given_ + done', *given[2:]))})",
                 give=self._give(get_args(result)[0]),
             )
         first, parts = next(iter(hints.values()), None), get_args(result)
@@ -275,13 +283,13 @@ class Extension:
         self, index: int, c: str, parts: Sequence[Any], declared: str, reached: str, called: str
     ) -> str:
         """The function whose first argument and result's first part stay in C, and that which forgets it."""
-        given = [f"{self._give(part)}(r.f{i})" for i, part in enumerate(parts) if i]
+        given = [f"{self._give(part)}(r->f{i})" for i, part in enumerate(parts) if i]
         rest = "".join(f", {one}" for one in given)
         return (
             f"static PyObject *hold_{index}(PyObject *self, PyObject *const *args, Py_ssize_t n) {{\n"
             f"{declared}  if ({reached}) {{\n"
             f"    failed_ = 0;\n    {called}\n    if (!failed_) {{\n"
-            f"      PyObject *members[] = {{hold_{c}(&r.f0){rest}}};\n"
+            f"      PyObject *members[] = {{hold_{c}(&r->f0){rest}}};\n"
             f"      return record(&PyTuple_Type, {len(parts)}, members);\n    }}\n"
             f"  }}\n  left_[{index}]++;\n"
             f"  return without_held(PyTuple_GET_ITEM(originals_, {index}), args, n);\n}}\n"

@@ -39,11 +39,16 @@ class TranslationError(BuildError):
     """Something has no counterpart in C."""
 
 
+VALUE, PASSING, LASTING = 0, 1, 2
+"""What an expression is in C: a value, the place of one that may change, or of one that stays as it is."""
+
+
 class Typed(NamedTuple):
     """An expression in C."""
 
     code: str
     type: Type
+    place: int = VALUE
 
 
 def is_whole(value: int) -> bool:
@@ -76,6 +81,13 @@ def is_flat(t: Type) -> bool:
     if t in (float, int):
         return True
     return isinstance(t, type) and hasattr(t, "_fields") and all(is_flat(of) for _, of in fields_of(t))
+
+
+def are_numbers(t: Type) -> bool:
+    """Whether it holds numbers alone: what else it holds is never looked at where it is not there."""
+    if t in PLAIN or isinstance(t, Many):
+        return t in (float, int)
+    return all(are_numbers(of) for _, of in fields_of(t))
 
 
 def columns(t: Type, before: str = "") -> list[tuple[str, str]]:
