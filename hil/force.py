@@ -32,7 +32,7 @@ from typing import NamedTuple
 from pneud.axis.stops import soft_limits
 from pneud.compiled.backend import Backend
 from pneud.config.conversions import axis_of, plant_of
-from pneud.control.force import GUARD, GUARD_RAD_S, Aim, allowed_m_s, tolerance_n
+from pneud.control.force import GUARD, GUARD_RAD_S, Aim, allowed_m_s, braked_after_s, tolerance_n
 from pneud.loading import Loaded, load
 from pneud.physics.cylinder import x3_of
 from pneud.physics.plant import PlantParameters
@@ -171,20 +171,22 @@ def open_ms(s: PlantState, p: PlantParameters, how: Backend, to_n: float) -> flo
     return math.inf
 
 
-def braked_ms(aim: Aim, from_m: float, way_m: float) -> float:
+def braked_ms(aim: Aim, from_m: float, way_m: float, swing_rad_s: float) -> float:
     """How long a load takes that can always be braked; 0 where that does not hold it back.
 
     Args:
         aim: that it is led by.
         from_m: where it begins.
         way_m: for 63 % of the force, signed.
+        swing_rad_s: of the load on its spring.
     """
     room_m = aim.high_m - from_m if way_m > 0.0 else from_m - aim.low_m
-    if allowed_m_s(aim, room_m - abs(way_m)) >= aim.speed_m_s:
+    late_s = braked_after_s(swing_rad_s)
+    if allowed_m_s(aim, room_m - abs(way_m), late_s) >= aim.speed_m_s:
         return 0.0
     step_m = abs(way_m) / STEPS
     rooms_m = (room_m - (i + 0.5) * step_m for i in range(STEPS))
-    ride_s = sum(step_m / (GUARD * allowed_m_s(aim, room)) for room in rooms_m)
+    ride_s = sum(step_m / (GUARD * allowed_m_s(aim, room, late_s)) for room in rooms_m)
     return 1e3 * (ride_s + 1.0 / GUARD_RAD_S)
 
 
@@ -199,7 +201,7 @@ def tried(case: Case) -> Found | None:
     axis, rate_hz = axis_of(loaded.config, LSB_V), loaded.config.loop.rate_hz
     request = Request(RequestKind.FORCE, (force_n, 0.0, 0.0, 0.0, SPEED * axis.limits.speed_m_s, 0.0))
     how, p = backend_of(loaded), plant_of(loaded.config)
-    low_m, high_m = axis.limits.travel_min_m, axis.limits.travel_max_m
+    low_m, high_m = soft_limits(axis)
     asked = Asked(rate_hz, [(request, PRESSED_S)])
     run = Simulation(loaded, HELD_S + PRESSED_S + 2.0, 0, how, operator=asked.ask)
     forces: list[float] = []
@@ -212,7 +214,9 @@ def tried(case: Case) -> Found | None:
             if not forces:
                 way_m = T63 * force_n / (1e3 * case.spring_n_mm)
                 aim = Aim(force_n, 1.0, low_m, high_m, request.values[4], 1.0, axis.limits.braking_m_s2)
-                flow_ms, ride_ms = open_ms(before, p, how, force_n), braked_ms(aim, start_m, way_m)
+                swing_rad_s = math.sqrt(1e3 * case.spring_n_mm / loaded.config.cylinder.moving_mass_kg)
+                flow_ms = open_ms(before, p, how, force_n)
+                ride_ms = braked_ms(aim, start_m, way_m, swing_rad_s)
             forces.append(piston_n(state, p))
             contacts.append(contact_n(state, p))
         before = state

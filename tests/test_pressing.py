@@ -108,15 +108,39 @@ def test_what_cannot_be_asked_for_is_refused(values: dict[str, float], answer: A
     assert ready().tick(FORCE, *asked(**values)).answer in (Answer.WRONG_STATE, answer)
 
 
+def test_a_force_that_is_off_while_a_load_swings_is_not_shut_in() -> None:
+    press = begun(AIM)._replace(wanted_n=AIM.force_n, slow_n=0.0)
+    off_n = 0.5 * force.tolerance_n(AIM, P)
+    for beyond, shut in ((0.9, 1), (-0.9, 1), (1.1, 0), (-1.1, 0)):
+        e = seen(0.5, piston_n=AIM.force_n + beyond * off_n)
+        assert force.proceed(press, e, 1_000_000, LAW.h, LAW, P).press.shut == shut
+
+
 def test_near_the_end_of_its_window_a_load_is_kept_so_slow_that_it_can_be_braked() -> None:
     aim = AIM._replace(speed_m_s=1.5, braking_m_s2=10.0)
     rooms = (0.8, 0.05, 0.0, -1.0)
-    assert [force.allowed_m_s(aim, room) for room in rooms] == pytest.approx([1.5, 1.0, 0.02, 0.02])
-    assert force.allowed_m_s(AIM, 0.0) == pytest.approx(0.02)
-    middle, near_high, near_low = (force.bounds_n(begun(aim), 50.0, x, 0.0, LAW) for x in (0.5, 0.85, 0.15))
+    assert [force.allowed_m_s(aim, room, 0.0) for room in rooms] == pytest.approx([1.5, 1.0, 0.02, 0.02])
+    assert force.allowed_m_s(AIM, 0.0, 0.03) == pytest.approx(0.02)
+    v = force.allowed_m_s(aim, 0.05, 0.03)
+    assert v * 0.03 + v * v / 20.0 == pytest.approx(0.05)
+    assert force.braked_after_s(0.0) > 2.0 * force.braked_after_s(30.0) > 0.0
+    press = begun(aim)
+    late_s = force.braked_after_s((stiffness_n_m(press, LAW) / LAW.cylinder.M) ** 0.5)
+    share = force.allowed_m_s(aim, 0.05, late_s) / 1.5
+    middle, near_high, near_low = (force.bounds_n(press, 50.0, x, 0.0, LAW) for x in (0.5, 0.85, 0.15))
     assert (near_high[0], near_low[1]) == pytest.approx(middle)
-    assert near_high[1] - 50.0 == pytest.approx((middle[1] - 50.0) / 1.5)
-    assert 50.0 - near_low[0] == pytest.approx((50.0 - middle[0]) / 1.5)
+    assert near_high[1] - 50.0 == pytest.approx((middle[1] - 50.0) * share)
+    assert 50.0 - near_low[0] == pytest.approx((50.0 - middle[0]) * share)
+
+
+def test_a_load_that_nothing_stops_comes_to_rest_within_the_travel() -> None:
+    rig = holding()
+    rig.go_on(quick())
+    rig.tick(GOTO, 0.95)
+    rig.until(State.HOLDING)
+    assert rig.tick(FORCE, *asked(force_n=100.0)).state == State.PRESSING
+    assert names(rig.until(State.STOPPING).latched) == ["force_window"]
+    assert names(rig.until(State.FAULT).latched) == ["force_window"]
 
 
 def test_only_a_load_that_is_led_can_be_pressed() -> None:

@@ -269,7 +269,7 @@ def _press(
     force_n, rate_n_s, low_m, high_m, speed_m_s, time_s = values
     least_m, most_m = soft_limits(p)
     if low_m == 0.0 == high_m:
-        low_m, high_m = p.limits.travel_min_m, p.limits.travel_max_m
+        low_m, high_m = least_m, most_m
     elif not least_m <= low_m < high_m <= most_m:
         return Asked(OUT_OF_TRAVEL)
     if not low_m <= e.position_m <= high_m:

@@ -31,6 +31,7 @@ SPRING_S = 0.015  # in which a stiffness is forgotten
 SPRING_M, SPRING_STEPS = 1e-5, 5.0  # travel that tells a stiffness: at least, and in steps of the encoder
 GUARD = 0.7  # of the speed that is asked for, at which the load is held
 GUARD_RAD_S = 40.0  # how fast
+LATE = 1.5  # of the time that this takes: a load goes on before it is braked
 CREEP_M_S = 0.02  # so fast it may be wherever it is: it would be at rest within a hair's breadth
 SLOW_S = 0.02  # in which the error of the force is smoothed
 SHUTS, OPENS = 0.25, 0.5  # of the tolerance: the valve is shut within, and opens beyond
@@ -219,10 +220,18 @@ def damping_n_s_m(s: Press, c: Controller) -> float:
     return 2.0 * ZETA * share * c.cylinder.M * max(SLOWEST_RAD_S, min(DAMPED * loop_rad_s(c), swing_rad_s))
 
 
-def allowed_m_s(aim: Aim, room_m: float) -> float:
-    """How fast the load may be where the window ends so far ahead [m/s]."""
-    most = max(CREEP_M_S, math.sqrt(2.0 * aim.braking_m_s2 * max(0.0, room_m)))
+def allowed_m_s(aim: Aim, room_m: float, late_s: float) -> float:
+    """How fast the load may be where the window ends so far ahead, and braking comes so late [m/s]."""
+    lost_m_s = aim.braking_m_s2 * late_s
+    braked_m_s = math.sqrt(lost_m_s * lost_m_s + 2.0 * aim.braking_m_s2 * max(0.0, room_m)) - lost_m_s
+    most = max(CREEP_M_S, braked_m_s)
     return min(aim.speed_m_s, most)
+
+
+def braked_after_s(swing_rad_s: float) -> float:
+    """How long a load goes on before it is braked [s]; what it swings on helps."""
+    rate_rad_s = GUARD_RAD_S + swing_rad_s
+    return LATE * GUARD_RAD_S / (rate_rad_s * rate_rad_s)
 
 
 def bounds_n(s: Press, force_n: float, x: float, v: float, c: Controller) -> tuple[float, float]:
@@ -239,8 +248,10 @@ def bounds_n(s: Press, force_n: float, x: float, v: float, c: Controller) -> tup
         c: the controller's parameters.
     """
     M = c.cylinder.M
-    gain = GUARD * (GUARD_RAD_S + math.sqrt(stiffness_n_m(s, c) / M))
-    inwards, outwards = allowed_m_s(s.aim, x - s.aim.low_m), allowed_m_s(s.aim, s.aim.high_m - x)
+    swing_rad_s = math.sqrt(stiffness_n_m(s, c) / M)
+    gain, late_s = GUARD * (GUARD_RAD_S + swing_rad_s), braked_after_s(swing_rad_s)
+    inwards = allowed_m_s(s.aim, x - s.aim.low_m, late_s)
+    outwards = allowed_m_s(s.aim, s.aim.high_m - x, late_s)
     damped = GUARD_RAD_S * v
     return force_n - M * (gain * inwards + damped), force_n + M * (gain * outwards - damped)
 
@@ -283,6 +294,8 @@ def proceed(
     dx = e.position_m - s.at_m
     tolerance = tolerance_n(aim, p)
     near = abs(goal_n - wanted_n) <= SHUTS * tolerance and abs(e.velocity_m_s) <= SHUT_M_S
+    # what damps a load that swings is no error of the force in the mean; kept, it would drive the load on
+    near = near and abs(goal_n - force_n) <= OPENS * tolerance
     shut = 1 if near and abs(slow_n) <= (OPENS if s.shut else SHUTS) * tolerance else 0
     within_ns = -1
     if abs(slow_n) <= tolerance:
