@@ -196,10 +196,20 @@ def test_a_load_that_has_hunted_is_given_time_to_come_to_rest() -> None:
     assert stand(hunting._replace(ticks=P.patience - 1)).mode == LAW
     assert stand(hunting._replace(restless_v=0.029)).mode == LAW
     assert stand(hunting, error_m=1.1e-4).mode == LAW
-    assert stand(closed, velocity_m_s=0.1).mode == CLOSED
+    assert stand(closed, velocity_m_s=0.02).mode == CLOSED  # for a moment it swings by 0.25 mm
+    assert stand(closed, velocity_m_s=0.03).mode == LAW  # and here by 0.38 mm
     assert stand(closed, error_m=3.1e-4).mode == LAW
     farther = standstill.stand(hunting, 2.9e-4, 0.0, 0.0, 0.0, 0.0, True, F, P._replace(hunts_m=3e-4))
     assert (farther.mode, farther.ticks) == (CLOSED, 0)
+
+
+@pytest.mark.parametrize("towards", [1.0, -1.0])
+def test_a_load_that_runs_away_from_its_target_is_pushed_and_does_not_hunt(towards: float) -> None:
+    hunting = StandstillState(restless_v=0.1, ticks=P.patience)
+    away = stand(hunting, error_m=2e-5 * towards, velocity_m_s=-4.1e-3 * towards)
+    assert (away.mode, away.tries) == (LAW, 0)
+    assert stand(hunting, error_m=2e-5 * towards, velocity_m_s=4.1e-3 * towards).mode == CLOSED
+    assert stand(hunting, error_m=2e-5 * towards, velocity_m_s=-3.9e-3 * towards).mode == CLOSED
 
 
 def test_what_sticks_beside_the_band_is_nudged_towards_it_as_far_as_friction_allows() -> None:
@@ -423,6 +433,18 @@ def test_a_push_gives_the_load_back_to_the_law_which_brings_it_home() -> None:
     assert v.max_m < 0.6e-3
     assert v.outside < 1_000
     assert pair.state.standstill.mode != LAW
+
+
+def test_a_push_that_begins_like_hunting_finds_the_valve_open() -> None:
+    c, plant = rig(1e-6, 1e5)
+    pair, _ = move(trial.begin(0.44, c, plant), True, 0.45, c, plant, 4_000, 0, 1e-3)
+    c = c._replace(standstill=c.standstill._replace(enter_m=1e-9, near_m=0.0))  # calm, it would be left alone
+    for restless_v in (0.02, 0.029):
+        restless = StandstillState(ticks=c.standstill.patience, restless_v=restless_v, tries=1)
+        hunting = pair._replace(state=pair.state._replace(standstill=restless))
+        errand = Errand(way(septic(0.05, rest(0.45), rest(0.45))), NOSINE, 50.0)
+        _, v = ticks_of()[0](hunting, False, 100, 0, 20e-6, errand, c, plant, 10.0 / 4096)
+        assert v.max_m < 0.5e-3
 
 
 def test_bristles_of_a_standing_load_are_drawn_to_what_the_force_says() -> None:

@@ -170,10 +170,11 @@ def stand(
             return _entered(s, CLOSED, p.grace, s.restless_v)
         if size <= p.near_m and s.same >= p.stuck:
             return planned(s, error_m, force_n, friction_n, f, p)
-        if size <= p.hunts_m and s.restless_v > p.restless_v and s.ticks > p.patience:
+        hunts = size <= p.hunts_m and s.restless_v > p.restless_v and s.ticks > p.patience
+        if hunts and not runs_away(error_m, velocity_m_s, p):
             return _entered(_tried(s, s.tries + 1), CLOSED, 0, s.restless_v)
         return s
-    coming = s.mode == CLOSED and s.ticks < p.grace
+    coming = s.mode == CLOSED and s.ticks < p.grace and swing_m(error_m, velocity_m_s, f, p) <= p.far_m
     if size > p.far_m or (abs(velocity_m_s) > p.leave_m_s and not coming):
         return given_back(s, p)
     if s.mode == CLOSED:
@@ -195,6 +196,16 @@ def stand(
 def given_back(s: StandstillState, p: Standstill) -> StandstillState:
     """The law has the load again, and after some times no longer a while before it gives way."""
     return _entered(_tried(s, max(s.tries, min(s.tries + 1, p.again))), LAW, 0, 0.0)
+
+
+def runs_away(error_m: float, velocity_m_s: float, p: Standstill) -> bool:
+    """Whether a load leaves its target fast: one that is pushed makes the command step as hunting does."""
+    return error_m * velocity_m_s < 0.0 and abs(velocity_m_s) > p.leave_m_s
+
+
+def swing_m(error_m: float, velocity_m_s: float, f: Friction, p: Standstill) -> float:
+    """How far off [m] a load gets that swings about the target on its bristles."""
+    return math.sqrt(error_m * error_m + velocity_m_s * velocity_m_s * p.mass_kg / f.sigma0_n_m)
 
 
 def would_rest(s: StandstillState, error_m: float, f: Friction, p: Standstill) -> bool:
