@@ -102,7 +102,7 @@ def found(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Estimate]]:
     """What is found in any log, to be changed by a test."""
     parameters = {key.COULOMB: told(40.0)}
     measured = (table.Table(1e-3, 0.0, ()), parse(read_log(GOLDEN / "composite.mcap").config_text, "x"))
-    monkeypatch.setattr(table, "read", lambda _: measured)
+    monkeypatch.setattr(table, "read", lambda *_: measured)
     monkeypatch.setattr(
         estimating, "identify", lambda *_: Identified(dict(parameters), [], [], 100.0, None, None)
     )
