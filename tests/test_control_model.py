@@ -326,7 +326,9 @@ def test_reload_takes_them_but_no_edges_of_a_map() -> None:
     model = BELIEVED._replace(dead_zone_v=0.14, coulomb_n=30.0)
     assert plan.requests == (Request(int(GAINS), (*NOW, *model)),)
     assert plan.done is not None
+    assert tuning.changed_on_disk()
     assert plan.done()["at_restart"] == []
+    assert not tuning.changed_on_disk()
     places = [[-5.0, -1.0], [-0.2, 0.0], [0.3, 0.0], [5.0, 1.0]]
     tuning._in_file = changed_text(text, {"valve": {"map": places, "dead_zone_v": 0.25, "centre_v": None}})
     plan = tuning.reload()

@@ -14,7 +14,7 @@ from log_samples import FAULTS, bits, header, noisy, tick_at, write_log
 from pneud.bus import wire
 from pneud.log.files.naming import LogError, create_log
 from pneud.log.files.reader import read_log
-from pneud.log.files.writer import LogWriter
+from pneud.log.files.writer import FLUSH_NS, LogWriter
 from pneud.log.format.schema import Level
 from pneud.log.live.recorder import start_recorder
 from pneud.log.live.ring import _HEAD_BYTES, _NOTES_BYTE, RecorderStatus, Ring
@@ -55,6 +55,20 @@ def test_notes_fill_the_head_of_the_ring_and_no_more() -> None:
         ring.set_notes({"n": "x" * (room + 1)})
     ring.set_notes({"n": "x" * room})
     assert ring.notes() == {"n": "x" * room}
+
+
+def test_a_file_is_left_alone_until_a_chunk_is_due(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    writer = LogWriter(create_log(path), header())
+    begun = path.stat().st_size
+    for record in noisy(3):
+        writer.write(record)
+        writer.attend()
+    assert path.stat().st_size == begun
+    time.sleep(1e-9 * FLUSH_NS)
+    writer.attend()
+    assert path.stat().st_size > begun
+    assert writer.close()
 
 
 def test_everything_put_is_in_the_file_when_the_ring_was_closed(tmp_path: Path) -> None:

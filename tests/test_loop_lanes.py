@@ -20,7 +20,7 @@ from pneud.loop.options import Options
 from pneud.loop.recorder_watch import RecorderWatch
 from pneud.loop.turn import END_TICKS, Turn
 from pneud.rig.node import PlantNode
-from pneud.signals import Frame, Record, State
+from pneud.signals import Frame, Host, Record, State
 
 RATE_HZ = 100.0
 LOADED = load("virtual.toml", None, {"loop": {"rate_hz": RATE_HZ}})
@@ -49,7 +49,7 @@ class Carrier:
 
     def send(self, can_id: int, data: bytes) -> None:
         frame = Frame(time.monotonic_ns(), can_id, data)
-        if can_id == SYNC.can_id or self.sent[-1].can_id == SYNC.can_id:
+        if SYNC.can_id in (can_id, *(frame.can_id for frame in self.sent[-1:])):
             self.node.on_frame(frame)
         self.sent.append(frame)
 
@@ -110,6 +110,19 @@ def test_one_sync_and_a_command_for_each_axis_in_every_tick(axes: int) -> None:
         assert one.recorder.ring.mileage.engaged_s > 0.2
         assert one.recorder.ring.frames[:1] == (counted.rx,)
         assert one.recorder.ring.frames.tx == len(carrier.sent)
+
+
+def test_a_loop_that_follows_sends_no_sync_and_misses_it_when_its_patience_is_over() -> None:
+    options = OPTIONS._replace(duration_s=0.15, follow_s=0.06, auto_arm=False)
+    carrier = Carrier()
+    link = Link("here", carrier)
+    one = lane(link, options)
+    Loop([one], LOADED.codecs, link, options).run()
+    assert {frame.can_id for frame in carrier.sent} == {COMMAND.can_id}
+    ticks = [record.tick for record in records(one)]
+    lost = [tick.t_ns for tick in ticks if tick.measurement.host & Host.SYNC_LOST]
+    assert lost
+    assert lost[0] - ticks[0].t_ns >= 0.04e9  # from when it has begun to wait
 
 
 def fail(one: Lane) -> None:

@@ -702,6 +702,16 @@ def test_a_saying_is_due_on_change_and_after_its_period() -> None:
     assert times == [0, 20, 40, 50, 70, 90]
 
 
+def test_what_is_said_of_outputs_is_counted() -> None:
+    switching = axis().codecs.switching
+    assert switching is not None
+    (message,) = switching.outputs
+    saying = Saying((message,), 1)
+    said = [data for t in range(5) for _, data in saying.due(1, t)]
+    assert said == [message.encode(1, number) for number in range(5)]
+    assert len(set(said)) == 5
+
+
 def test_a_node_forgets_outputs_that_nobody_sends() -> None:
     switching = axis().codecs.switching
     assert switching is not None
