@@ -112,6 +112,13 @@ def test_one_sync_and_a_command_for_each_axis_in_every_tick(axes: int) -> None:
         assert one.recorder.ring.frames.tx == len(carrier.sent)
 
 
+def test_a_run_that_is_to_arm_does_not_ask_before_it_can() -> None:
+    one = lane(Link("here", Carrier()))
+    one.prepare(0, ending=False)
+    assert one.waits
+    assert one.request is None
+
+
 def test_a_loop_that_follows_sends_no_sync_and_misses_it_when_its_patience_is_over() -> None:
     options = OPTIONS._replace(duration_s=0.15, follow_s=0.06, auto_arm=False)
     carrier = Carrier()

@@ -20,6 +20,7 @@ from pneud.config.reading import load_config
 from pneud.console import endpoint
 from pneud.console.client import Client
 from pneud.console.endpoint import PlaceError
+from pneud.console.results import show
 from pneud.console.tuning import MODEL, NAMES, REFERENCE, chosen, values_of
 from pneud.control.tunables import LAWS, TUNABLE, names_of, tunables
 from pneud.signals import Answer, RequestKind
@@ -413,3 +414,14 @@ def test_a_stop_loads_none_of_the_heavy_libraries(runtime: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
+
+
+@pytest.mark.parametrize(
+    ("whose", "printed"),
+    [({"axes": ["x", "y"]}, "x, y: armed\n"), ({"axis": "x"}, "x: armed\n"), ({}, "armed\n")],
+)
+def test_a_result_names_the_axes_that_it_is_of(
+    whose: dict[str, object], printed: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    show(whose, False, "armed")
+    assert capsys.readouterr().out == printed
