@@ -144,7 +144,12 @@ def test_a_log_is_none_if_it_goes_while_the_last_of_it_is_synced(happens: str, b
 
 
 def test_who_has_said_that_no_movement_test_is_asked_for_need_not_say_it_again(bench: Bench) -> None:
-    verbs = (0.6, "arm", {}), (0.7, "arm", {"unproven": True}), (0.8, "disarm", {}), (1.0, "arm", {})
+    verbs: tuple[tuple[float, str, dict[str, bool]], ...] = (
+        (0.6, "arm", {}),
+        (0.7, "arm", {"unproven": True}),
+        (0.8, "disarm", {}),
+        (1.0, "arm", {}),
+    )
     items = [Item(at_s, "operator", {"who": 0, "verb": verb, **more}) for at_s, verb, more in verbs]
     outcome = bench.run(plan_with(*items, length_s=1.1)._replace(virtual=False, unproven=True))
     assert not outcome.found
