@@ -100,15 +100,18 @@ def test_the_law_has_a_while_before_it_gives_way() -> None:
     assert standstill.stand(StandstillState(ticks=999), 0.0, 0.0, 0.0, 0.0, 0.0, True, F, p).mode == CLOSED
 
 
-def test_the_law_has_its_while_again_until_giving_way_was_of_no_use_too_often() -> None:
-    p = P._replace(settle=1000, again=2)
+def test_the_law_has_half_its_while_again_until_giving_way_was_of_no_use_too_often() -> None:
+    p = P._replace(settle=1000, again=3)
     s = StandstillState(mode=CLOSED, ticks=P.grace)
-    for tries, mode in ((1, LAW), (2, CLOSED), (2, CLOSED)):
+    for tries, after in ((1, 500), (2, 500), (3, 1), (3, 1)):
         s = standstill.stand(s, 4e-4, 0.0, 0.0, 0.0, 0.0, True, F, p)
         assert (s.mode, s.ticks, s.tries) == (LAW, 0, tries)
-        assert standstill.is_firm(s, p) == (tries < 2)
+        assert standstill.is_firm(s, p) == (tries < 3)
+        if after > 1:
+            s = standstill.stand(s._replace(ticks=after - 2), 0.0, 0.0, 0.0, 0.0, 0.0, True, F, p)
+            assert s.mode == LAW
         s = standstill.stand(s, 0.0, 0.0, 0.0, 0.0, 0.0, True, F, p)
-        assert s.mode == mode
+        assert s.mode == CLOSED
         s = s._replace(mode=CLOSED, ticks=P.grace)
     assert standstill.given_back(s._replace(tries=5), p).tries == 5
 
@@ -132,7 +135,7 @@ def test_a_load_is_heard_of_calmly_once_it_has_stood_for_a_while() -> None:
 def test_coarse_encoders_are_heard_of_calmly_where_the_law_can_damp_a_swing() -> None:
     coarse, fine = rig(5e-6, 1e5)[0], rig(4.9e-6, 1e5)[0]
     s = coarse.standstill
-    assert (s.calm, s.again, s.trusts) == (100, 2, True)
+    assert (s.calm, s.again, s.trusts) == (100, 3, True)
     assert s.leave_m < s.wait_m < s.near_m
     assert s.filter[:3] == pytest.approx(triple_pole(316.0 / 2.5, coarse.h)[:3])
     assert s.filter.more_gamma + s.filter.gamma == pytest.approx(coarse.motion.gamma)

@@ -116,6 +116,11 @@ def is_firm(s: StandstillState, p: Standstill) -> bool:
     return s.tries < p.again
 
 
+def has_a_while(s: StandstillState, p: Standstill) -> bool:
+    """Whether the law has time yet before it gives way: a while at first, half of it after each failure."""
+    return is_firm(s, p) and (s.ticks if s.tries == 0 else 2 * s.ticks) < p.settle
+
+
 def is_held(s: StandstillState, p: Standstill) -> bool:
     """Whether friction holds a load left alone: no reading differed for longer than any force would need."""
     return s.mode != LAW and p.held > 0.0 and s.same >= p.stick
@@ -163,7 +168,7 @@ def stand(
         # what nudges have found, and how the law fared, holds until the reference moves
         return _entered(_stepping(_tried(s, 0), s.from_n, s.step_n, s.error_m, 0.0), LAW, 0, 0.0)
     size = abs(error_m)
-    if s.mode == LAW and is_firm(s, p) and s.ticks < p.settle:
+    if s.mode == LAW and has_a_while(s, p):
         return s
     if s.mode == LAW:
         if would_rest(s, error_m, f, p):
