@@ -265,6 +265,17 @@ def test_a_file_that_cannot_be_written_is_said_before_anything_moves(
     assert "rig.toml: cannot be written" in done.stderr
 
 
+@pytest.mark.slow
+def test_a_page_that_there_is_nothing_for_is_said(tmp_path: Path) -> None:
+    file = copied(tmp_path)
+    file.write_text(f"{file.read_text()}\n[plant.wiring]\nsupply_shut = true\n")
+    page = tmp_path / "page.html"
+    done = pneud_here("commission", "--virtual", "--config", file, "-o", page)
+    assert done.returncode == 1
+    assert f"pneud: {page}: not written" in done.stderr
+    assert not page.exists()
+
+
 def test_a_seed_is_of_a_software_rig() -> None:
     done = pneud_here("commission", "--seed", "3")
     assert (done.returncode, "--virtual" in done.stderr) == (2, True)

@@ -97,8 +97,11 @@ def commission(
     else:
         outcome, c = _on_the_rig(socket, axis, config_file, wishes, again, yes)
     findings = _findings(outcome.movement)
-    if output is not None and outcome.found is not None:
-        write_whole(output, _page(outcome, c))
+    if output is not None:
+        if outcome.found is not None:
+            write_whole(output, _page(outcome, c))
+        else:
+            print(f"pneud: {output}: not written: nothing has been estimated", file=sys.stderr)
     if json:
         print(json_.dumps({**as_json(outcome), "findings": findings}))
     else:
