@@ -292,7 +292,7 @@ def test_an_earlier_estimate_comes_back(tmp_path: Path) -> None:
     e = estimate(40.0, 1.0, 36.0)
     path = tmp_path / "before.json"
     path.write_text(json.dumps({"schema": 1, "parameters": {key.COULOMB: comparing.as_json(e), "x": {}}}))
-    assert comparing.earlier(path) == {key.COULOMB: e}
+    assert comparing.earlier(path) == ("", {key.COULOMB: e})
     for text in (
         "",
         "[]",
@@ -302,6 +302,16 @@ def test_an_earlier_estimate_comes_back(tmp_path: Path) -> None:
         path.write_text(text)
         with pytest.raises(ConfigError, match="not what pneud identify"):
             comparing.earlier(path)
+
+
+def test_what_was_found_of_another_axis_is_not_compared_with(tmp_path: Path) -> None:
+    path = tmp_path / "before.json"
+    path.write_text(json.dumps({"schema": 1, "axis": "press", "parameters": {}}))
+    assert comparing.earlier(path).axis == "press"
+    for same in ("", "press"):
+        comparing.check_axis(path, same, "press")
+    with pytest.raises(ConfigError, match=r"before.json: is of axis press, the logs are of gate"):
+        comparing.check_axis(path, "press", "gate")
 
 
 def test_every_parameter_has_what_is_said_of_it() -> None:

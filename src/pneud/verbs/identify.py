@@ -81,7 +81,8 @@ def identify(
     if output is not None:
         require_suffix(output, ".html", "the report is a page of HTML")
         require_folder(output)
-    before = comparing.earlier(against) if against is not None else {}
+    earlier = comparing.earlier(against) if against is not None else comparing.Earlier("", {})
+    before = earlier.parameters
     given = load_config(config) if config is not None else None
     if kept is not None:
         require_folder(kept)
@@ -91,10 +92,13 @@ def identify(
         watch(report, *readers)
         measured, own = table.read(readers, given)
         c = given or own
+        for path, axis in ((against, earlier.axis), *((kept, entry.axis) for entry in entries)):
+            if path is not None:
+                comparing.check_axis(path, axis, own.name)
         report("estimating", 0, 0, "")
         found = estimating.identify(measured, c)
     if kept is not None:
-        now = wear.entry(readers, found.parameters)
+        now = wear.entry(readers, found.parameters, own.name)
         entries = [e for e in entries if e.logs != now.logs]
         before = wear.at_first(entries)
         entries.append(now)
@@ -105,7 +109,7 @@ def identify(
     unexplained = explaining.unexplained(found.valved, found.moved, found.noise_pa, c)
     verdict = words.verdict(rows, unexplained)
     if json:
-        print(json_.dumps(_as_json(found, rows, unexplained, verdict)))
+        print(json_.dumps({**_as_json(found, rows, unexplained, verdict), "axis": own.name}))
     else:
         print("\n".join([*words.table(rows), *_said(found, unexplained, verdict)]))
     if output is not None:

@@ -78,18 +78,36 @@ def _plain(value: Any) -> bool:
     return isinstance(value, bool) or (isinstance(value, float | int) and math.isfinite(value))
 
 
-def earlier(path: Path) -> dict[str, Estimate]:
-    """The parameters that `pneud identify --json` printed before.
+class Earlier(NamedTuple):
+    """An identification that was printed."""
+
+    axis: str  # empty where it does not say
+    parameters: Mapping[str, Estimate]
+
+
+def earlier(path: Path) -> Earlier:
+    """What `pneud identify --json` printed before.
 
     Raises:
         ConfigError: it cannot be read, or is nothing of the kind.
     """
     try:
-        return estimates(json.loads(read_whole(path)))
+        whole = json.loads(read_whole(path))
+        return Earlier(str(whole.get("axis", "")), estimates(whole))
     except OSError as e:
         raise ConfigError(f"{path}: cannot be read: {e.strerror}") from None
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise ConfigError(f"{path}: not what pneud identify --json prints") from None
+
+
+def check_axis(path: Path, before: str, now: str) -> None:
+    """Refuse to call it wear that another axis is another one; what does not say whose it is passes.
+
+    Raises:
+        ConfigError: an identification in a file was of another axis than the logs.
+    """
+    if before not in ("", now):
+        raise ConfigError(f"{path}: is of axis {before}, the logs are of {now}")
 
 
 def estimates(whole: Any) -> dict[str, Estimate]:

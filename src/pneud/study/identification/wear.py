@@ -31,6 +31,7 @@ class Entry(NamedTuple):
     date: str  # of the last log, as 2026-11-29T17:12
     logs: tuple[str, ...]  # names
     parameters: Mapping[str, Estimate]
+    axis: str = ""  # empty where it does not say
 
 
 class Point(NamedTuple):
@@ -56,7 +57,8 @@ def history(path: Path) -> list[Entry]:
     for number, line in enumerate(lines, 1):
         try:
             whole = json.loads(line)
-            found.append(Entry(str(whole["date"]), tuple(whole["logs"]), comparing.estimates(whole)))
+            told, axis = comparing.estimates(whole), str(whole.get("axis", ""))
+            found.append(Entry(str(whole["date"]), tuple(whole["logs"]), told, axis))
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             raise ConfigError(f"{path}:{number}: not what pneud identify --wear writes") from None
     return found
@@ -73,15 +75,15 @@ def write(path: Path, entries: Iterable[Entry]) -> None:
 
 def _line(e: Entry) -> str:
     parameters = {name: comparing.as_json(one) for name, one in e.parameters.items()}
-    whole = {"schema": comparing.SCHEMA, "date": e.date, "logs": e.logs, "parameters": parameters}
-    return json.dumps(whole)
+    whole = {"schema": comparing.SCHEMA, "axis": e.axis, "date": e.date, "logs": e.logs}
+    return json.dumps({**whole, "parameters": parameters})
 
 
-def entry(logs: Sequence[LogReader], found: Mapping[str, Estimate]) -> Entry:
-    """What has been found in logs."""
+def entry(logs: Sequence[LogReader], found: Mapping[str, Estimate], axis: str) -> Entry:
+    """What has been found in logs of an axis."""
     last_s = 1e-9 * max(log.start_ns() for log in logs)
     date = time.strftime("%Y-%m-%dT%H:%M", time.gmtime(last_s))
-    return Entry(date, tuple(path.name for log in logs for path in log.paths), found)
+    return Entry(date, tuple(path.name for log in logs for path in log.paths), found, axis)
 
 
 def at_first(entries: Iterable[Entry]) -> dict[str, Estimate]:
