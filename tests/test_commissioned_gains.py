@@ -149,6 +149,7 @@ def test_gains_stay_where_nothing_can_be_tried(found: Config, monkeypatch: pytes
     assert chosen.values(found) == {}
     assert "no compiler" in chosen.doubts[0]
     assert not chosen.holds
+    assert pages.gains(chosen).startswith("gains: kept; nothing can be tried")
 
 
 @pytest.mark.slow

@@ -66,6 +66,8 @@ def verdict(v: Verified) -> str:
 def gains(chosen: Chosen) -> str:
     """In a line: what the gains are, and what they were judged by."""
     which = "kept" if chosen.bandwidth_rad_s is None else f"for {chosen.bandwidth_rad_s:.4g} rad/s"
+    if not chosen.judged:
+        return f"gains: {which}; {'; '.join(chosen.doubts)}"
     missed = sum(len(j.missed) for j in chosen.judged)
     count, rigs = sum(len(j.figures) for j in chosen.judged), len(chosen.judged)
     return f"gains: {which}; {missed} of {count} figures do not hold, on {rigs} rigs within the intervals"
