@@ -16,6 +16,7 @@ from pneud.log.files.naming import LogError, create_log
 from pneud.log.files.reader import read_log
 from pneud.log.files.writer import FLUSH_NS, LogWriter
 from pneud.log.format.schema import Level
+from pneud.log.live.notes import Note
 from pneud.log.live.recorder import start_recorder
 from pneud.log.live.ring import _HEAD_BYTES, _NOTES_BYTE, RecorderStatus, Ring
 from pneud.loop.recorder_watch import RecorderWatch
@@ -55,6 +56,14 @@ def test_notes_fill_the_head_of_the_ring_and_no_more() -> None:
         ring.set_notes({"n": "x" * (room + 1)})
     ring.set_notes({"n": "x" * room})
     assert ring.notes() == {"n": "x" * room}
+
+
+def test_what_is_said_is_an_event_of_who_has_said_it(tmp_path: Path) -> None:
+    writer = LogWriter(create_log(tmp_path / "x.mcap"), header())
+    writer.say(Note(1_000_000_000, int(Level.WARNING), "console", "something"))
+    assert writer.close()
+    found = [(e.level, e.name, e.message) for e in read_log(tmp_path / "x.mcap").events()]
+    assert found == [(Level.WARNING, "console", "something")]
 
 
 def test_a_file_is_left_alone_until_a_chunk_is_due(tmp_path: Path) -> None:

@@ -386,6 +386,14 @@ WRONG: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
     ),
     "two jobs": (PLAIN, ROLES | {"p2_pa": "PA.P"}, {}, "signal P: is p1_pa and p2_pa; each needs its own"),
     "counter twice": (PLAIN, ROLES, {"ENC": {"counter": "Pos"}}, "is position_m and the counter; each needs"),
+    "no value left": (
+        PLAIN.replace(
+            "PB: 2 A\n SG_ P : 7|16@0- (0.001,0) [0|0]", "PB: 2 A\n SG_ P : 7|16@0- (0.001,0) [90|99]"
+        ),
+        ROLES,
+        {},
+        "message PB, signal P: its minimum and maximum leave no value; mend them",
+    ),
     "counter of SYNC twice": (
         PLAIN + 'BO_ 128 S: 2 A\n SG_ One : 0|8@1+ (1,0) [0|0] "" A\n SG_ Two : 8|8@1+ (1,0) [0|0] "" A\n',
         ROLES | {"sync": "S.One"},
