@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 pytest.importorskip("greenlet")
 pytest.importorskip("canopen")
 
+from pneud import resources
 from pneud.canopen.keeper import Keeper, Readiness
 from pneud.canopen.master import Master
 from pneud.loop import company
@@ -72,6 +74,22 @@ def test_a_node_whose_reboot_is_not_heard_is_missed(bench: Bench) -> None:
     outcome = bench.run(UNHEARD)
     assert not outcome.found
     assert lines(outcome, "node 1 (encoder406) sends no heartbeat")
+
+
+def test_guarded_nodes_are_not_missed_while_another_one_is_configured(bench: Bench, tmp_path: Path) -> None:
+    text = resources.find(CANOPEN).read_text()
+    for profile in ("encoder406", "analog404", "valve408"):
+        text = text.replace(
+            f'profile = "{profile}"', f'profile = "{profile}"\nguard = true\nheartbeat_ms = 45'
+        )
+    guarded = tmp_path / "guarded.toml"
+    guarded.write_text(text)
+    outcome = bench.run(plan_with(reboots(1.4), length_s=2.0)._replace(file=str(guarded)))
+    assert not outcome.found
+    assert [line.split("nodes: ")[-1] for line in lines(outcome, READY)] == [
+        "1, 2, 3 configured and started",
+        "1 configured and started",
+    ]
 
 
 def test_the_death_of_who_configures_nodes_is_told_and_stops_the_axis(bench: Bench) -> None:

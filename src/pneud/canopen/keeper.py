@@ -151,7 +151,8 @@ class Keeper:
             self._tell(f"nodes: {e}")
             return False
         done, self._to_do = self._to_do, set()
-        self._told_at |= dict.fromkeys(done, time.monotonic())
+        # guarding has paused meanwhile; heartbeats have not
+        self._told_at |= dict.fromkeys((*done, *self._guarded), time.monotonic())
         self._hear(link, just_done=done)
         for note in (note for one in found for note in one.notes):
             self._say(f"nodes: {note}")
