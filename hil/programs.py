@@ -42,6 +42,7 @@ FOLDER = Path(__file__).parent.parent / "examples" / "programs"
 FORMS = (("pick-and-place.toml", "virtual.toml"), ("two-axes-pick-and-place.toml", "two-axes.toml"))
 SPREAD_S = 2e-3
 PATIENCE_S = 60.0
+MOST_TOLD = 10  # of what was wrong
 PNEUD = (sys.executable, "-m", "pneud.cli")
 
 
@@ -185,6 +186,8 @@ def read(axes: Together, found: programs.Compiled, logs: Path, cycles: int) -> I
             if stalls(tick.record, period_ns):
                 stalled.add(tick.progress.lap)
         rounds_s = passing.rounds_s() or [0.0]
+        for words in passing.wrong[:MOST_TOLD]:
+            print(f"{axis.config.name}: {words}", file=sys.stderr, flush=True)
         done = len({one.lap for one in passing.passed})
         wrong = len(passing.wrong) + (not ended or done != cycles)
         # of the first round nobody knows when it would have begun
