@@ -157,6 +157,11 @@ def test_who_has_said_that_no_movement_test_is_asked_for_need_not_say_it_again(b
     assert sum("refused: blocked" in line for line in outcome.trace) == 1
 
 
+@pytest.mark.slow
+def test_a_rig_that_has_stood_for_long_is_given_time_to_pass_over_what_it_was_asked(bench: Bench) -> None:
+    assert not bench.run(plan_of(1070).only((7, 17))).found
+
+
 def test_options_that_make_no_sense_are_refused(tmp_path: Path) -> None:
     (tmp_path / "something").touch()
     for options in (

@@ -42,6 +42,7 @@ from pneud.signals import Record
 
 SLOTS = 2048  # of the ring: seconds, at the rate of a run
 SETTLES_NS = 200_000_000  # from the rig's beginning until it answers
+CATCHES_UP_NS = 300_000_000  # that it takes to pass over what it has been asked while it stood
 LOADING_S = (0.0, 0.01, 0.1, 1.0)  # that a process takes at most to load what it needs
 AGAIN_S = 0.5  # from a daemon's death to the next one
 CREW = ("daemon", "recorder", "keeper", "console", "plant", "screen", "nodes")
@@ -234,7 +235,9 @@ class Cast:
 
     def _rig_is_well(self) -> bool:
         rigs = self.world.named(("rig", "plant"))
-        return bool(rigs) and not any(one.stopped for one in rigs) and self.world.now_ns > self._rig_well_ns
+        now_ns = self.world.now_ns
+        stand = any(one.stopped or now_ns < one.continued_ns + CATCHES_UP_NS for one in rigs)
+        return bool(rigs) and not stand and now_ns > self._rig_well_ns
 
     def _start_rig(self) -> None:
         self.rig = self.world.spawn(lambda: self._lived(self._be_the_rig), "rig")
