@@ -32,6 +32,7 @@ NOT_HERE = {
     r"scp .*": "a second machine",
     r"python3 -m venv \.venv && .*|\.venv/bin/python -m hatchling .*": "tests/test_packaging.py does",
     r"make many-runs\b.*": "minutes; tests/test_many_runs.py runs fewer",
+    r"make truths\b.*": "minutes; tests/test_truths.py commissions one",
     r"make mutants\b.*": "most of an hour",
     r"pneud campaign .* --scheduler .*": "a cluster; tests/test_many_runs.py begins one",
     r"pneud bench\b.*": "minutes; tests/test_bench.py runs short ones",

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hil import truths
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pneud.config.conversions import plant_of
 from pneud.config.flow import L_S_BAR, conductance_of
 from pneud.loading import Loaded, load
-from pneud.study.commissioning.truths import RIGS, TWELVE, drawn, rig_text
+from pneud.study.commissioning.truths import RIGS, TWELVE, Truth, drawn, rig_text
 
 CONFIGS = ("virtual.toml", "rig.toml", "paper-case1.toml", "vcan.toml")
 
@@ -95,3 +96,21 @@ def test_the_twelve_have_all_that_a_rig_may_have(files: Mapping[str, Path]) -> N
         assert count >= at_least
     assert {p.encoder_resolution_m for p in plants} == {5e-6, 10e-6}
     assert {round(p.pressure_resolution_pa, 1) for p in plants} == {244.1}
+
+
+@pytest.mark.slow
+def test_a_truth_that_is_commissioned_is_found() -> None:
+    one = truths.case(Truth("virtual", 2))
+    assert one.offs
+    assert [off for off in one.offs if not off.holds] == []
+    inside, told = truths.coverage([one])[""]
+    assert inside >= truths.COVERED * told > 0
+    assert one.axis_s < truths.AXIS_S
+    assert truths.in_words(one)[0].startswith("virtual 2: ")
+    assert truths.as_json(one)["flow_off"] == pytest.approx(0.0, abs=truths.WITHIN_FLOW)
+
+
+@pytest.mark.parametrize("text", ["virtual", "virtual:", "virtual:x", "other:1", ""])
+def test_what_names_no_truth_is_refused(text: str) -> None:
+    with pytest.raises(ValueError):
+        truths.truth_named(text)
