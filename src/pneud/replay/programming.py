@@ -51,6 +51,7 @@ class Passing:
         self._record = self._lap = 0
         self._goal_m = math.nan
         self._worst_m = 0.0
+        self._truth_m = math.nan  # as far as the record knows: a rig that stalls says nothing in a tick
         self._is_done = False  # and waits for others
 
     def see(self, record: Record) -> None:
@@ -70,6 +71,8 @@ class Passing:
             self._begin(step, lap, tick.t_ns, tick.reference.position_m)
         if not self._record or self._is_done:
             return
+        if math.isfinite(record.truth_m):
+            self._truth_m = record.truth_m
         error_m = abs(record.true_error_m)
         self._worst_m = max(self._worst_m, error_m if math.isfinite(error_m) else 0.0)
         if tick.progress.stage in (DUE, DONE):
@@ -100,7 +103,7 @@ class Passing:
             self._goal_m = (stands_m if math.isnan(self._goal_m) else self._goal_m) + step.target_m
         elif step.kind in (program.TRACK, program.FORCE):
             self._goal_m = math.nan
-        self._began_ns, self._worst_m, self._is_done = t_ns, 0.0, False
+        self._began_ns, self._worst_m, self._truth_m, self._is_done = t_ns, 0.0, math.nan, False
 
     @staticmethod
     def _follows(step: Step, before: int, record: int) -> bool:
@@ -111,10 +114,12 @@ class Passing:
         tick, step, self._is_done = record.tick, self._steps[self._record - 1], True
         off_m, true = math.nan, True
         if step.kind in program.MOTIONS and step.ends != program.AT_ONCE:
-            off_m = self._goal_m - record.truth_m
+            off_m = self._goal_m - self._truth_m
             if not abs(off_m) <= step.tolerance_m + self._room_m:
                 true = False
-                words = f"in position, and {1e3 * off_m:+.4f} mm off"
+                words = "in position, " + (
+                    "and its truth is unknown" if math.isnan(off_m) else f"and {1e3 * off_m:+.4f} mm off"
+                )
                 self.wrong.append(f"round {self._lap + 1}, record {self._record}: {words}")
         begin_s, end_s = 1e-9 * (self._began_ns - self._first_ns), 1e-9 * (tick.t_ns - self._first_ns)
         self.passed.append(Passed(self._lap, self._record, begin_s, end_s, off_m, self._worst_m, true))
