@@ -61,8 +61,8 @@ class Rounds(NamedTuple):
     @property
     def good(self) -> bool:
         """All holds."""
-        apart = 2 * self.stalled <= self.rounds
-        even = (self.spread_s if apart else self.whole_s) <= SPREAD_S + 1e-9
+        enough = 2 * self.stalled <= self.rounds
+        even = (self.spread_s if enough else self.whole_s) <= SPREAD_S + 1e-9
         return not self.wrong and even and self.identical is not False
 
     def in_words(self) -> str:

@@ -156,7 +156,7 @@ def flow_off(truth: Config, found: Config) -> Off:
     return Off(FLOW, 0.0, worst, -math.inf, math.inf, WITHIN_FLOW, True)
 
 
-class _Silent:
+class _Agreeing:
     """Somebody who agrees."""
 
     def say(self, words: str) -> None:
@@ -176,7 +176,7 @@ def case(truth: Truth, keep: Path | None = None) -> Case:
         tables = drawn(loaded.config, truth.seed)
         rig = Simulated(loaded, tables, truth.seed, folder)
         before = _computed_s()
-        outcome = commission(rig, Wishes(), _Silent())
+        outcome = commission(rig, Wishes(), _Agreeing())
         computing_s = _computed_s() - before
         offs: list[Off] = []
         if outcome.found is not None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from pneud.canopen.objects import Nmt
 from pneud.canopen.plan import Plan
+from pneud.prove.axis_judge import DEATH_S
 from pneud.prove.canlib import NAME
 from pneud.prove.world import Process
 from pneud.rig.canopen import CanopenRig
@@ -16,8 +17,7 @@ from pneud.signals import Host, Tick
 if TYPE_CHECKING:
     from pneud.prove.judge import Judge
 
-DEATH_S = 0.9  # after which the loop has to have seen that nobody configures them
-PATIENCE_TICKS = 4
+SILENT_TICKS = 4  # beyond its time-out, after which the loop has to have missed a node
 _UNREADY = int(Host.HEARTBEAT_LOST)
 
 
@@ -39,7 +39,7 @@ class NodeJudge:
         self._judge, self._world = judge, judge.world
         axis = judge.axes[0]
         self._most = round(DEATH_S * 1e9 / axis.period_ns)
-        self._silent = round(1e6 * axis.config.bus.sensor_timeout_ms / axis.period_ns) + PATIENCE_TICKS
+        self._silent = round(1e6 * axis.config.bus.sensor_timeout_ms / axis.period_ns) + SILENT_TICKS
         # some are written twice
         self._values = [{step.object: step for step in plan.steps if step.write} for plan in plans]
         self._names = [plan.name for plan in plans]

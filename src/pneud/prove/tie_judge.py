@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pneud.prove.axis_judge import CALM_TICKS, AxisJudge
+from pneud.prove.axis_judge import CALM_TICKS, PATIENCE_TICKS, AxisJudge
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import State
 
@@ -12,10 +12,7 @@ if TYPE_CHECKING:
     from pneud.loop.company import Tie
     from pneud.prove.judge import Judge
 
-PATIENCE_TICKS = 2
-ASKEW_TICKS = (
-    6  # after which what is too far apart has to come to rest: the loop hears of it, and believes it
-)
+ASKEW_TICKS = 6  # until what is too far apart comes to rest: the loop has to hear of it, and to believe it
 ASKEW_M = 1e-3  # that it may be more apart than is allowed, until the loop can know
 APART_M = 1e-3  # of what leads an axis and what it is led to: a tick's age, and what was skipped
 JOINS_S = 1.0  # beyond the way there, until an axis is where it is led

@@ -161,10 +161,11 @@ def _simulated(
 
     loaded = load(config_file or "virtual.toml", axis=axis)
     packaged = loaded.path.is_relative_to(resources.configs())
-    if packaged and wishes.write and wishes.steps:
-        print("pneud: nothing is written into a configuration that comes with pneud", file=sys.stderr)
-    if wishes.write and wishes.steps and not packaged:
-        _require_writable(loaded.path)
+    if wishes.write and wishes.steps:
+        if packaged:
+            print("pneud: nothing is written into a configuration that comes with pneud", file=sys.stderr)
+        else:
+            _require_writable(loaded.path)
     truth = truths.drawn(loaded.config, seed) if seed is not None else {}
     with tempfile.TemporaryDirectory(prefix="pneud-") as folder:
         rig = Simulated(loaded, truth, seed or 0, Path(folder))
