@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from axis_rig import ARM, DISARM, H, Rig, loaded, quick, ready, tracking, twin
+from axis_rig import ARM, DISARM, PRESSURE, H, Rig, loaded, quick, ready, tracking, twin
+from pneud.compiled.backend import INTERPRETED
 from pneud.config.conversions import axis_of
 from pneud.control import force
 from pneud.control.force import Aim, Press, Pressing, damping_n_s_m, proceed, stiffness_n_m
@@ -52,6 +55,11 @@ def holding() -> Rig:
     return rig
 
 
+@cache
+def _held() -> Rig:
+    return holding()
+
+
 def pressing(ticks: int = 200, **values: float) -> Rig:
     rig = holding()
     tick = rig.tick(FORCE, *asked(**values))
@@ -75,6 +83,24 @@ def test_the_force_comes_by_its_ramp_and_stays_and_says_so() -> None:
     assert not ticks[5].in_position
     assert ticks[-1].in_position
     assert max(abs(tick.error_m) for tick in ticks) < 1e-9
+
+
+@pytest.mark.parametrize("quickly", [True, False], ids=["compiled", "interpreted"])
+def test_a_force_counts_as_reached_in_a_tick_whose_pressures_were_read(quickly: bool) -> None:
+    def said(missing: range) -> list[int]:
+        rig = twin(_held())
+        rig.go_on(quick() if quickly else INTERPRETED)
+        rig.tick(FORCE, *asked())
+        found = []
+        for i in range(300):
+            rig.frame = lambda f, i=i: None if f.can_id == PRESSURE and i in missing else f  # type: ignore[misc]
+            found.append(rig.tick().in_position)
+        return found
+
+    usual = said(range(0))
+    first = usual.index(1)
+    assert said(range(first, first + 3))[: first + 4] == [*usual[:first], 0, 0, 0, 1]
+    assert said(range(first + 1, first + 4))[: first + 4] == usual[: first + 4]
 
 
 def test_without_a_force_that_holds_it_a_load_moves_and_no_faster_than_was_asked_for() -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pneud.control import program
 from pneud.control.plan import FOLLOWING, GOING
 from pneud.control.program import DONE, DUE, ENDED, LATE, STOPPED, UNDER_WAY, Program, Run, Step
-from pneud.signals import Estimate, Reference, State
+from pneud.signals import ALL_SOURCES, Estimate, Reference, Source, State
 
 WAIT = Step(program.WAIT)
 RECORDS = st.lists(
@@ -35,7 +35,8 @@ def looked(
     phase, inputs = int(seen.get("phase", 0)), int(seen.get("inputs", 0))
     e = estimate(x, seen.get("v", 0.0), seen.get("x3", 0.0))
     r = Reference(goal, seen.get("goes", 0.0), 0.0, 0.0)
-    return program.look(run, t_ns, int(state), phase, int(seen.get("there", 0)), e, r, inputs, 10.0)
+    there, read = int(seen.get("there", 0)), int(seen.get("read", ALL_SOURCES))
+    return program.look(run, t_ns, int(state), phase, there, e, r, inputs, 10.0, read)
 
 
 def gone_through(steps: Program, laps: int, most: int = 3000) -> Iterator[int]:
@@ -219,3 +220,30 @@ def test_a_time_of_whole_periods_takes_as_many_ticks_whenever_they_come(n: int, 
         ticks += 1
         run = looked(run, 1_000_000_000 + ticks * 1_000_000 + off_ns[ticks])
     assert ticks == n
+
+
+@pytest.mark.parametrize(
+    ("step", "needs"),
+    [
+        (Step(program.GOTO, ends=program.EXACT, tolerance_m=1e-3, velocity_m_s=1e-3), Source.ENCODER),
+        (Step(program.GOTO, ends=program.FAST, tolerance_m=1e-3), Source.ENCODER),
+        (Step(program.UNTIL, what=program.POSITION, high=1.0), Source.ENCODER),
+        (Step(program.UNTIL, what=program.THRUST, low=-20.0, high=1.0), Source.PRESSURE),
+        (WAIT, Source(0)),
+        (Step(program.UNTIL, what=program.INPUT), Source(0)),
+    ],
+)
+def test_what_was_not_read_neither_begins_a_while_nor_ends_it(step: Step, needs: Source) -> None:
+    others, none = ALL_SOURCES & ~needs, Run(record=1)
+    at_once = program.awaiting(none, step._replace(time_s=0.0), 0, 2)
+    assert looked(at_once, 0, read=others).stage == (UNDER_WAY if needs else DUE)
+    assert looked(at_once, 0, read=int(needs)).stage == DUE
+    run = program.awaiting(none, step._replace(time_s=5e-9), 0, 2)
+    assert looked(run, 1, read=others).within_ns == (-1 if needs else 1)
+    begun = looked(run, 1, read=int(needs))
+    assert begun.within_ns == 1
+    over = looked(begun, 9, read=others)
+    assert (over.stage, over.within_ns) == ((UNDER_WAY, 1) if needs else (DUE, -1))
+    assert looked(over, 10, read=int(needs)).stage == DUE
+    late = begun._replace(timeout_ns=20)
+    assert looked(late, 20, read=others).stage == (LATE if needs else DUE)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from axis_rig import Rig, ready
+from axis_rig import ENCODER, Rig, quick, ready
 from pneud.axis.standing import AT_WORK, Expected, Standing, cause, judge
+from pneud.compiled.backend import INTERPRETED
 from pneud.config.conversions import axis_of, plant_of
 from pneud.control.adaptation import Adaptation
 from pneud.control.reference import Sine, rest, septic, sine, way
@@ -43,7 +45,7 @@ def stood(
     for i in range(round(1e3 * seconds)):
         t = 1e-3 * i
         e, v = (f(t) if callable(f) else f for f in (error, command))
-        s = judge(s, round(1e9 * (start_s + t)), e, 0.0, v - last_v if i else 0.0, P)
+        s = judge(s, round(1e9 * (start_s + t)), e, 0.0, v - last_v if i else 0.0, True, P)
         last_v = v
         states.append(s)
     return states
@@ -59,10 +61,29 @@ def test_in_position_takes_error_speed_and_time() -> None:
     assert not any(s.in_position for s in stood(1.0, 21e-6))
     fast = AT_WORK
     for i in range(200):
-        fast = judge(fast, i * MS, 0.0, 2.1e-3, 0.0, P)
+        fast = judge(fast, i * MS, 0.0, 2.1e-3, 0.0, True, P)
     assert not fast.in_position
-    assert not judge(states[-1], 2_000 * MS, 21e-6, 0.0, 0.0, P).in_position
-    assert judge(AT_WORK, MS, 0.0, 0.0, 0.0, P._replace(time_ns=0)).in_position == 1
+    assert not judge(states[-1], 2_000 * MS, 21e-6, 0.0, 0.0, True, P).in_position
+    assert judge(AT_WORK, MS, 0.0, 0.0, 0.0, True, P._replace(time_ns=0)).in_position == 1
+
+
+def test_what_was_not_read_begins_neither_the_statement_nor_its_time() -> None:
+    def at(error_m: float, read: Callable[[int], bool]) -> list[Standing]:
+        s, found = AT_WORK, []
+        for i in range(120):
+            s = judge(s, i * MS, error_m if i < 100 else 21e-6, 0.0, 0.0, read(i), P)
+            found.append(s)
+        return found
+
+    late = at(0.0, lambda i: i >= 20)
+    assert [s.within_ns for s in late[19:22]] == [-1, 20 * MS, 20 * MS]
+    assert [s.in_position for s in late].index(1) == 70
+    gap = at(0.0, lambda i: not 45 <= i < 60)
+    assert [s.in_position for s in gap].index(1) == 60
+    gone = at(0.0, lambda i: i < 80)
+    assert [s.in_position for s in gone] == 50 * [0] + 50 * [1] + 20 * [0]
+    slow = at(0.0, lambda i: i % 8 == 0)
+    assert [s.in_position for s in slow].index(1) == 56
 
 
 @pytest.mark.parametrize(
@@ -118,12 +139,13 @@ def test_each_cause_has_a_cure() -> None:
     assert set(HUNTING_CURES) == set(Hunting) - {Hunting.NONE}
 
 
-@given(st.lists(st.tuples(numbers, numbers, numbers), max_size=30))
-def test_nothing_breaks_it(seen: list[tuple[float, float, float]]) -> None:
+@given(st.lists(st.tuples(numbers, numbers, numbers, st.booleans()), max_size=30))
+def test_nothing_breaks_it(seen: list[tuple[float, float, float, bool]]) -> None:
     s = AT_WORK
-    for i, (error_m, velocity_m_s, step_v) in enumerate(seen):
-        s = judge(s, i * MS, error_m, velocity_m_s, step_v, P)
+    for i, (error_m, velocity_m_s, step_v, measured) in enumerate(seen):
+        before, s = s, judge(s, i * MS, error_m, velocity_m_s, step_v, measured, P)
         assert s.in_position in (0, 1)
+        assert measured or (s.in_position <= before.in_position and s.within_ns in (-1, before.within_ns))
         assert s.hunting in list(Hunting)
 
 
@@ -165,6 +187,25 @@ def test_an_axis_is_in_position_at_the_end_of_its_way_and_only_there() -> None:
     assert not any(t.in_position for t in rig.ticks(200))
 
 
+@pytest.mark.parametrize("quickly", [True, False], ids=["compiled", "interpreted"])
+def test_an_axis_is_not_in_position_by_an_estimate_that_is_led_on(quickly: bool) -> None:
+    def said(missing: range) -> list[int]:
+        rig = ready()
+        rig.go_on(quick() if quickly else INTERPRETED)
+        rig.tick(RequestKind.ARM)
+        found = []
+        for i in range(400):
+            rig.frame = lambda f, i=i: None if f.can_id == ENCODER and i in missing else f  # type: ignore[misc]
+            found.append(rig.tick().in_position)
+        return found
+
+    usual = said(range(0))
+    first = usual.index(1)
+    assert 0 not in usual[first:]
+    assert said(range(first, first + 5)) == usual[:first] + 5 * [0] + usual[first + 5 :]
+    assert said(range(first + 1, first + 20)) == usual
+
+
 # on a rig
 
 
@@ -197,7 +238,7 @@ def rested(seconds: float, adapts: bool = True, **changes: Any) -> Stood:
         if i < 1_000:
             continue
         m = pair.state.motion
-        s = judge(s, i * MS, pair.reference_m - m.x, m.v, pair.last_v - before_v, p.expected)
+        s = judge(s, i * MS, pair.reference_m - m.x, m.v, pair.last_v - before_v, True, p.expected)
         found.add(s.hunting)
         inside += s.in_position
     return Stood(found, s.hunting, inside, i - 999)

@@ -20,9 +20,19 @@ from pneud.axis.interlock import (
     taken_over,
 )
 from pneud.axis.mileage import LOOK_NS, SETTLED_NS, Odometer, count
-from pneud.axis.programs import ENDS, FIRST_KIND, asked_of, proceed, put, started
+from pneud.axis.programs import ENDS, FIRST_KIND, asked_of, observed, proceed, put, started
 from pneud.axis.requests import ARM, BLOCKED, HOME, NOTHING, PROBE, TAKEN, Asked
-from pneud.axis.sensing import NAN, NO_ESTIMATE, Belief, Driven, drive, sense
+from pneud.axis.sensing import (
+    ENCODER,
+    NAN,
+    NO_ESTIMATE,
+    PRESSURE,
+    Belief,
+    Driven,
+    drive,
+    just_read,
+    sense,
+)
 from pneud.axis.standing import AT_WORK, Standing, judge
 from pneud.axis.state import INSIDE, AxisParameters, AxisState, Doubt, learnt_so_far, switched_on
 from pneud.axis.stops import UNHELD, excused, gentle, outside
@@ -30,7 +40,7 @@ from pneud.control import force, homing, probe
 from pneud.control.force import Pressing
 from pneud.control.leading import ALONE, NOT_LED, aim, is_at_rest
 from pneud.control.plan import FOLLOWING, IDLE, LED, NONE, Plan
-from pneud.control.program import DUE, UNDER_WAY, Run, halted, look, progress, stopped
+from pneud.control.program import DUE, UNDER_WAY, Run, halted, progress, stopped
 from pneud.control.step import Controller, forget, unlearnt
 from pneud.safety import checks
 from pneud.safety.brake import ENGAGING, Brake, is_holding
@@ -52,7 +62,6 @@ from pneud.safety.supervisor import (
 from pneud.safety.watch import Watch, forget_position, remember
 from pneud.signals import (
     Command,
-    Estimate,
     Heard,
     Measurement,
     Mileage,
@@ -134,9 +143,9 @@ def cycle(
     if present & NOT_FINITE:
         driven = driven._replace(controller=None)  # it would remember
     if run.stage >= UNDER_WAY:
-        run = observed(run, t_ns, after.state, course, belief.estimate, state.standing, inputs, law)
+        run = observed(run, t_ns, after.state, course, belief, m, state.standing, inputs, law.cylinder)
     reference = aim(course.reference, course.led, p.leading)
-    stood = stand(state, after.state, belief, reference, course, driven.command, t_ns, p)
+    stood = stand(state, after.state, belief, m, reference, course, driven.command, t_ns, p)
     done = counted(state, belief, m, course.found, is_engaged(after.state), t_ns)
     if p.roles.used or p.brake.used:
         state = settled(state, inputs, m, belief, course, after.state, stood, t_ns, p)
@@ -290,36 +299,11 @@ def counted(
     return count(state.odometer, t_ns, belief.estimate, m, known, settled, engaged, state.law)
 
 
-def observed(
-    run: Run,
-    t_ns: int,
-    now: int,
-    course: Course,
-    e: Estimate,
-    standing: Standing,
-    inputs: Inputs,
-    law: Controller,
-) -> Run:
-    """How far the program is, by what is seen in this tick.
-
-    Args:
-        run: how far it was.
-        t_ns: instant of this tick's SYNC.
-        now: state of this tick.
-        course: where the axis is led.
-        e: the estimate.
-        standing: how the load stood at its target in the last tick.
-        inputs: as they are.
-        law: with its cylinder.
-    """
-    c, r = law.cylinder, course.reference
-    return look(run, t_ns, now, course.plan.phase, standing.in_position, e, r, inputs.bits, c.rod_force_n)
-
-
 def stand(
     state: AxisState,
     now: int,
     belief: Belief,
+    m: Measurement,
     r: Reference,
     course: Course,
     command: Command,
@@ -334,6 +318,7 @@ def stand(
         state: after the last tick.
         now: state of this tick.
         belief: what is known of the load.
+        m: the measurement.
         r: the reference.
         course: where the axis is led.
         command: that leaves.
@@ -343,12 +328,14 @@ def stand(
     e = belief.estimate
     if now != HOLDING:
         if now == PRESSING and course.press.reached:
-            return REACHED
+            said = state.supervisor.state == PRESSING and state.standing.in_position != 0
+            return REACHED if said or just_read(belief, m) & PRESSURE != 0 else AT_WORK
         led = p.leading.how != ALONE and now == TRACKING and course.plan.phase == LED
         if not led or not is_at_rest(course.led, belief.sampled_ns):
             return AT_WORK
     step_v, error_m = command.voltage_v - state.last_v, r.position_m - e.position_m
-    return judge(state.standing, t_ns, error_m, e.velocity_m_s, step_v, p.expected)
+    measured = just_read(belief, m) & ENCODER != 0
+    return judge(state.standing, t_ns, error_m, e.velocity_m_s, step_v, measured, p.expected)
 
 
 def actuate(

@@ -25,14 +25,18 @@ from pneud.axis.requests import (
     Asked,
     ask,
 )
+from pneud.axis.sensing import Belief, just_read
+from pneud.axis.standing import Standing
 from pneud.axis.state import AxisParameters, AxisState, configured
 from pneud.axis.stops import soft_limits
 from pneud.control import program
 from pneud.control.program import DONE, DUE, ENDED, LATE, NO_RUN, STOPPED, UNDER_WAY, Run, Step, begins
 from pneud.control.reference import Bounds
 from pneud.control.step import Controller
+from pneud.physics.cylinder import Cylinder
 from pneud.safety.faults import CENTRES, STOPS, F
-from pneud.signals import Estimate, Request, RequestKind
+from pneud.safety.station import Inputs
+from pneud.signals import Estimate, Measurement, Request, RequestKind
 
 RECORD, RUN, GO_ON = int(RequestKind.RECORD), int(RequestKind.RUN), int(RequestKind.GO_ON)
 OWN = (RECORD, RUN, GO_ON)
@@ -225,6 +229,34 @@ def put(
         state.press,
         p,
     )
+
+
+def observed(
+    run: Run,
+    t_ns: int,
+    now: int,
+    course: Course,
+    belief: Belief,
+    m: Measurement,
+    standing: Standing,
+    inputs: Inputs,
+    c: Cylinder,
+) -> Run:
+    """How far the program is, by what is seen in this tick.
+
+    Args:
+        run: how far it was.
+        t_ns: instant of this tick's SYNC.
+        now: state of this tick.
+        course: where the axis is led.
+        belief: what is known of the load.
+        m: the measurement.
+        standing: how the load stood at its target in the last tick.
+        inputs: as they are.
+        c: the axis's cylinder.
+    """
+    r, e, phase, read = course.reference, belief.estimate, course.plan.phase, just_read(belief, m)
+    return program.look(run, t_ns, now, phase, standing.in_position, e, r, inputs.bits, c.rod_force_n, read)
 
 
 def carrying(law: Controller, mass_kg: float, p: AxisParameters) -> Controller:

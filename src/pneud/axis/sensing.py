@@ -16,7 +16,8 @@ from pneud.signals import ALL_SOURCES, Command, Defect, Estimate, Measurement, R
 
 NAN = float("nan")
 NO_ESTIMATE = Estimate(NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN)
-ENCODER, VALVE, ODD = int(Source.ENCODER), int(Source.VALVE), int(Defect.ODD)
+ENCODER, PRESSURE, VALVE = int(Source.ENCODER), int(Source.PRESSURE), int(Source.VALVE)
+ODD = int(Defect.ODD)
 UNSETTLED, MOVING, ENCODER_JUMP = 1 << F.UNSETTLED, 1 << F.MOVING, 1 << F.ENCODER_JUMP
 
 
@@ -133,6 +134,17 @@ def believe(
         estimate = first_estimate(controller)
         read_ns, started_ns = sampled_ns, sampled_ns
     return Belief(controller, estimate, sampled_ns, read_ns, started_ns)
+
+
+def just_read(b: Belief, m: Measurement) -> int:
+    """Bits of the sources that the estimate has from this tick; of others it is led on from older readings.
+
+    Args:
+        b: what is known of the load.
+        m: the measurement.
+    """
+    others = m.fresh & (PRESSURE | VALVE)
+    return others | ENCODER if b.read_ns == b.sampled_ns else others
 
 
 def first_estimate(s: ControllerState) -> Estimate:

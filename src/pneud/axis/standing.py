@@ -50,9 +50,19 @@ AT_WORK = Standing()
 
 
 def judge(
-    s: Standing, t_ns: int, error_m: float, velocity_m_s: float, step_v: float, p: Expected
+    s: Standing,
+    t_ns: int,
+    error_m: float,
+    velocity_m_s: float,
+    step_v: float,
+    measured: bool,
+    p: Expected,
 ) -> Standing:
     """What is known after a tick at the target.
+
+    In position is said of a load that has been read: in a tick without a reading neither that nor its time
+    begins. What has begun goes on as long as the estimate stays within the tolerances, so that time counts
+    from reading to reading.
 
     Args:
         s: before it.
@@ -60,13 +70,16 @@ def judge(
         error_m: reference minus estimate.
         velocity_m_s: estimated.
         step_v: of the command since the last tick.
+        measured: the estimate is of a reading of this tick.
         p: parameters.
     """
     since_ns = s.since_ns if s.since_ns >= 0 else t_ns
     within_ns, in_position = -1, 0
     if abs(error_m) <= p.tolerance_m and abs(velocity_m_s) <= p.velocity_m_s:
-        within_ns = s.within_ns if s.within_ns >= 0 else t_ns
-        in_position = 1 if t_ns - within_ns >= p.time_ns else 0
+        within_ns, in_position = s.within_ns, s.in_position
+        if measured:
+            within_ns = s.within_ns if s.within_ns >= 0 else t_ns
+            in_position = 1 if t_ns - within_ns >= p.time_ns else 0
     extreme_m, rising, turns, first_ns, turned_ns = s.extreme_m, s.rising, s.turns, s.first_ns, s.turned_ns
     if s.since_ns < 0:
         extreme_m = error_m

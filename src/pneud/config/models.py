@@ -423,11 +423,11 @@ class LimitsConfig(Section):
 
 
 class InPositionConfig(Section):
-    """When a load counts as having come to its target."""
+    """When a load counts as having come to its target; it begins in a tick in which its encoder was read."""
 
     tolerance_m: Positive | None = None  # of the error; none: 0.02 mm, or two steps of the encoder
     velocity_m_s: Positive | None = None  # none: 2 mm/s, more with a coarse encoder
-    time_s: Annotated[float, Field(ge=0, le=60)] = 0.05  # for so long
+    time_s: Annotated[float, Field(ge=0, le=60)] = 0.05  # for so long, from reading to reading
 
 
 class HuntingConfig(Section):

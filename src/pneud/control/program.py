@@ -7,7 +7,7 @@ is copied into the run when it begins, so that a tick that only waits looks at n
 from typing import NamedTuple
 
 from pneud.control.plan import FOLLOWING
-from pneud.signals import Estimate, Progress, Reference, Stage, State
+from pneud.signals import Estimate, Progress, Reference, Source, Stage, State
 
 # kinds of steps
 GOTO, MOVE, TRACK, FORCE, WAIT, UNTIL, JUMP, REPEAT, OUTPUT, PASS = range(1, 11)
@@ -35,6 +35,7 @@ NO_STAGE, STOPPED, ENDED = int(Stage.NONE), int(Stage.STOPPED), int(Stage.ENDED)
 UNDER_WAY, DONE = int(Stage.UNDER_WAY), int(Stage.DONE)
 DUE, LATE = int(Stage.DUE), int(Stage.LATE)
 TRACKING, HOLDING = int(State.TRACKING), int(State.HOLDING)
+ENCODER, PRESSURE = int(Source.ENCODER), int(Source.PRESSURE)
 PRESSING = 10
 
 
@@ -143,11 +144,13 @@ def look(
     r: Reference,
     inputs: int,
     rod_force_n: float,
+    read: int,
 ) -> Run:
     """The run after a tick.
 
     A load that stands has been near for a while, and is slow at its end: a single velocity, noisy as it is,
-    would begin that while anew, and rounds would differ by it.
+    would begin that while anew, and rounds would differ by it. What is said of load and force is said in a
+    tick in which they have been read: without a reading no while begins, and none is over.
 
     Args:
         run: before it.
@@ -159,6 +162,7 @@ def look(
         r: the reference.
         inputs: bits.
         rod_force_n: of the atmosphere on the rod.
+        read: bits of the sources that the estimate has from this tick.
     """
     if not (TRACKING <= state <= HOLDING or state == PRESSING):
         return stopped(run)
@@ -185,7 +189,9 @@ def look(
         met = run.low <= e.x3_n - rod_force_n <= run.high
     elif what == INPUT:
         met = (inputs >> run.bit & 1) == run.on
-    if met:
+    if met and not is_seen(what, read):
+        within_ns = run.within_ns
+    elif met:
         within_ns = run.within_ns if run.within_ns >= 0 else t_ns
         if t_ns - within_ns >= run.time_ns and slow:
             return run._replace(stage=DONE if run.shared != 0 and run.back == 0 else DUE, within_ns=-1)
@@ -196,6 +202,18 @@ def look(
     if within_ns != run.within_ns:
         return run._replace(within_ns=within_ns)
     return run
+
+
+def is_seen(what: int, read: int) -> bool:
+    """Whether what is waited for could be seen in a tick, and is not led on from older readings.
+
+    Args:
+        what: is waited for.
+        read: bits of the sources that the estimate has from this tick.
+    """
+    if what in (NEAR, STANDING, POSITION):
+        return read & ENCODER != 0
+    return what != THRUST or read & PRESSURE != 0
 
 
 def begins(run: Run, program: Program) -> Run:
