@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from axis_rig import ARM, DISARM, PRESSURE, H, Rig, loaded, quick, ready, tracking, twin
 from pneud.compiled.backend import INTERPRETED
-from pneud.config.conversions import axis_of
+from pneud.config.conversions import axis_of, pressing_of
 from pneud.control import force
 from pneud.control.force import Aim, Press, Pressing, damping_n_s_m, proceed, stiffness_n_m
 from pneud.control.tunables import tunables
@@ -292,11 +292,25 @@ def test_a_force_against_the_one_that_was_asked_for_ends_it() -> None:
         (seen(0.5, 0.41), MS, force.SPEED),
         (seen(0.5, -0.41), MS, force.SPEED),
         (seen(0.5, 0.3), MS, force.FINE),
+        (seen(0.5), 999 * MS, force.FINE),
+        (seen(0.5), 1000 * MS - 240_000, force.TIMEOUT),
         (seen(0.5), 1001 * MS, force.TIMEOUT),
     ],
 )
 def test_every_bound_ends_it(e: Estimate, now_ns: int, ended: int) -> None:
     assert proceed(begun(), e, now_ns, H, LAW, P).ended == ended
+
+
+@pytest.mark.parametrize("off_ns", [-240_000, 0, 240_000])
+def test_a_force_is_reached_in_the_tick_in_which_its_time_is_over(off_ns: int) -> None:
+    p = pressing_of(loaded().config)
+    there = seen(0.5, force_n=200.0, piston_n=200.0)
+    press = begun()._replace(slow_n=0.0, wanted_n=200.0)
+    reached = []
+    for i in range(60):
+        press = proceed(press, there, i * MS + (off_ns if i else 0), H, LAW, p).press
+        reached.append(press.reached)
+    assert reached.index(1) == round(1e3 * loaded().config.in_position.time_s)
 
 
 def test_too_fast_for_a_while_is_too_fast() -> None:

@@ -210,16 +210,36 @@ def test_a_run_waits_for_what_its_kind_of_step_is_done_with() -> None:
     assert what(Step(program.UNTIL, what=program.THRUST)) == (program.THRUST, 1)
 
 
-@settings(max_examples=30, deadline=None)
+@pytest.mark.parametrize(
+    ("step", "key", "ends"),
+    [
+        (WAIT, "time_s", DUE),
+        (Step(program.UNTIL, what=program.INPUT, on=0), "time_s", DUE),
+        (Step(program.UNTIL, what=program.INPUT, on=1), "timeout_s", LATE),
+        (Step(program.GOTO, ends=program.EXACT, tolerance_m=1.0), "time_s", DUE),
+        (Step(program.FORCE), "timeout_s", LATE),
+    ],
+)
+@settings(max_examples=20, deadline=None)
 @given(st.integers(1, 12), st.lists(st.integers(-240_000, 240_000), min_size=13, max_size=13))
-def test_a_time_of_whole_periods_takes_as_many_ticks_whenever_they_come(n: int, off_ns: list[int]) -> None:
+def test_a_time_of_whole_periods_takes_as_many_ticks_whenever_they_come(
+    step: Step, key: str, ends: int, n: int, off_ns: list[int]
+) -> None:
     begun_ns = 1_000_000_000 + off_ns[0]
-    run = program.awaiting(Run(record=1), WAIT._replace(time_s=n * 1e-3), begun_ns, 1_000_000)
+    numbers = step._asdict() | {key: n * 1e-3}
+    run = program.awaiting(Run(record=1), Step(**numbers), begun_ns, 1_000_000)
     run, ticks = looked(run, begun_ns), 0
     while run.stage == UNDER_WAY:
         ticks += 1
         run = looked(run, 1_000_000_000 + ticks * 1_000_000 + off_ns[ticks])
-    assert ticks == n
+    assert (run.stage, ticks) == (ends, n)
+
+
+def test_a_time_out_shorter_than_the_ticks_is_one_all_the_same() -> None:
+    run = program.awaiting(
+        Run(record=1), Step(program.UNTIL, what=program.INPUT, on=1, timeout_s=1e-4), 0, 10**6
+    )
+    assert looked(run, 1_000_000).stage == LATE
 
 
 @pytest.mark.parametrize(

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from axis_rig import ENCODER, Rig, quick, ready
+from axis_rig import ENCODER, Rig, loaded, quick, ready
 from pneud.axis.standing import AT_WORK, Expected, Standing, cause, judge
 from pneud.compiled.backend import INTERPRETED
-from pneud.config.conversions import axis_of, plant_of
+from pneud.config.conversions import axis_of, expected_of, plant_of
 from pneud.control.adaptation import Adaptation
 from pneud.control.reference import Sine, rest, septic, sine, way
 from pneud.loading import load
@@ -147,6 +147,30 @@ def test_nothing_breaks_it(seen: list[tuple[float, float, float, bool]]) -> None
         assert s.in_position in (0, 1)
         assert measured or (s.in_position <= before.in_position and s.within_ns in (-1, before.within_ns))
         assert s.hunting in list(Hunting)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.sampled_from([100.0, 300.0, 1000.0]),
+    st.integers(1, 9),
+    st.lists(st.floats(-0.24, 0.24), min_size=10, max_size=10),
+)
+def test_a_time_of_whole_periods_in_position_takes_as_many_ticks_whenever_they_come(
+    rate_hz: float, n: int, off: list[float]
+) -> None:
+    c = loaded().config
+    c = c.model_copy(
+        update={
+            "loop": c.loop.model_copy(update={"rate_hz": rate_hz}),
+            "in_position": c.in_position.model_copy(update={"time_s": n / rate_hz}),
+        }
+    )
+    p, s = expected_of(c), AT_WORK
+    for i in range(n + 1):
+        assert not s.in_position
+        t_ns = round(1e9 * (1.0 + (i + off[i]) / rate_hz))
+        s = judge(s, t_ns, 0.0, 0.0, 0.0, True, p)
+    assert s.in_position
 
 
 # of the axis

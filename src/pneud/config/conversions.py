@@ -30,6 +30,7 @@ from pneud.control.motion import MotionFilter, kalman
 from pneud.control.reference import Bounds, Shunned, Sine
 from pneud.control.standstill import Standstill
 from pneud.control.step import Controller
+from pneud.control.times import over_ns
 from pneud.physics import cylinder as cyl
 from pneud.physics.friction import Friction
 from pneud.physics.plant import BeamParameters, PlantParameters, Wiring
@@ -385,18 +386,18 @@ def gate_of(c: Config) -> Gate:
 def expected_of(c: Config) -> Expected:
     """What counts as in position, and what as hunting."""
     step_m, h = c.control.motion.encoder_resolution_m, 1.0 / c.loop.rate_hz
-    i, hunting = c.in_position, c.hunting
+    i, hunting, period_ns = c.in_position, c.hunting, round(1e9 * h)
     tolerance_m = i.tolerance_m or max(LEAST_TOLERANCE_M, TOLERANCE_STEPS * step_m)
     return Expected(
         tolerance_m=tolerance_m,
         velocity_m_s=i.velocity_m_s or LEAST_REST_M_S + REST_STEPS_S * step_m,
-        time_ns=round(i.time_s * 1e9),
+        time_ns=over_ns(i.time_s, period_ns),
         swing_m=hunting.swing_m or SWING * tolerance_m,
         longest_ns=round(0.5e9 * hunting.longest_period_s),
         step_v=hunting.command_step_v,
         share=1.0 - math.exp(-h / MEAN_STEP_S),
         fast_ns=round(1e9 * max(FAST_S, FAST * lead_s(min(command_delay_s(c.bus), h), valve_of(c)))),
-        period_ns=round(1e9 * h),
+        period_ns=period_ns,
     )
 
 
@@ -438,7 +439,7 @@ def pressing_of(c: Config) -> Pressing:
         time_s=asked.time_s,
         tolerance_n=asked.tolerance_n or LEAST_FORCE_N,
         share=0.0 if asked.tolerance_n else FORCE_TOLERANCE,
-        settled_ns=round(c.in_position.time_s * 1e9),
+        settled_ns=over_ns(c.in_position.time_s, round(1e9 / c.loop.rate_hz)),
         cell=c.bus.load_cell is not None,
         cell_ns=round(c.bus.sensor_timeout_ms * 1e6),
         apart_n=asked.apart_n or APART_SHARE * max(out_n, in_n) + 2.0 * c.control.friction.static_n,

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from pneud.control.laws.sliding import command as inverted
 from pneud.control.step import SLIDES_M_S, Controller, ControllerState, as_learnt, at_effect
+from pneud.control.times import over_ns
 from pneud.physics.valve import dead_zone_inverse
 from pneud.signals import Estimate, Reference
 
@@ -328,7 +329,7 @@ def proceed(
         bias_n,
         apart_ns,
     )
-    return Progress(after, ended(after, e, now_ns))
+    return Progress(after, ended(after, e, now_ns, round(c.h * 1e9)))
 
 
 def is_wrong(s: Press, e: Estimate, force_n: float, p: Pressing) -> bool:
@@ -339,7 +340,7 @@ def is_wrong(s: Press, e: Estimate, force_n: float, p: Pressing) -> bool:
     return towards * (force_n - s.from_n) < -least_n or towards * (e.position_m - s.from_m) < -WRONG_M
 
 
-def ended(s: Press, e: Estimate, now_ns: int) -> int:
+def ended(s: Press, e: Estimate, now_ns: int, period_ns: int) -> int:
     """Why it must not go on, `FINE` where it may."""
     aim = s.aim
     if not aim.low_m <= e.position_m <= aim.high_m:
@@ -350,7 +351,7 @@ def ended(s: Press, e: Estimate, now_ns: int) -> int:
         return DIRECTION
     if s.apart_ns >= 0 and now_ns - s.apart_ns >= APART_NS:
         return APART
-    if not s.ever and now_ns - s.since_ns > aim.time_s * 1e9:
+    if not s.ever and now_ns - s.since_ns >= over_ns(aim.time_s, period_ns):
         return TIMEOUT
     return FINE
 

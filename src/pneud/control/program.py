@@ -7,6 +7,7 @@ is copied into the run when it begins, so that a tick that only waits looks at n
 from typing import NamedTuple
 
 from pneud.control.plan import FOLLOWING
+from pneud.control.times import over_ns
 from pneud.signals import Estimate, Progress, Reference, Source, Stage, State
 
 # kinds of steps
@@ -248,9 +249,6 @@ def repeated(run: Run, step: Step) -> Run:
 def awaiting(run: Run, step: Step, t_ns: int, period_ns: int) -> Run:
     """The run that waits for what its step waits for.
 
-    A time is over in the tick that is nearest to its end: ticks are off by microseconds either way, and by
-    that a time of whole periods would take one more of them, or not.
-
     Args:
         run: whose step begins.
         step: the step.
@@ -275,8 +273,8 @@ def awaiting(run: Run, step: Step, t_ns: int, period_ns: int) -> Run:
         high=step.high,
         bit=step.bit,
         on=step.on,
-        time_ns=max(0, round(step.time_s * 1e9) - period_ns // 2),
-        timeout_ns=round(step.timeout_s * 1e9),
+        time_ns=over_ns(step.time_s, period_ns),
+        timeout_ns=max(1, over_ns(step.timeout_s, period_ns)) if step.timeout_s > 0.0 else 0,
     )
 
 
