@@ -69,7 +69,7 @@ def test_a_program_is_handed_over_whole_and_set_going(tmp_path: Path, file: Path
         }  # fmt: skip
         assert b.error(client, "run", program=tree, record=3) == "program"
         assert b.error(client, "run", program={"schema": 1}) == "program"
-        assert b.error(client, "run", program=tree, load=True) == "program"  # which no input would begin
+        assert b.error(client, "run", program=tree, load=True) == "invalid"  # no input would begin it
         assert b.ask(client, "run")["ok"]
         assert b.requests[-1] == Request(RequestKind.RUN, (0.0, 0.0, 0.0))
 
@@ -160,6 +160,32 @@ def test_what_makes_no_sense_is_told_in_one_line(file: Path, words: str, told: s
     assert (done.returncode, done.stdout) == (2, "")
     assert told in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("480.0", "4800.0", "record 1 (goto): 4800 mm lies outside the travel 21 … 979 mm; the nearest"),
+        ("for_s", "for", "record 2 (wait), 'pause': has no 'for'; a wait takes "),
+        ("schema = 1", "schema = 2", "schema = 1 has to stand in a program, not 2"),
+        ("schema = 1", "schema =", "not valid TOML"),
+        ("settle_s", "settle", "defaults: has no 'settle'; it takes"),
+    ],
+)
+def test_what_is_wrong_with_a_program_is_told_the_same_with_or_without_a_daemon(
+    tmp_path: Path, file: Path, old: str, new: str, words: str
+) -> None:
+    file.write_text(PROGRAM.replace(old, new, 1))
+    with served(tmp_path) as b:
+        asked = [pneud_here("run", file, *how) for how in (("--dry-run",), ("--socket", b.path))]
+        objects = [pneud_here("run", file, "--json", *how) for how in (("--dry-run",), ("--socket", b.path))]
+        assert not b.requests
+    assert [(done.returncode, done.stdout) for done in (*asked, *objects)] == [(2, "")] * 4
+    assert asked[0].stderr == asked[1].stderr
+    assert asked[0].stderr.startswith(f"pneud: {file}: {words}")
+    assert asked[0].stderr.count("\n") == 1
+    assert objects[0].stderr == objects[1].stderr
+    assert json.loads(objects[0].stderr)["error"]["type"] == "usage"
 
 
 def test_a_dry_run_tells_each_record_and_draws_it(file: Path, tmp_path: Path) -> None:

@@ -249,7 +249,7 @@ class AxisDesk:
         if m.load:
             if self._run.config.io.start != "program":
                 raise ProtocolError(
-                    Error.PROGRAM,
+                    Error.INVALID,
                     'run: no input begins a program here; bus.inputs.start does, with io.start = "program"',
                 )
             return Orders(f"load {found.name}", asked[:-1], done=lambda: self.taken(found))

@@ -111,7 +111,7 @@ def run(desks: Sequence[Desk], message: protocol.Run) -> Orders:
         return {"records": len(found.records)}
 
     if message.load:
-        raise ProtocolError(Error.PROGRAM, "run: what an input begins is a program of one axis; name it")
+        raise ProtocolError(Error.INVALID, "run: what an input begins is a program of one axis; name it")
     words = programs.run_in_words(found, message.record, message.cycles)
     return Orders(
         words, tuple(lists[0]), axes=tuple(chosen), steps=steps, attended=message.attended, done=taken

@@ -2,6 +2,8 @@
 
 import json as json_
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +12,7 @@ import typer
 from pneud.console import programs
 from pneud.console.client import Client, RefusedError
 from pneud.console.going import Sharing, go_through
+from pneud.console.records import ProgramError
 from pneud.console.results import refused, show
 from pneud.control.program import MOST_STEPS
 from pneud.verbs import (
@@ -22,6 +25,8 @@ from pneud.verbs import (
     VerbError,
 )
 from pneud.view.progress import Report, progress
+
+UNUSABLE = "program"  # what the console says of a program that it cannot use
 
 
 def run_(
@@ -60,7 +65,7 @@ def run_(
         Exit status: 0, or 1 where it was refused or has not come to its end.
 
     Raises:
-        ProgramError: the program cannot be used.
+        ProgramError: the program cannot be used, as this process finds it or the daemon.
     """
     _check_options(program, record, cycles, resume=resume, dry_run=dry_run, load=load)
     if cycles is not None and not 0 <= cycles <= 1_000_000_000:
@@ -70,13 +75,15 @@ def run_(
         tree.setdefault("name", program.stem)
     first = _first(tree, record)
     if dry_run:
-        return _simulate(tree, first, 1 if cycles is None else cycles, config, axis, seed, output, json, how)
+        rounds = 1 if cycles is None else cycles
+        with _named(program):
+            return _simulate(tree, first, rounds, config, axis, seed, output, json, how)
     if config is not None or output is not None:
         raise VerbError("run: --config and -o are for --dry-run; the daemon has its own")
     fields: dict[str, Any] = {"attended": not detach}
     if not resume:
         fields |= {"program": tree, "record": first, "cycles": 1 if cycles is None else cycles}
-    with Client(socket, axis) as client:
+    with _named(program), Client(socket, axis) as client:
         try:
             if load:
                 reply = client.ask("run", program=tree, load=True)
@@ -91,9 +98,20 @@ def run_(
                 told = Sharing(client, reply["axes"]) if "axes" in reply else client
                 found = go_through(told, reply["order"], words, lambda p: _tell(p, cycles, report))
         except RefusedError as e:
+            if e.kind == UNUSABLE:
+                raise ProgramError(str(e).removeprefix("run: ")) from None
             return refused(e, json)
     show({**reply, "state": found["state"], "program": found["program"]}, json, f"{found['state']}: ended")
     return 0
+
+
+@contextmanager
+def _named(program: Path | None) -> Iterator[None]:
+    """What is wrong with a program is told with its file, whoever has found it."""
+    try:
+        yield
+    except ProgramError as e:
+        raise ProgramError(f"{program}: {e}") from None
 
 
 def _check_options(
