@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import socket
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -30,6 +31,14 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     kept = getattr(getattr(session.config, "failures_db", None), "sock", None)
     if kept is not None:
         kept.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+
+@pytest.fixture(autouse=True)
+def _nothing_said() -> None:
+    """A command is a process of its own, which says once what it has to say once."""
+    slow = sys.modules.get("pneud.compiled.slow")
+    if slow is not None:
+        slow.__dict__.update(_said={}, _hushed=False)
 
 
 def pytest_collection_finish() -> None:

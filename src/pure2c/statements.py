@@ -12,7 +12,10 @@ import inspect
 import re
 import textwrap
 from collections.abc import Sequence
-from types import NoneType
+from contextlib import suppress
+from pathlib import Path
+from tokenize import TokenError
+from types import FunctionType, NoneType
 from typing import TypeGuard
 
 from pure2c.expressions import LOCAL, Expressions
@@ -42,8 +45,7 @@ class Function(Expressions):
         Args:
             name: in C.
         """
-        tree = ast.parse(textwrap.dedent(inspect.getsource(self._f))).body[0]
-        assert isinstance(tree, ast.FunctionDef)
+        tree = _definition(self._f)
         self._changed = {n.id for n in ast.walk(tree) if _is_stored(n)}
         loops = [n for n in ast.walk(tree) if isinstance(n, (ast.For, ast.While))]
         self._copied = {n.id for loop in loops for n in ast.walk(loop) if _is_stored(n)}
@@ -350,6 +352,22 @@ def _is_to(s: ast.Assign | ast.AnnAssign, name: str) -> bool:
     """Whether it gives something to this name alone."""
     targets = s.targets if isinstance(s, ast.Assign) else [s.target]
     return len(targets) == 1 and isinstance(targets[0], ast.Name) and targets[0].id == name
+
+
+def _definition(f: FunctionType) -> ast.FunctionDef:
+    """Of a function, as its file has it.
+
+    Raises:
+        OSError: there is no file.
+        TranslationError: what stands there now is another one.
+    """
+    file = f.__code__.co_filename
+    passing = (SyntaxError, IndexError, TokenError, *((OSError,) if Path(file).exists() else ()))
+    with suppress(*passing):
+        found = ast.parse(textwrap.dedent(inspect.getsource(f))).body[0]
+        if isinstance(found, ast.FunctionDef) and found.name == f.__name__:
+            return found
+    raise TranslationError(f"{file} is not what was loaded of it, at {f.__name__}: begin anew")
 
 
 def _is_stored(node: ast.AST) -> TypeGuard[ast.Name]:

@@ -19,7 +19,9 @@ from pneud import __version__
 from pneud.campaign.draws import drawn
 from pneud.campaign.plan import RUN, Plan
 from pneud.campaign.record import Chunk, Span
-from pneud.campaign.unit import ERROR, SEED, Row
+from pneud.campaign.unit import AXIS, ERROR, LAW, SEED, Row
+from pneud.compiled import slow
+from pneud.compiled.backend import lacking
 from pneud.crew import die_with_parent
 from pneud.log.format.fingerprint import numeric_fingerprint
 from pneud.study import trial
@@ -53,6 +55,15 @@ def given_up(plan: Plan, number: int) -> Chunk:
     seed = plan.seed_of(number)
     known: Row = {RUN: number, **label, SEED: seed, **drawn(config["spread"], seed), ERROR: KILLED}
     return Chunk(number, number + 1, [[known.get(name) for name in plan.kept]], 0.0, fingerprint())
+
+
+def make_ready(plan: Plan) -> None:
+    """Compile what runs take before there are processes, so that each has it; say once what cannot be."""
+    hows = {base["how"] for base in plan.bases}
+    if LAW in hows and (why := trial.compiled()[1]):
+        slow.say("the law", why)
+    if AXIS in hows and (why := lacking()):
+        slow.say("the law", why)
 
 
 @cache
@@ -100,7 +111,7 @@ class LocalWorkers:
     """
 
     def __init__(self, plan: Plan, jobs: int = 0) -> None:
-        trial.compiled()  # before there are processes, so that each has it
+        make_ready(plan)
         self._plan, self._jobs = plan, jobs or len(os.sched_getaffinity(0))
         self._pool = self._begun()
 
@@ -147,6 +158,7 @@ def _begin(parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     die_with_parent(parent)
+    slow.hush()
 
 
 def _silence() -> None:

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 from pneud.axis.cycle import Axis, cycle
 from pneud.axis.state import AxisParameters, AxisState
 from pneud.bus import wire
+from pneud.compiled import slow
 from pneud.log.live import packing
 from pneud.rig import dynamics
 from pneud.rt.folders import cache_folder
@@ -45,7 +46,7 @@ INTERPRETED = Backend(Axis, dynamics.advance, wire.CARRIAGE, None, "python")
 
 
 def backend(mode: str, p: AxisParameters) -> Backend:
-    """In C where that can be had, else in Python.
+    """In C where that can be had, else in Python, which is said once.
 
     Args:
         mode: "off", "auto" or "required".
@@ -63,6 +64,7 @@ def backend(mode: str, p: AxisParameters) -> Backend:
     except BuildError as e:
         if mode == "required":
             raise BuildError(f"loop.compiled: {e}") from None
+        slow.say("the law", str(e))
         return INTERPRETED._replace(reason=str(e))
     return made
 
@@ -95,6 +97,15 @@ def compiled() -> Backend:
     except OSError as e:
         raise BuildError(str(e)) from None
     return built(cache)
+
+
+def lacking() -> str:
+    """Why it cannot be had, and the cure; empty where it can."""
+    try:
+        compiled()
+    except BuildError as e:
+        return str(e)
+    return ""
 
 
 @lru_cache(maxsize=1)

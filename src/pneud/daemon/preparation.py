@@ -146,8 +146,6 @@ def _axis(o: RunOptions, axis: Loaded, channel: str, whose: str) -> AxisReady:
     config = axis.config
     p = conversions.axis_of(config, axis.codecs.command_lsb_v)
     how = backend(config.loop.compiled, p)
-    if how.reason:
-        print(f"pneud: {whose}the law runs in Python: {how.reason}", file=sys.stderr)
     if config.bus.nodes:
         from pneud.canopen.keeper import check_library  # noqa: PLC0415 - for rigs with nodes only
 

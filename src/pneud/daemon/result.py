@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from pneud.compiled import slow
 from pneud.daemon.session import AxisRun, Session
 from pneud.loop.lane import Lane
 from pneud.loop.summary import in_words, summarise
@@ -32,7 +33,8 @@ def tell(session: Session, lanes: Sequence[Lane]) -> int:
     if as_object:
         each = {axis.config.name: one.summary for axis, one in zip(session.axes, told, strict=True)}
         alone = told[0].summary
-        print(json.dumps(alone if len(told) == 1 else {"schema": 1, "bus": alone["bus"], "axes": each}))
+        found = alone if len(told) == 1 else {"schema": 1, "bus": alone["bus"], "axes": each}
+        print(json.dumps(found | slow.field()))
     else:
         for axis, one in zip(session.axes, told, strict=True):
             words = in_words(one.summary)

@@ -16,6 +16,7 @@ from pneud.bus.codec import Codec, Codecs
 from pneud.bus.dbc_layout import SignalField, bounds
 from pneud.bus.inbox import Inbox
 from pneud.bus.many import framed
+from pneud.compiled import slow
 from pneud.config import conversions
 from pneud.loading import SYNC_COUNTERS
 from pneud.log.files.columns import Block, FrameColumns
@@ -138,7 +139,8 @@ def by_strides(
         return None
     try:
         series = strides()
-    except BuildError:
+    except BuildError as e:
+        slow.say("the simulation", str(e))
         return None
     found = Tallied(timed=False, sync=True, truth=True)
     snapshot_ticks = max(1, round(SNAPSHOT_S * rate_hz))

@@ -19,7 +19,8 @@ from pneud.campaign.record import Record, rows_of
 from pneud.campaign.rows import Rows
 from pneud.campaign.sensitivities import SHARES, spread, strongest
 from pneud.campaign.unit import ERROR, SEED
-from pneud.campaign.workers import DaskWorkers, LocalWorkers, Workers
+from pneud.campaign.workers import DaskWorkers, LocalWorkers, Workers, make_ready
+from pneud.compiled import slow
 from pneud.loading import Loaded
 from pneud.log.files.naming import log_path, new_log
 from pneud.log.files.reader import read_log
@@ -29,7 +30,6 @@ from pneud.replay.lockstep import header_of
 from pneud.report.gather import Window, gather
 from pneud.report.page import page as report_page
 from pneud.rt.outputs import write_whole
-from pneud.study import trial
 from pneud.verbs import JsonOption, ProgressOption, VerbError, require_suffix
 from pneud.view.progress import Report, progress
 
@@ -146,7 +146,8 @@ def _tuned(c: Campaign, plan: Plan, folder: Path, total: int, jobs: int, json: b
         found = [{"trial": t.number, "figures": t.figures, "values": texts[t.number]} for t in best]
         result = {"objectives": c.tune.objectives, "trials": len(trials), "runs": told.runs, "front": found}
         places = {"rows": str(table), "page": str(folder / tune_page.NAME)}
-        print(json_.dumps(finite({"schema": 1, "name": c.name, **result, "better": better, **places})))
+        told_so = {"schema": 1, "name": c.name, **result, "better": better, **places, **slow.field()}
+        print(json_.dumps(finite(told_so)))
         return 0 if best else 1
     print(f"{c.name}: {len(trials)} trials of {told.runs} runs; {len(best)} on the front")
     print(f"{len(better)} of them better in everything than what is configured")
@@ -166,9 +167,6 @@ def _conducted(
 ) -> tuple[Conducted, Rows]:
     """What is missing is done; an end before that says how to go on."""
     workers: Workers | None = None
-    by_law = any(base["how"] == unit.LAW for base in plan.bases)
-    if scheduler is None and by_law and (why := trial.compiled()[1]):
-        _say(f"this is slow, since nothing can be compiled: {why}")
     try:
         with progress(how) as report:
             begun: Workers = (
@@ -193,6 +191,7 @@ def _one(plan: Plan, number: int, output: Path | None, json: bool, how: str) -> 
     """One run, and with a log where one is wanted."""
     if not 0 <= number < plan.total:
         raise VerbError(f"--run {number}: there are runs 0 … {plan.total - 1}")
+    make_ready(plan)
     row = plan.run(number)
     if output is not None:
         if output.suffix and not output.is_dir():
@@ -200,7 +199,7 @@ def _one(plan: Plan, number: int, output: Path | None, json: bool, how: str) -> 
         with progress(how) as report:
             row["log"] = str(_logged(plan, number, output, report))
     if json:
-        print(json_.dumps({"schema": 1, **finite(row)}))
+        print(json_.dumps({"schema": 1, **finite(row), **slow.field()}))
     else:
         print("\n".join(f"{name} = {_shown(value)}" for name, value in row.items()))
     return 1 if row[ERROR] else 0
@@ -279,6 +278,7 @@ def _summary(
             for number in rows.greatest(told.worst, page.WORST)
         ],
         "sensitivities": [r._asdict() for r in strongest(rows, plan.figures, plan.inputs)],
+        **slow.field(),
     }
 
 

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from pneud.bus.link import open_link, refuse_if_driven
+from pneud.compiled import slow
 from pneud.config.models import Config
 from pneud.config.reading import load_with_text as load_text
 from pneud.config.reading import parse, with_settings
@@ -155,7 +156,8 @@ def _again(
     if differences is not None and output is not None:
         courses.write(differences.points, ("log", "replay"), output)
     if json:
-        print(json_.dumps(_result(outcome) | ({} if told is None else {"differences": _spreads(told)})))
+        more = {} if told is None else {"differences": _spreads(told)}
+        print(json_.dumps(_result(outcome) | more | slow.field()))
     else:
         _say(outcome)
         if told is not None:

@@ -162,6 +162,7 @@ def _simulate(
     how: str,
 ) -> int:
     """Do it in simulated time."""
+    from pneud.compiled import slow  # noqa: PLC0415
     from pneud.loading import load, load_axes  # noqa: PLC0415 - a simulation, which others need not load
     from pneud.replay import dry_run  # noqa: PLC0415
 
@@ -173,7 +174,8 @@ def _simulate(
         with progress(how) as report:
             each = dry_run.dry_run_together(axes, found, first, cycles, seed, output, report)
         if json:
-            print(json_.dumps({"schema": 1, "axes": {name: one.summary for name, one in each.items()}}))
+            found_each = {name: one.summary for name, one in each.items()}
+            print(json_.dumps({"schema": 1, "axes": found_each, **slow.field()}))
         else:
             print("\n\n".join(f"axis {name}:\n{dry_run.in_words(one)}" for name, one in each.items()))
         return 0 if all(one.good for one in each.values()) else 1
@@ -181,5 +183,5 @@ def _simulate(
     found = programs.compiled(tree, [programs.facts_of(loaded.config)])
     with progress(how) as report:
         ran = dry_run.dry_run(loaded, found, first, cycles, seed, output, report)
-    print(json_.dumps(ran.summary) if json else dry_run.in_words(ran))
+    print(json_.dumps(ran.summary | slow.field()) if json else dry_run.in_words(ran))
     return 0 if ran.good else 1

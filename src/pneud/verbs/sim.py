@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from pneud.axis.stops import soft_limits
+from pneud.compiled import slow
 from pneud.config.conversions import axis_of, cylinder_of
 from pneud.config.sections import ConfigError
 from pneud.console import profiles
@@ -170,6 +171,7 @@ def sim(
         log=str(path) if path is not None else None,
         log_dropped=writer.unwritten if writer is not None else 0,
     )
+    summary |= slow.field()
     if run.engine is not None and scenario is not None:
         run.engine.settle()
         effects, blind = run.engine.effects.as_dict(), verdict.blind_spots(loaded)
@@ -202,7 +204,7 @@ def _together(axes: Together, duration_s: float, seed: int, output: Path | None,
 
         found = run_together(axes, duration_s, seed, output, look)
     if json:
-        print(json_.dumps({"schema": 1, "bus": "simulated", "axes": found}))
+        print(json_.dumps({"schema": 1, "bus": "simulated", "axes": found, **slow.field()}))
     else:
         print("\n".join(f"axis {name}: {in_words(summary)}" for name, summary in found.items()))
     tracked = State.TRACKING.label
