@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import islice
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -10,11 +11,18 @@ from hypothesis import strategies as st
 
 from axis_rig import loaded
 from pneud.bus.inbox import Counts
-from pneud.loop.summary import summarise
+from pneud.log.files.naming import new_log
+from pneud.log.files.reader import read_log
+from pneud.log.files.writer import LogWriter
+from pneud.loop.summary import percentiles_us, summarise
 from pneud.loop.tally import Tally
-from pneud.replay.lockstep import Simulation
-from pneud.signals import Record, State, Timing
+from pneud.notebook.summary import summary_of
+from pneud.replay.lockstep import Simulation, header_of
+from pneud.report.gather import gather
+from pneud.report.timing import in_words
+from pneud.signals import Record, Request, RequestKind, State, Timing
 
+NONE = Request(RequestKind.STOP)
 BITS = st.integers(0, (1 << 40) - 1)
 TICKS = st.lists(
     st.tuples(st.sampled_from(State), BITS, BITS, st.integers(0, 50), st.integers(-1, 10**7)), max_size=30
@@ -43,10 +51,33 @@ def test_all_is_counted_until_the_end_and_faults_beyond(
         present, latched = present | one[1], latched | one[2]
     counted = ticks[:end]
     assert (tally.ever_present, tally.ever_latched) == (present, latched)
-    assert (tally.ticks, tally.skipped) == (len(counted), sum(one[3] for one in counted))
+    # a stall that went on to the tick in which it ends is the run's
+    stalled = sum(one[3] for one in ticks[end : end + 1])
+    assert (tally.ticks, tally.skipped) == (len(counted), sum(one[3] for one in counted) + stalled)
     assert (tally.state, tally.present) == (counted[-1][:2] if counted else (State.STARTING, 0))
-    assert tally.lateness.count == len(counted)
+    assert tally.lateness.count == len(counted) + (stalled > 0)
     assert tally.latency.count == sum(one[4] >= 0 for one in counted)
+
+
+def test_a_stall_at_the_end_is_counted_alike_by_the_run_and_from_its_log(tmp_path: Path) -> None:
+    tally, ended = Tally(truth=True, timed=True), False
+    with new_log(tmp_path / "x.mcap") as descriptor:
+        writer = LogWriter(descriptor, header_of(loaded())._replace(bus="unixcan:x"))
+        for number, one in enumerate(Simulation(loaded(), 0.3).records()):
+            ended = ended or (one.tick.request or NONE).kind == RequestKind.SHUTDOWN
+            stalled = {250: 3}.get(number, 7 if ended else 0)
+            timed = altered(one, one.tick.state, one.tick.present, one.tick.latched, stalled, -1)
+            tally.add(timed, ending=ended)
+            writer.write(timed)
+        writer.close()
+    log = read_log(tmp_path / "x.mcap")
+    assert ended
+    assert tally.skipped == 3 + 7
+    found = summary_of(log)
+    assert (found["ticks"], found["skipped"]) == (tally.ticks, tally.skipped)
+    assert found["lateness_us"] == percentiles_us(tally.lateness)
+    assert gather(log).counted.skipped == tally.skipped
+    assert "; 10 ticks skipped" in in_words(log)[0]
 
 
 def test_simulated_time_is_never_late(record: Record) -> None:

@@ -18,7 +18,7 @@ class Tally:
 
     Attributes:
         ticks: until the run was told to end; likewise the others, but for what has ever shown.
-        skipped: ticks left out.
+        skipped: ticks left out, to the tick in which it was told so: they were still the run's.
         state: the last one.
         present: bits of the faults that were present last.
         ever_present: bits of the faults that have ever been present, to the very end.
@@ -34,7 +34,17 @@ class Tally:
     """
 
     __slots__ = (
-        *("_timed", "amiss", "confirmed", "ever_latched", "ever_present", "lateness", "latency", "odd"),
+        *(
+            "_closed",
+            "_timed",
+            "amiss",
+            "confirmed",
+            "ever_latched",
+            "ever_present",
+            "lateness",
+            "latency",
+            "odd",
+        ),
         *("present", "refused", "saturated", "skipped", "state", "ticks", "tracking"),
     )
 
@@ -61,6 +71,7 @@ class Tally:
         self.latency = Histogram()
         self.tracking = Tracking(truth)
         self._timed = timed
+        self._closed = False
 
     def add(self, record: Record, *, ending: bool) -> None:
         """One tick more."""
@@ -69,6 +80,7 @@ class Tally:
         self.ever_latched |= tick.latched
         self.amiss.add(tick.measurement)
         if ending:
+            self._close(record)
             return
         self.ticks += 1
         self.state = tick.state
@@ -93,6 +105,14 @@ class Tally:
             tick.reference,
             tick.command.voltage_v,
         )
+
+    def _close(self, record: Record) -> None:
+        """What the first tick behind the end says of the time before: a stall that went on to it."""
+        skipped = record.tick.measurement.skipped
+        if skipped and self._timed and not self._closed:
+            self.skipped += skipped
+            self.lateness.add(record.timing.lateness_ns)
+        self._closed = True
 
     def asked_to_arm(self, tick: Tick) -> None:
         """See what an axis makes of being asked to arm by the run; what shows only then shows again."""

@@ -306,6 +306,9 @@ class _Gatherer:
         self.told_to_end = bool(ends)
         if ends:
             end = ends[0]
+            # a stall that went on to the end is the run's
+            stalled = int(block.ticks["measurement.skipped"][end])
+            self.counted = self.counted._replace(skipped=self.counted.skipped + stalled)
             block, error_m = block.part(0, end), error_m[:end]
         if not len(error_m):
             return

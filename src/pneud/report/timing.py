@@ -32,9 +32,9 @@ def in_words(log: LogReader) -> list[str]:
             lateness.add(block.ticks["timing.lateness_ns"])
             latency.add(block.ticks["timing.latency_ns"])
             ends = [index for index, request in block.requests if request.kind == RequestKind.SHUTDOWN]
-            skipped += (
-                0 if ended else int(block.ticks["measurement.skipped"][: ends[0] if ends else None].sum())
-            )
+            # a stall that went on to the end is the run's
+            last = ends[0] + 1 if ends else None
+            skipped += 0 if ended else int(block.ticks["measurement.skipped"][:last].sum())
             ended = ended or bool(ends)
     if not lateness.count:
         return []
