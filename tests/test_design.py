@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -186,21 +188,24 @@ def test_gains_that_pneud_would_refuse_are_printed_with_the_reason_and_status_1(
 
 
 @pytest.mark.parametrize(
-    ("says", "c"),
+    ("says", "make"),
     [
-        ("not Hurwitz", settings(VIRTUAL, k1=1e9)),
-        ("explicit limit cycle", by_rule(110.0, 200.0, discretisation="explicit")),
-        ("Hz are few", by_rule(60.0, 50.0)),
-        ("oscillates", by_rule(140.0, predict=False)),
-        ("unstable where it is linearised", by_rule(140.0, predict=False)),
-        ("hangs on the prediction", by_rule(300.0)),
-        ("alone takes", settings(VIRTUAL, eta_m_s3=500.0)),
-        ("may not come back from 400 mm", by_rule(280.0)),
-        ("noise moves the command", by_rule(280.0)),
-        ("1 N costs", settings(VIRTUAL, estimate_force=False)),
+        ("not Hurwitz", partial(settings, VIRTUAL, k1=1e9)),
+        ("explicit limit cycle", partial(by_rule, 110.0, 200.0, discretisation="explicit")),
+        ("Hz are few", partial(by_rule, 60.0, 50.0)),
+        ("oscillates", partial(by_rule, 140.0, predict=False)),
+        ("unstable where it is linearised", partial(by_rule, 140.0, predict=False)),
+        ("hangs on the prediction", partial(by_rule, 300.0)),
+        ("alone takes", partial(settings, VIRTUAL, eta_m_s3=500.0)),
+        ("may not come back from 400 mm", partial(by_rule, 280.0)),
+        ("noise moves the command", partial(by_rule, 280.0)),
+        ("1 N costs", partial(settings, VIRTUAL, estimate_force=False)),
     ],
 )
-def test_each_warning_comes_where_it_applies_and_not_with_what_is_shipped(says: str, c: Config) -> None:
+def test_each_warning_comes_where_it_applies_and_not_with_what_is_shipped(
+    says: str, make: Callable[[], Config]
+) -> None:
+    c = make()
     assert any(says in line for line in gains.warnings(c, gains.predict(c)))
     assert gains.warnings(VIRTUAL, gains.predict(VIRTUAL)) == []
 

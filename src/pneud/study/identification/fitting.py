@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 Floats = NDArray[np.float64]
 Predict = Callable[[Floats], Floats]
@@ -181,7 +181,7 @@ def _with_intervals(
         x * scale,
         covariance * np.outer(scale, scale),
         tuple(bool(t) for t in told),
-        float(student.ppf(0.5 + 0.5 * LEVEL, max(left, 3))),
+        float(stdtrit(max(left, 3), 0.5 + 0.5 * LEVEL)),  # of Student's t; scipy.stats is long to load
         residuals,
         np.zeros(count),
     )
