@@ -648,12 +648,11 @@ def test_a_scheduler_that_nobody_is_at_is_one_line(tmp_path: Path) -> None:
     assert "--scheduler nonsense://x: nobody answers there" in done.stderr
 
 
-@pytest.mark.realtime
 @pytest.mark.parametrize(
     ("runs", "kills"),
     [
         pytest.param(200, 4, id="few", marks=pytest.mark.slow),
-        pytest.param(10_000, 20, id="all", marks=pytest.mark.soak),
+        pytest.param(10_000, 20, id="all", marks=[pytest.mark.soak, pytest.mark.realtime]),  # efficiency
     ],
 )
 def test_all_ways_come_to_the_same_rows_whoever_is_killed(runs: int, kills: int, figures: Figures) -> None:

@@ -28,7 +28,6 @@ def test_the_tutorial_has_its_way_from_nothing_to_a_tuned_axis() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.realtime
 def test_a_newcomer_comes_to_its_end(tmp_path: Path) -> None:
     env = os.environ | {"PNEUD_SOCKET": str(tmp_path / "socket"), "STATE_DIRECTORY": str(tmp_path)}
     daemon = None
