@@ -33,6 +33,7 @@ from pneud.physics.plant import PlantParameters
 from pneud.physics.valve import opening
 from pneud.study.commissioning import estimated
 from pneud.study.commissioning.bench import Simulated
+from pneud.study.commissioning.page import tried
 from pneud.study.commissioning.procedure import Outcome, Wishes, commission
 from pneud.study.commissioning.truths import RIGS, TWELVE, Truth, drawn, rig_text
 from pneud.study.identification import parameters as key
@@ -222,6 +223,7 @@ def in_words(c: Case) -> list[str]:
             lines.append(f"  {name}: {'; '.join(figures)}{seen.failure and ' | ' + seen.words}")
     if o.found is not None:
         gains = o.found.chosen
+        lines += [f"  {line}" for line in tried(o.tried)]
         lines += [f"  gains: {'those of before' if gains is None else gains.as_json()}"]
         lines += [f"  unexplained: {text}" for text in o.found.unexplained]
     return lines

@@ -44,6 +44,7 @@ FOUND = {
     key.COULOMB: told(50.0),
     key.STATIC: told(49.0),
     key.STIFFNESS: Estimate(2e5, 1e3, 9e6, 1e5, False),
+    key.DAMPING: told(300.0, 0.5),
     key.SEEP: told(0.002),
     key.EXPONENT: told(1.25),
 }

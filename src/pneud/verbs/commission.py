@@ -264,10 +264,11 @@ def _worth(o: Outcome) -> list[str]:
         return []
     from pneud.study.commissioning import page  # noqa: PLC0415
 
-    lines = [f"warning: {text}" for text in o.found.warnings]
+    lines = [f"warning: {text}" for text in o.warnings]
     lines += [f"not told: {note}" for note in o.found.identified.notes]
     lines += [f"the model cannot explain {text}" for text in o.found.unexplained]
     lines += [page.gains(o.found.chosen)] if o.found.chosen is not None else []
+    lines += page.tried(o.tried)
     if o.after is not None:
         table = [page.HEAD, *page.beside(o.before, o.after)]
         wide = max(len(row[0]) for row in table)

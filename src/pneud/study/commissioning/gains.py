@@ -8,20 +8,22 @@ from typing import Any, NamedTuple
 from pneud.config.conversions import plant_of
 from pneud.config.models import Config
 from pneud.config.toml import flat
+from pneud.control.tunables import in_slot
 from pneud.physics.plant import PlantParameters
-from pneud.study import fastest, judging, trial
+from pneud.study import fastest, judging, linear, trial
 from pneud.study import gains as rules
 from pneud.study.commissioning.estimated import Values
 from pneud.study.commissioning.verification import AMPLITUDE, FREQUENCY_HZ, PEAK_M
 from pneud.study.identification import parameters as key
+from pneud.study.identification.estimating import Moved
 from pneud.study.identification.parameters import Estimate
 from pneud.study.judging import NOMINAL, WHOLE, Judged, Lengths
 from pneud.study.proposing import Proposal, propose
 
 WITHIN_M = PEAK_M / judging.PEAK  # so that the largest error, too, has the limit of the verification
 MOST = 4.0  # times a value, up or down, that is tried where next to nothing is known of it
-ALL_LOW, ALL_HIGH = "all low", "all high"
-FIRST = (NOMINAL, ALL_LOW, ALL_HIGH)  # plants of the brief sessions, among which the search goes
+ALL_LOW, ALL_HIGH, OTHERWISE = "all low", "all high", "other friction"
+FIRST = (NOMINAL, ALL_LOW, ALL_HIGH, OTHERWISE)  # plants of the brief sessions, among which the search goes
 
 Scaled = Callable[[PlantParameters, float], PlantParameters]
 
@@ -59,6 +61,10 @@ def _bristles(p: PlantParameters, by: float) -> PlantParameters:
     return p._replace(friction=p.friction._replace(sigma0_n_m=by * p.friction.sigma0_n_m))
 
 
+def _damping(p: PlantParameters, by: float) -> PlantParameters:
+    return p._replace(friction=p.friction._replace(sigma1_n_s_m=by * p.friction.sigma1_n_s_m))
+
+
 SPREADS = (
     Spread("dead zone", (key.HALF,), _dead_zone),
     Spread("valve", (key.BANDWIDTH,), _bandwidth),
@@ -66,6 +72,7 @@ SPREADS = (
     Spread("mass", (key.MASS,), _mass),
     Spread("friction", (key.COULOMB,), _friction),
     Spread("bristles", (key.STIFFNESS,), _bristles),
+    Spread("bristles' damping", (key.DAMPING,), _damping),
 )
 
 
@@ -102,8 +109,10 @@ class Chosen(NamedTuple):
         }
 
 
-def spread(plant: PlantParameters, found: Mapping[str, Estimate]) -> dict[str, PlantParameters]:
-    """The plant as estimated, and at both ends of each interval; at all of them together, too."""
+def spread(
+    plant: PlantParameters, found: Mapping[str, Estimate], otherwise: PlantParameters | None = None
+) -> dict[str, PlantParameters]:
+    """The plant as estimated, and at both ends of each interval; at all of them together, and `otherwise`."""
     plants = {NOMINAL: plant}
     all_low = all_high = plant
     for s in SPREADS:
@@ -113,11 +122,31 @@ def spread(plant: PlantParameters, found: Mapping[str, Estimate]) -> dict[str, P
         low, high = max(e.low / e.value, 1.0 / MOST), min(e.high / e.value, MOST)
         plants |= {f"{s.name} x{by:.3g}": s.scaled(plant, by) for by in (low, high)}
         all_low, all_high = s.scaled(all_low, low), s.scaled(all_high, high)
-    return plants | {ALL_LOW: all_low, ALL_HIGH: all_high}
+    plants |= {ALL_LOW: all_low, ALL_HIGH: all_high}
+    return plants if otherwise is None else plants | {OTHERWISE: otherwise}
+
+
+def otherwise(plant: PlantParameters, moved: Moved | None) -> PlantParameters | None:
+    """The plant with the other kind of friction, where that explains about as much; None where not."""
+    if moved is None or moved.other is None:
+        return None
+    x = dict(zip(moved.other.keys, moved.other.x.tolist(), strict=True))
+    friction = plant.friction._replace(
+        static_n=x["coulomb"] * (1.0 + x["static"]),
+        coulomb_n=x["coulomb"],
+        stribeck_m_s=x["stribeck"],
+        sigma0_n_m=x["stiffness"],
+        sigma1_n_s_m=x["damping"],
+    )
+    return plant._replace(friction=friction, detail=plant.detail._replace(slips=not moved.slips))
 
 
 def choose(
-    c: Config, found: Mapping[str, Estimate], command_lsb_v: float, processes: int | None = None
+    c: Config,
+    found: Mapping[str, Estimate],
+    command_lsb_v: float,
+    processes: int | None = None,
+    moved: Moved | None = None,
 ) -> Chosen:
     """The fastest gains that hold over the spread; those that are there where they miss less.
 
@@ -128,10 +157,12 @@ def choose(
         found: estimates, whose intervals are the spread.
         command_lsb_v: of the bus.
         processes: at once; by default as many as there are cores.
+        moved: how friction was found.
     """
     if why := trial.compiled()[1]:
         return Chosen(c, None, (), (f"nothing can be tried in a reasonable time: {why}",))
-    c, plants, before = with_sine(c), spread(plant_of(c), found), c
+    plant = plant_of(c)
+    c, plants, before = with_sine(c), spread(plant, found, otherwise(plant, moved)), c
     error_m, law, alpha = rules.error_scale_m(c), c.control.law, c.control.alpha
     with judging.judges(processes) as judge:
 
@@ -153,6 +184,30 @@ def choose(
     control = best.proposal.config.control
     config = before.model_copy(update={"control": control})
     return Chosen(config, best.bandwidth_rad_s, best.judged, tuple(best.proposal.doubts))
+
+
+def slower(c: Config, chosen: Chosen) -> Chosen | None:
+    """The next slower gains, by rule alone, for a rig that is not as it was found; None: there are none.
+
+    Args:
+        c: as for `choose`.
+        chosen: what has turned out too fast.
+    """
+    law, error_m = c.control.law, rules.error_scale_m(c)
+    entry = in_slot(law)
+    omega_rad_s = chosen.bandwidth_rad_s
+    if omega_rad_s is None:
+        there = chosen.config
+        p = rules.predict(there, error_m) if entry is None else linear.predict(there, entry)
+        omega_rad_s = p.bandwidth_rad_s
+    omega_rad_s = fastest.rounded(omega_rad_s / fastest.RATIO)
+    if omega_rad_s < fastest.SLOWEST_RAD_S:
+        return None
+    found = propose(with_sine(c), law, omega_rad_s, error_m, c.control.alpha)
+    if not found.sound:
+        return None
+    config = c.model_copy(update={"control": found.config.control})
+    return Chosen(config, omega_rad_s, (), tuple(found.doubts))
 
 
 def with_sine(c: Config) -> Config:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from pneud.config.models import Config
 from pneud.study.commissioning.gains import Chosen
+from pneud.study.commissioning.trying import Attempt
 from pneud.study.commissioning.verification import Verified
 from pneud.study.identification import page as identification
 from pneud.study.identification.comparing import Row
@@ -67,10 +68,21 @@ def gains(chosen: Chosen) -> str:
     """In a line: what the gains are, and what they were judged by."""
     which = "kept" if chosen.bandwidth_rad_s is None else f"for {chosen.bandwidth_rad_s:.4g} rad/s"
     if not chosen.judged:
-        return f"gains: {which}; {'; '.join(chosen.doubts)}"
+        return "; ".join([f"gains: {which}", *chosen.doubts])
     missed = sum(len(j.missed) for j in chosen.judged)
     count, rigs = sum(len(j.figures) for j in chosen.judged), len(chosen.judged)
     return f"gains: {which}; {missed} of {count} figures do not hold, on {rigs} rigs within the intervals"
+
+
+def tried(attempts: Sequence[Attempt]) -> list[str]:
+    """What became of each gains on the rig, a line each, where there was more than one."""
+    lines = []
+    for one in attempts if len(attempts) > 1 else ():
+        which = "kept" if one.bandwidth_rad_s is None else f"for {one.bandwidth_rad_s:.4g} rad/s"
+        count, missed = len(one.after.figures), len(one.after.missed)
+        words = f"ended by {one.after.words}" if one.after.failure else f"{missed} of {count} figures missed"
+        lines.append(f"tried on the rig: gains {which}: {words}")
+    return lines
 
 
 def _by_name(v: Verified | None) -> dict[tuple[str, str], Figure]:

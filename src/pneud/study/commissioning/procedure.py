@@ -18,20 +18,23 @@ from pneud.study.commissioning.testing import MovementTest
 
 if TYPE_CHECKING:  # the movement test alone goes without scipy
     from pneud.study.commissioning.estimated import Values
-    from pneud.study.commissioning.gains import Chosen
+    from pneud.study.commissioning.found import Found
     from pneud.study.commissioning.playing import Played
     from pneud.study.commissioning.steps import Step
+    from pneud.study.commissioning.trying import Attempt
     from pneud.study.commissioning.verification import Verified
     from pneud.study.commissioning.written import Change
-    from pneud.study.identification.estimating import Identified
 
 LOOP = {"tracking_error", "braking_distance", "overspeed"}  # faults of a loop whose valve is another
+AXIS_S, VERIFYING_S = 300.0, 60.0  # of motion in all, at most; what a verification takes of it, about
+MOST_TRIES = 4  # of gains on the rig
 SHORT = 3  # motions of the verification that are tried beforehand: a sine, and rest
 SLOWER = 0.2  # of limits.motion, where nothing has been found out about quick motion
 SLOW_ONLY = (
     "nothing is found out about quick motion; mass, flow and friction are hardly told, gains stay,"
     f" and limits.motion become {SLOWER:g} of what they are"
 )
+NO_BETTER = "nothing that was tried is better than what was there; the configuration is as it was"
 
 
 class Wishes(NamedTuple):
@@ -53,22 +56,6 @@ class Talk(Protocol):
         """Ask whether the configuration is to be written."""
 
 
-class Found(NamedTuple):
-    """What the steps have told."""
-
-    identified: Identified
-    values: Values  # to be written
-    chosen: Chosen | None
-    changes: list[Change]
-    text: str  # of the configuration with all that
-    unexplained: list[str]  # what the model cannot explain
-
-    @property
-    def warnings(self) -> list[str]:
-        """What is to be minded."""
-        return [] if self.chosen is not None else [SLOW_ONLY]
-
-
 class Outcome(NamedTuple):
     """What a commissioning has come to."""
 
@@ -80,6 +67,13 @@ class Outcome(NamedTuple):
     before: Verified | None = None
     after: Verified | None = None
     written: bool = False
+    tried: tuple[Attempt, ...] = ()  # what was put to use, and verified, in this order
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is to be minded."""
+        slow_only = self.found is not None and self.found.chosen is None
+        return [SLOW_ONLY] * slow_only + [NO_BETTER] * (self.verdict == "worse")
 
     @property
     def good(self) -> bool:
@@ -118,12 +112,50 @@ def commission(bench: Bench, wishes: Wishes, talk: Talk) -> Outcome:
     keep = wishes.write and talk.agreed(found.changes)
     if not keep and not bench.tries:
         return so_far
-    bench.adopt(found.text, keep)
-    after = _verified(bench, talk)
-    words = "passed" if after.holds else "missed" if not after.failure else "interrupted"
+    return _settled(bench, so_far, keep, talk)
+
+
+def _settled(bench: Bench, so_far: Outcome, keep: bool, talk: Talk) -> Outcome:
+    """With the gains that have proven best on the rig; as it was before, where none is better than that."""
+    from pneud.study.commissioning import trying  # noqa: PLC0415
+
+    assert so_far.found is not None
+    text = bench.loaded.text
+    tried = _tried(bench, so_far.found, keep, talk)
+    best = tried[-1]
+    if not best.after.failure or _of_the_loop(best.after.faults):
+        best = min(tried, key=lambda one: one.rank)
+        worse = trying.is_worse(best.after, so_far.before)
+        words = "worse" if worse else "passed" if best.after.holds else "missed"
+        if worse or best is not tried[-1]:
+            bench.adopt(text if worse else best.found.text, keep)
+    else:
+        words = "interrupted"
     return so_far._replace(
-        verdict=words, after=after, failure=after.failure, faults=after.faults, written=keep
-    )
+        verdict=words, found=best.found, after=best.after, failure=best.after.failure,
+        faults=best.after.faults, written=keep and words != "worse", tried=tuple(tried),
+    )  # fmt: skip
+
+
+def _tried(bench: Bench, found: Found, keep: bool, talk: Talk) -> list[Attempt]:
+    """Gains put to use and verified: slower ones, as long as something is missed and that helps."""
+    from pneud.study.commissioning import gains  # noqa: PLC0415
+    from pneud.study.commissioning.trying import Attempt  # noqa: PLC0415
+
+    tried: list[Attempt] = []
+    while True:
+        bench.adopt(found.text, keep)
+        tried.append(Attempt(found, _verified(bench, talk)))
+        after, chosen = tried[-1].after, found.chosen
+        if after.holds or (after.failure and not _of_the_loop(after.faults)):
+            return tried
+        helps = len(tried) == 1 or tried[-1].rank < tried[-2].rank or after.failure
+        time_left = len(tried) < MOST_TRIES and bench.axis_s + VERIFYING_S <= AXIS_S
+        slower = gains.slower(found.believed, chosen) if chosen and helps and time_left else None
+        if slower is None:
+            return tried
+        talk.say(f"that is beyond its limits; slower gains, for {slower.bandwidth_rad_s:.4g} rad/s")
+        found = found.with_gains(slower)
 
 
 def _of_the_loop(faults: tuple[str, ...]) -> bool:
@@ -142,7 +174,8 @@ def planned(loaded: Loaded, wishes: Wishes) -> list[str]:
 
         lines += map(_announced, [*first(p), *_steps(p, wishes)])
         lines += [] if wishes.dynamic else [f"warning: {SLOW_ONLY}"]
-        lines.append("verification: a sine, rest and steps about the middle of the travel")
+        again = "; again with slower gains, where it is not within its limits" if wishes.dynamic else ""
+        lines.append(f"verification: a sine, rest and steps about the middle of the travel{again}")
     return lines
 
 
@@ -219,7 +252,8 @@ def _announced(step: Step) -> str:
 
 
 def _found(bench: Bench, wishes: Wishes) -> Found:
-    from pneud.study.commissioning import estimated, gains, written  # noqa: PLC0415
+    from pneud.study.commissioning import estimated, gains  # noqa: PLC0415
+    from pneud.study.commissioning.found import Found  # noqa: PLC0415
     from pneud.study.identification import estimating, explaining, table  # noqa: PLC0415
 
     loaded, c = bench.loaded, bench.loaded.config
@@ -231,17 +265,13 @@ def _found(bench: Bench, wishes: Wishes) -> Found:
     believed = estimated.changed(c, values)
     slips = identified.moved is not None and identified.moved.slips
     values |= estimated.rig(told, step_m, identified.noise_pa, believed, slips)
+    values |= {} if wishes.dynamic else _slower(c)
+    believed = estimated.changed(c, values)
     chosen = None
     if wishes.dynamic:
-        believed = estimated.changed(c, values)
-        chosen = gains.choose(believed, told, loaded.codecs.command_lsb_v)
-        values |= chosen.values(believed)
-    else:
-        values |= _slower(c)
-    changes = written.changes(c, loaded.text, values, told)
-    text = _text_with(changes, bench)
+        chosen = gains.choose(believed, told, loaded.codecs.command_lsb_v, moved=identified.moved)
     odd = explaining.unexplained(identified.valved, identified.moved, identified.noise_pa, c)
-    return Found(identified, values, chosen, changes, text, odd)
+    return Found(identified, values, believed, chosen, loaded, _source(bench), odd)
 
 
 def _learnt_edges(bench: Bench, wishes: Wishes, talk: Talk) -> bool:
@@ -270,8 +300,12 @@ def _text_with(changes: list[Change], bench: Bench) -> str:
     """The configuration's text with changes, each with where it is from."""
     from pneud.study.commissioning import written  # noqa: PLC0415
 
-    source = f"{bench.log_name}, {time.strftime('%Y-%m-%d')}"
-    return written.text_with(bench.loaded.text, str(bench.loaded.path), changes, source)
+    return written.text_with(bench.loaded.text, str(bench.loaded.path), changes, _source(bench))
+
+
+def _source(bench: Bench) -> str:
+    """Where values are from that are found now."""
+    return f"{bench.log_name}, {time.strftime('%Y-%m-%d')}"
 
 
 def _in_place(values: Values, c: Config) -> Values:
@@ -316,8 +350,9 @@ def as_json(o: Outcome) -> dict[str, Any]:
         "gains": None if found is None or found.chosen is None else found.chosen.as_json(),
         "before": {} if o.before is None else o.before.as_json(),
         "after": {} if o.after is None else o.after.as_json(),
+        "tried": [one.as_json() for one in o.tried],
         "unexplained": [] if found is None else found.unexplained,
-        "warnings": [] if found is None else found.warnings,
+        "warnings": o.warnings,
         "failure": o.failure or None,
         "faults": list(o.faults),
         "written": o.written,

@@ -36,6 +36,7 @@ LEAST_BY_WAY = 0.01  # share of friction by direction that is the rig's; a load 
 BETTER = 0.9  # of a simpler model's misfit, from which on a further one is said to be the rig's
 LOAD = forces.Slide._fields.index("load_n")
 STIFFER = 3.0  # Maxwell elements are together than bristles that do as well
+ALIKE = "kind of friction: bristles, and elements that slip one after another, explain about as much"
 EXPLAINED = 1.5  # times the noise is what a model that explains all leaves
 
 
@@ -69,6 +70,7 @@ class Moved(NamedTuple):
     left_n: Floats  # of the force: (window, tick)
     misfit_n: float
     step_m: float = 0.0  # of the encoder
+    other: Fit | None = None  # by the other kind of friction, where that explains about as much
 
 
 class Identified(NamedTuple):
@@ -99,6 +101,7 @@ def identify(t: Table, c: Config) -> Identified:
         found |= _load_estimates(moved, c, config)
         _with_breakaway(found, moved, t, c)
         linked += _named(moved.fit, _SLIDE_KEYS)
+        notes += [ALIKE] if moved.other is not None else []
     else:
         notes.append(f"mass, load and friction: hardly {LEAST_WINDOWS} s of motion away from the ends")
     notes += [f"{name}: {key.LACKING[name]}" for name, e in found.items() if not e.told]
@@ -192,10 +195,8 @@ def of_load(t: Table, c: Config, noise_pa: float) -> Moved | None:
     noise_n = max(noise_pa * k.piston_area_1_m2, FORCE_NOISE * abs(first[2]))
     fast_m_s = SLIDES * f.stribeck_speed_m_s
     unknowns = key.slide_unknowns(c, first)
-    moved = _fit_load(w, unknowns, noise_n, fast_m_s, False)
-    slipping = _fit_load(w, _from(moved.fit, unknowns, STIFFER), noise_n, fast_m_s, True)
-    if slipping.misfit_n < BETTER * moved.misfit_n:
-        moved = slipping
+    moved, less = _by_either(w, unknowns, noise_n, fast_m_s)
+    alike = moved.misfit_n > BETTER * less.misfit_n
     by_way = key.by_way(_from(moved.fit, unknowns))
     directed = _fit_load(w, by_way, noise_n, fast_m_s, moved.slips)
     beside_n = 0.0
@@ -205,10 +206,35 @@ def of_load(t: Table, c: Config, noise_pa: float) -> Moved | None:
     else:  # what friction may differ by all the same is load
         beside_n = float(directed.fit.x[LOAD] - moved.fit.x[LOAD])
     wider = forces.windows(t, balance(c), WIDER)
-    other = _fit_load(wider, _from(moved.fit, unknowns), noise_n, fast_m_s, moved.slips)
-    shift = SHIFTS * (other.fit.x - moved.fit.x)
-    shift[LOAD] = math.copysign(math.hypot(shift[LOAD], beside_n), shift[LOAD])
-    return moved._replace(fit=moved.fit._replace(shift=shift), step_m=forces.encoder_step_m(t))
+    again = _fit_load(wider, _from(moved.fit, unknowns), noise_n, fast_m_s, moved.slips)
+    step_m = forces.encoder_step_m(t)
+    beside = np.zeros(len(moved.fit.x)) if not alike else less.fit.x - moved.fit.x
+    beside[LOAD] = math.hypot(beside[LOAD], beside_n)
+    beside = np.hypot(beside, _by_step(moved.fit, step_m))
+    shift = SHIFTS * (again.fit.x - moved.fit.x)
+    shift = np.copysign(np.hypot(shift, beside), shift)
+    other = less.fit if alike else None
+    return moved._replace(fit=moved.fit._replace(shift=shift), step_m=step_m, other=other)
+
+
+def _by_either(
+    w: forces.Forces, unknowns: Sequence[Unknown], noise_n: float, fast_m_s: float
+) -> tuple[Moved, Moved]:
+    """By bristles and by Maxwell elements, which have as many parameters: what explains more comes first."""
+    bristles = _fit_load(w, unknowns, noise_n, fast_m_s, False)
+    elements = _fit_load(w, _from(bristles.fit, unknowns, STIFFER), noise_n, fast_m_s, True)
+    return (elements, bristles) if elements.misfit_n < bristles.misfit_n else (bristles, elements)
+
+
+def _by_step(found: Fit, step_m: float) -> Floats:
+    """How far the encoder's step may put the bristles off, by its share of the way that they give.
+
+    That share of their stiffness, and of the damping with which the load would swing no more on them.
+    """
+    x = dict(zip(found.keys, found.x.tolist(), strict=True))
+    share = step_m / (x["coulomb"] * (1.0 + x["static"]) / x["stiffness"])
+    off = {"stiffness": share * x["stiffness"], "damping": share * math.sqrt(x["stiffness"] * x["mass"])}
+    return np.array([off.get(key, 0.0) for key in found.keys])
 
 
 def _from(found: Fit, unknowns: Sequence[Unknown], stiffer: float = 1.0) -> list[Unknown]:
