@@ -160,6 +160,27 @@ def test_a_lane_knows_an_operators_request_from_the_runs_own() -> None:
     asking.close()
 
 
+def test_an_axis_that_an_operator_has_engaged_does_not_arm_by_itself_any_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asking, taking = crew.pair()
+    one = lane(Ring.create(slots=8), handoff.LoopEnd(taking))
+    monkeypatch.setattr(Lane, "_can_arm", lambda _: True)
+    one.prepare(0, ending=False)
+    assert one.request == Request(RequestKind.ARM, (1.0,)), "it would"
+    handoff.send(asking, 1, Request(RequestKind.ARM))
+    one.prepare(0, ending=False, may_arm=False)  # the other axes are not ready yet
+    assert one.request == Request(RequestKind.ARM)
+    one.turn.tick = tick(State.HOLDING, RequestKind.ARM)
+    one.over()
+    one.turn.tick = tick(State.DISARMED, RequestKind.DISARM)
+    one.over()
+    one.request = None
+    one.prepare(0, ending=False)
+    assert not one.request
+    asking.close()
+
+
 def test_the_word_is_the_rings_own() -> None:
     ring = Ring.create(slots=8)
     before = ring.status(), ring.closed, ring.put_count, ring.notes()

@@ -199,6 +199,7 @@ class Lane:
         elif self._asked and request is not None and request.kind == RESTART and tick.answer == TAKEN:
             self._shut = self.again = True
         if is_engaged(tick.state):
+            self._armed = True  # whoever has armed it: the run itself does so once, and not after a disarm
             self._idle = 0
             return False
         self._idle += 1
