@@ -28,7 +28,7 @@ from pneud.control.reference import Bounds, move, rest
 from pneud.control.together import alike
 from pneud.loading import load_axes
 from pneud.log.live.ring import Ring
-from pneud.loop.company import Asking
+from pneud.loop.company import Asking, Company
 from pneud.safety.faults import F
 from pneud.signals import Answer, Record, Reference, Request, RequestKind, State, Tick, Timing
 
@@ -107,6 +107,31 @@ class Bench:
         except BlockingIOError:
             return []
         return [json.loads(line) for line in lines]
+
+
+class Unarmed:
+    """A lane that the run itself is still to arm."""
+
+    touched, told, waits = 0, None, False
+
+    def __init__(self, now: Tick) -> None:
+        self.turn: Any = SimpleNamespace(tick=now)
+
+
+def test_axes_that_are_asked_together_do_not_arm_by_themselves_meanwhile() -> None:
+    ours, loops = crew.pair()
+    asking = Asking(handoff.SharedEnd(loops), len(NAMES))
+    lanes: list[Any] = [Unarmed(tick(State.DISARMED)) for _ in NAMES]
+    company = Company(lanes, [axis.config for axis in load_axes("two-axes.toml")], asking)
+    assert company.look()
+    company.after()
+    handoff.send_all(ours, 1, dict.fromkeys((0, 1), Request(RequestKind.RESTART)))
+    assert not company.look(), "one might arm, and the other one end"
+    for end in asking.ends:
+        end.take()
+        end.answer(lanes[0].turn.tick._replace(answer=int(Answer.TAKEN)))
+    assert company.look()
+    ours.close()
 
 
 def tick(state: State, present: int = 0) -> Tick:

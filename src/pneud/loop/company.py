@@ -64,10 +64,14 @@ class Company:
         self._sampled = [(0, 0)] * len(lanes)  # instant that an axis's estimate holds for, and its tick's
 
     def look(self) -> bool:
-        """Take what is asked of the axes; whether the run itself may arm them: they all do, or none."""
+        """Take what is asked of the axes; whether the run itself may arm them: they all do, or none.
+
+        Not while an operator asks something of several: all of them are to do that from where they are.
+        """
+        asked = False
         if self._asking is not None:
-            self._asking.look([lane.turn.tick for lane in self._lanes] if self._begun else [])
-        return not any(lane.waits for lane in self._lanes)
+            asked = self._asking.look([lane.turn.tick for lane in self._lanes] if self._begun else [])
+        return not (asked or any(lane.waits for lane in self._lanes))
 
     def after(self) -> None:
         """See which axis a fault has taken in this tick, and have the others do what their tables say."""
@@ -186,14 +190,19 @@ class Asking:
         self._ticks: dict[int, Tick] = {}  # that have answered
         self._kind = 0
 
-    def look(self, last: Sequence[Tick]) -> None:
+    def look(self, last: Sequence[Tick]) -> bool:
         """Take the next request that came, if there is none under way.
 
         Args:
             last: the last tick of each axis; none in the first one.
+
+        Returns:
+            Whether axes have been asked something, and have not answered yet.
         """
-        if self._dealt or any(end.request for end in self.ends) or not (asked := self._end.take_all()):
-            return
+        if self._dealt or any(end.request for end in self.ends):
+            return True
+        if not (asked := self._end.take_all()):
+            return False
         self._dealt, self._ticks = asked, {}
         self._kind = next(iter(asked.values())).kind
         hindered = [lane for lane in asked if not last or _refuses(asked[lane], last[lane])]
@@ -203,9 +212,10 @@ class Asking:
             answer = Answer.WRONG_STATE if wrong else Answer.BLOCKED
             self._dealt = {}
             self._end.answer_of(lane, refusing._replace(answer=int(answer)))
-            return
+            return False
         for lane, request in asked.items():
             self.ends[lane].request = request
+        return True
 
     def answered(self, lane: int, tick: Tick) -> None:
         """An axis has decided."""
