@@ -86,8 +86,8 @@ def _recorder_that_is_gone_is_not_missed(patch: pytest.MonkeyPatch) -> None:
 def _late_requests_are_done(patch: pytest.MonkeyPatch) -> None:
     honest = handoff._unpacked
 
-    def unpacked(data: bytes, late_ns: int) -> Any:
-        return (*honest(data, late_ns)[:3], False)
+    def unpacked(data: bytes, *more: int) -> Any:
+        return (*honest(data, *more)[:3], False)
 
     patch.setattr(handoff, "_unpacked", unpacked)
 

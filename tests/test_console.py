@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from console_bench import COMMANDS, LOOKS, PIECE, Bench, bench, message
 from fuzzing import hostile, well_formed
-from log_samples import tick_at
+from log_samples import noisy, tick_at
 from pneud import crew, resources
 from pneud.console import handoff, server
 from pneud.console.connected import BOUNDS
@@ -87,9 +87,9 @@ def test_that_an_upload_is_half_done_is_kept_until_it_is_whole(desk: Bench) -> N
     axis._memory = memory = Memory()
     client = desk.connect()
     desk.ask(client, "upload", first=True, last=False, pieces=[PIECE])
-    assert memory.uploading
+    assert memory.half_done == RequestKind.PIECE
     desk.ask(client, "upload", first=False, last=True, pieces=[PIECE])
-    assert not memory.uploading
+    assert memory.half_done == 0
 
 
 def test_a_run_that_could_not_begin_is_not_left_for(desk: Bench) -> None:
@@ -98,6 +98,25 @@ def test_a_run_that_could_not_begin_is_not_left_for(desk: Bench) -> None:
     error = desk.ask(desk.connect(), "restart")["error"]
     assert (error["type"], error["message"]) == ("configuration", "restart: rig.toml: no such file")
     assert desk.requests == []
+
+
+def test_no_file_is_read_for_a_restart_of_an_engaged_axis(desk: Bench) -> None:
+    axis: Any = desk.server._desks[0]
+    read: list[str] = []
+
+    def hindrance() -> str:
+        read.append("it")
+        return ""
+
+    axis._run = axis._run._replace(log_is_given=False, hindrance=hindrance)
+    record = next(noisy(1))
+    desk.ring.put(record._replace(tick=record.tick._replace(state=int(State.MOVING))))
+    error = desk.ask(desk.connect(), "restart")["error"]
+    assert (error["type"], error["message"]) == ("wrong_state", "restart: not while the axis is moving")
+    assert (read, desk.requests) == ([], [])
+    desk.ring.put(record._replace(tick=record.tick._replace(state=int(State.DISARMED))))
+    assert desk.ask(desk.connect(), "restart")["ok"]
+    assert read == ["it"]
 
 
 def test_a_stop_goes_before_all_that_waits(desk: Bench) -> None:
@@ -359,6 +378,44 @@ def test_an_upload_whose_client_goes_leaves_nothing(desk: Bench) -> None:
     assert [r.values for r in desk.requests] == [(), tuple(PIECE), ()]
 
 
+PROGRAM = {"schema": 1, "record": [{"do": "wait", "for_s": 1.0}]}
+HALVES: dict[str, tuple[RequestKind, dict[str, Any]]] = {
+    "upload": (RequestKind.PIECE, {"first": True, "pieces": [PIECE]}),
+    "run": (RequestKind.RECORD, {"program": PROGRAM}),
+}
+
+
+@pytest.mark.parametrize("verb", HALVES)
+def test_what_is_handed_over_in_part_when_its_client_goes_is_undone(desk: Bench, verb: str) -> None:
+    (kind, fields), client = HALVES[verb], desk.connect()
+    desk.answer = lambda _: None  # yet: the first part is on its way
+    desk.tell(client, message(verb, **fields))
+    client.close()
+    desk.turn()
+    desk.answer = lambda _: Answer.TAKEN
+    desk.loop.answer(tick_at(1)._replace(answer=Answer.TAKEN, state=int(State.HOLDING)))
+    desk.turn()
+    assert desk.requests == [Request(kind), Request(kind)], "emptied, and emptied again"
+
+
+@pytest.mark.parametrize("verb", HALVES)
+def test_what_was_refused_from_the_beginning_takes_nothing_of_anothers_away(desk: Bench, verb: str) -> None:
+    kind, fields = HALVES[verb]
+    desk.answer = lambda _: Answer.WRONG_STATE
+    assert desk.error(desk.connect(), verb, **fields) == "wrong_state"
+    desk.turn()
+    assert desk.requests == [Request(kind)]
+
+
+def test_an_upload_that_is_left_for_a_program_is_undone(desk: Bench) -> None:
+    client = desk.connect()
+    desk.ask(client, "upload", first=True, last=False, pieces=[PIECE])
+    desk.tell(client, message("run", program=PROGRAM))
+    desk.turn()
+    assert desk.requests[-1] == Request(RequestKind.PIECE)
+    assert desk.error(client, "upload", first=False, last=True, pieces=[PIECE]) == "invalid"
+
+
 def test_an_upload_of_several_messages_is_whole_with_its_last(desk: Bench) -> None:
     client = desk.connect()
     assert desk.ask(client, "upload", first=True, last=False, pieces=[PIECE])["ok"]
@@ -480,6 +537,23 @@ def test_late_requests_are_turned_away_but_for_stops() -> None:
     assert loop.take() is None
     loop.answer(tick_at(1))
     assert loop.take() is None
+    loop.close()
+
+
+def test_what_a_console_has_asked_that_is_gone_is_turned_away_but_for_stops() -> None:
+    ours, loops = crew.pair()
+    gone = 0
+    loop = handoff.SharedEnd(loops, consoles_gone=lambda: gone)
+    for console, kind in ((0, RequestKind.HOME), (0, RequestKind.STOP), (1, RequestKind.HOME)):
+        assert handoff.send(ours, 7 + console, Request(kind), console)
+    gone = 1
+    assert loop.take_all() == {}
+    assert handoff.receive(ours) == (7, handoff.LATE, 0, 0, 0)
+    assert loop.take_all() == {0: Request(RequestKind.STOP)}
+    assert loop.take_all() == {0: Request(RequestKind.HOME)}
+    gone, _ = 257, handoff.send(ours, 9, Request(RequestKind.HOME), 257)
+    assert loop.take() == Request(RequestKind.HOME)
+    ours.close()
     loop.close()
 
 

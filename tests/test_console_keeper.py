@@ -66,7 +66,8 @@ def kept(tmp_path: Path) -> Iterator[Kept]:
     one = loaded()
     run = RunFacts(one.config, one.path, one.text, "bus", "", "log")
     keeper = fork_console(listener, asking, words, run, ring)
-    yield Kept(keeper, ring, handoff.LoopEnd(taking), notes.NotesListener(heard), path)
+    loop = handoff.LoopEnd(taking, consoles_gone=lambda: ring.consoles_gone)
+    yield Kept(keeper, ring, loop, notes.NotesListener(heard), path)
     ring.set_closed()
     if not crew.wait(keeper, 10.0):
         crew.kill(keeper)

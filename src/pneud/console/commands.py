@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from pneud.axis.requests import STEERED
@@ -21,7 +22,7 @@ from pneud.control.reference import Bounds, unhurried
 from pneud.log.live.ring import Ring
 from pneud.rt.processes import counters_of
 from pneud.safety.faults import CENTRES, STOPS, F
-from pneud.safety.supervisor import BLOCKS
+from pneud.safety.supervisor import BLOCKS, is_engaged
 from pneud.signals import Answer, Hold, Request, RequestKind, State
 
 _MM = 1e-3
@@ -181,6 +182,11 @@ class AxisDesk:
                 return Orders(f"mark {shown}", (Request(RequestKind.MARK),), free=True)
         raise AssertionError(message)
 
+    def engaged_in(self) -> str:
+        """The axis's state, where it is engaged; empty where it is not."""
+        last = self._ring.reader().latest()
+        return State(last.tick.state).label if last is not None and is_engaged(last.tick.state) else ""
+
     def moves(self) -> bool:
         """Whether the axis is in a motion that a hold would bring to rest."""
         last = self._ring.reader().latest()
@@ -252,8 +258,10 @@ class AxisDesk:
                     Error.INVALID,
                     'run: no input begins a program here; bus.inputs.start does, with io.start = "program"',
                 )
-            return Orders(f"load {found.name}", asked[:-1], done=lambda: self.taken(found))
-        return Orders(words, asked, attended=m.attended, done=lambda: self.taken(found))
+            words = f"load {found.name}"
+            return Orders(words, asked[:-1], undo=programs.EMPTY, done=lambda: self.taken(found))
+        done = partial(self.taken, found)
+        return Orders(words, asked, undo=programs.EMPTY, attended=m.attended, done=done)
 
     def _of_program(self, told: dict[str, Any] | None) -> dict[str, Any] | None:
         """What `status` says of a program: of the ticks, and of its file."""
@@ -395,13 +403,14 @@ class AxisDesk:
                 text = f"{words}: {kind.name.lower()}"
         return ProtocolError(kind.name.lower(), text, **more)
 
-    def half_done(self, half: bool) -> None:
-        """An upload has begun, or is whole or undone."""
+    def half_done(self, undo: Request | None) -> None:
+        """A profile or a program has begun to come, or is whole or undone."""
         if self._memory is not None:
-            self._memory.uploading = half
+            self._memory.half_done = 0 if undo is None else int(undo.kind)
 
     def left_half_done(self) -> Orders | None:
         """What undoes the upload in which the console before this one has ended."""
-        if self._memory is None or not self._memory.uploading:
+        if self._memory is None or not (kind := self._memory.half_done):
             return None
-        return Orders("upload of a console that is gone", (_EMPTY,), undo=_EMPTY)
+        empty = Request(kind)
+        return Orders("upload of a console that is gone", (empty,), undo=empty)

@@ -83,4 +83,5 @@ class Job:
         self.label = label
         self.refused = refused
         self.next = 0
+        self.begun = False  # something of it may have been done
         self.ended = False  # its client has been told that it is not done

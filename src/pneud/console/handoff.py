@@ -1,14 +1,15 @@
 """Requests on their way from the console to the loop, and answers on their way back.
 
 Fixed-size messages over a SEQPACKET pair. The loop's end never waits; a request that has lain there for too
-long is turned away, so that what was asked of a stalled loop does not happen later.
+long is turned away, so that what was asked of a stalled loop does not happen later. So is one whose console
+has died meanwhile: whoever asked is no longer heard, and could not stop what begins.
 """
 
 import select
 import socket
 import struct
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from pneud.signals import REQUEST_VALUES, Request, RequestKind, Tick
@@ -17,7 +18,8 @@ LATE = 255  # in place of an `Answer`: the axis has not seen the request
 LATE_NS = 200_000_000
 MOST_AXES = 32
 
-_REQUEST = struct.Struct(f"<IBBBxq{REQUEST_VALUES}d")  # number, kind, values, axis, sent at, values
+# number, kind, values, axis, consoles that had died before its own (the last byte), sent at, values
+_REQUEST = struct.Struct(f"<IBBBBq{REQUEST_VALUES}d")
 _ANSWER = struct.Struct("<IBBBx16s16s")  # number, answer, state, axis, present, latched
 _NEVER_LATE = (RequestKind.STOP, RequestKind.DISARM)
 _PADDING = (0.0,) * REQUEST_VALUES
@@ -36,18 +38,22 @@ class RequestOutcome(NamedTuple):
 class LoopEnd:
     """The loop's end: a look costs a quarter of a microsecond where nothing has come."""
 
-    def __init__(self, end: socket.socket, late_ns: int = LATE_NS) -> None:
+    def __init__(
+        self, end: socket.socket, late_ns: int = LATE_NS, consoles_gone: Callable[[], int] = lambda: 0
+    ) -> None:
         """Look at one end of a `crew.pair`.
 
         Args:
             end: the loop's.
             late_ns: how long a request may have been on its way.
+            consoles_gone: how many consoles have died so far.
         """
         self._end = end
         self._epoll = select.epoll()
         self._epoll.register(end, select.EPOLLIN)
         self._look = self._epoll.poll
         self._late_ns = late_ns
+        self._consoles_gone = consoles_gone
         self._number = 0
 
     def take(self) -> Request | None:
@@ -62,7 +68,7 @@ class LoopEnd:
             if not data:  # the console is gone
                 self._epoll.unregister(self._end)
             return None
-        self._number, _, request, late = _unpacked(data, self._late_ns)
+        self._number, _, request, late = _unpacked(data, self._late_ns, self._consoles_gone())
         if late:
             self._send(LATE, 0, 0, 0)
             return None
@@ -101,7 +107,7 @@ class SharedEnd(LoopEnd):
                 self._epoll.unregister(self._end)
             return {}
         parts = [data[i : i + _REQUEST.size] for i in range(0, len(data), _REQUEST.size)]
-        found = [_unpacked(part, self._late_ns) for part in parts]
+        found = [_unpacked(part, self._late_ns, self._consoles_gone()) for part in parts]
         self._number = found[0][0]
         if any(late for *_, late in found):
             self._send(LATE, 0, 0, 0)
@@ -113,32 +119,35 @@ class SharedEnd(LoopEnd):
         self._send(tick.answer, tick.state, tick.present, tick.latched, axis)
 
 
-def _unpacked(data: bytes, late_ns: int) -> tuple[int, int, Request, bool]:
-    """Number, axis, request, and whether it has been on its way for too long."""
-    number, kind, count, axis, sent_ns, *values = _REQUEST.unpack(data)
-    late = kind not in _NEVER_LATE and time.monotonic_ns() - sent_ns > late_ns
-    return number, axis, Request(kind, tuple(values[:count])), late
+def _unpacked(data: bytes, late_ns: int, consoles_gone: int) -> tuple[int, int, Request, bool]:
+    """Number, axis, request, and whether it comes too late: after too long, or after its console's death."""
+    number, kind, count, axis, console, sent_ns, *values = _REQUEST.unpack(data)
+    late = time.monotonic_ns() - sent_ns > late_ns or console != consoles_gone & 0xFF
+    return number, axis, Request(kind, tuple(values[:count])), late and kind not in _NEVER_LATE
 
 
-def send(end: socket.socket, number: int, request: Request) -> bool:
+def send(end: socket.socket, number: int, request: Request, console: int = 0) -> bool:
     """As `send_all`, to the only axis."""
-    return send_all(end, number, {0: request})
+    return send_all(end, number, {0: request}, console)
 
 
-def send_all(end: socket.socket, number: int, asked: Mapping[int, Request]) -> bool:
+def send_all(end: socket.socket, number: int, asked: Mapping[int, Request], console: int = 0) -> bool:
     """Hand requests over from the console's end, to all axes at once.
 
     Args:
         end: the console's.
         number: of the message.
         asked: by the places of the axes, from 0.
+        console: how many consoles had died when this one began.
 
     Returns:
         Whether there was room for it.
     """
     now_ns = time.monotonic_ns()
     packed = [
-        _REQUEST.pack(number, kind, len(values), axis, now_ns, *values, *_PADDING[len(values) :])
+        _REQUEST.pack(
+            number, kind, len(values), axis, console & 0xFF, now_ns, *values, *_PADDING[len(values) :]
+        )
         for axis, (kind, values) in asked.items()
     ]
     try:

@@ -14,17 +14,17 @@ class Memory:
     """Shared by all that are forked from where it was made; who is killed while it writes spoils nothing."""
 
     def __init__(self) -> None:
-        # the first byte: which half is valid; the second: whether an upload is under way
+        # the first byte: which half is valid; the second: what is handed over, and not yet all of it
         self._memory = mmap.mmap(-1, mmap.PAGESIZE + 2 * _HALF_BYTES)
 
     @property
-    def uploading(self) -> bool:
-        """Whether a part of a profile has been handed over, and not yet all of it."""
-        return self._memory[1] != 0
+    def half_done(self) -> int:
+        """The kind of request that has handed something over in part, and not yet all of it; 0: none."""
+        return self._memory[1]
 
-    @uploading.setter
-    def uploading(self, value: bool) -> None:
-        self._memory[1] = value
+    @half_done.setter
+    def half_done(self, kind: int) -> None:
+        self._memory[1] = kind
 
     def keep(self, what: dict[str, Any]) -> None:
         """Keep this in place of what was kept before; too much is not kept, and the former stays."""

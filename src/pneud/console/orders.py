@@ -56,6 +56,9 @@ class Desk(Protocol):
     def gains(self) -> dict[str, Any]:
         """The fields of the reply to `tune_get`."""
 
+    def engaged_in(self) -> str:
+        """The axis's state, where it is engaged; empty where it is not."""
+
     def moves(self) -> bool:
         """Whether the axis is in a motion that a hold would bring to rest."""
 
@@ -88,8 +91,8 @@ class Desk(Protocol):
     def refused(self, answer: int, words: str, outcome: handoff.RequestOutcome) -> ProtocolError:
         """What to tell a client about the axis's refusal."""
 
-    def half_done(self, half: bool) -> None:
-        """What must be undone where all ends here has begun, or is whole or undone."""
+    def half_done(self, undo: Request | None) -> None:
+        """What must be undone where all ends here has begun; None: it is whole, or undone."""
 
     def left_half_done(self) -> Orders | None:
         """What undoes what the console before this one has left half done."""

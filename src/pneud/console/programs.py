@@ -28,6 +28,7 @@ MOTION_TIMEOUT_S = 60.0  # that a motion has, unless it says otherwise
 FAST_TOLERANCE = 10.0  # times the tolerance of a load in position
 MOST_WALKED = 20_000  # steps that are gone through to see where relative ways lead
 ROUNDING_M = 1e-9
+EMPTY = Request(RequestKind.RECORD)  # the program of an axis
 
 
 class AxisFacts(NamedTuple):
@@ -122,7 +123,7 @@ def compiled(tree: Mapping[str, Any], axes: Sequence[AxisFacts]) -> Compiled:
 def requests(steps: Program) -> list[Request]:
     """What hands the steps to an axis."""
     return [
-        Request(RequestKind.RECORD),
+        EMPTY,
         *(Request(RequestKind.RECORD, tuple(map(float, step))) for step in steps),
     ]
 

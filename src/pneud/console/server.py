@@ -54,6 +54,7 @@ class Server:
         first: int = 0,
         files: Beside | None = None,
         name: str = "",
+        place: int = 0,
     ) -> None:
         """A server that is ready to take its turns.
 
@@ -67,12 +68,14 @@ class Server:
             first: its requests' numbers begin after it.
             files: has the desk read its files, in a thread unless it is given.
             name: of the daemon, where it has several axes.
+            place: consoles that had died when this one began.
         """
         self.over = False  # the loop is gone
         self._listener = listener
         self._loop = loop
         self._desks: tuple[Desk, ...] = tuple(desk) if isinstance(desk, Sequence) else (desk,)
         self._name = name or self._desks[0].name
+        self._place = place
         self._say = say
         self._bounds = bounds
         self._clock = clock
@@ -464,7 +467,7 @@ class Server:
             return
 
         def undone() -> dict[str, Any]:
-            self._desks[plan.axes[0]].half_done(False)
+            together.half_done(self._desks, plan.axes, None)
             return {}
 
         def refused(error: ProtocolError) -> None:
@@ -498,9 +501,10 @@ class Server:
             self._number = (self._number + 1) & 0xFFFF_FFFF
             self._flight = (self._number, job, self._clock() + self._bounds.silent_s)
             if job.plan.undo is not None:
-                self._desks[job.plan.axes[0]].half_done(True)
-            if not handoff.send_all(self._loop, self._number, job.plan.step(job.next)):
+                together.half_done(self._desks, job.plan.axes, job.plan.undo)
+            if not handoff.send_all(self._loop, self._number, job.plan.step(job.next), self._place):
                 self._give_up(job)
+            job.begun = True
 
     def _hear(self) -> None:
         try:
@@ -521,8 +525,11 @@ class Server:
             if job.next == len(job.plan.requests):
                 self._forget(job)
                 self._done(job, outcome)
+            elif job not in self._jobs:  # its client has gone in the middle of it
+                self._undo(job.plan, job.label)
             return
         self._forget(job)
+        job.begun = job.next > 0
         if outcome.answer == handoff.LATE:
             self._end(job, ProtocolError(Error.LATE, "the loop came to it too late; it has not been done"))
         else:
@@ -549,9 +556,11 @@ class Server:
             more["order"] = outcome.number
             self._later.displace(job.plan.axes)
         if job.plan.undo is not None:
+            if self._unfinished is not None and self._unfinished[1].undo != job.plan.undo:
+                self._undo(self._unfinished[1], job.label)  # left for something else in the middle
             self._unfinished = (job.client, job.plan) if job.plan.unfinished else None
             if not job.plan.unfinished:
-                self._desks[job.plan.axes[0]].half_done(False)
+                together.half_done(self._desks, job.plan.axes, None)
             if job.plan.unfinished and job.client is None:
                 self._undo(job.plan, job.label)
         if kind not in _RENEWED or job.plan.words != self._renewed.get(job.plan.axes[0]):
@@ -575,7 +584,8 @@ class Server:
 
     def _end(self, job: Job, error: ProtocolError) -> None:
         job.ended = True
-        self._undo(job.plan, job.label)
+        if job.begun or job.plan.follows:
+            self._undo(job.plan, job.label)
         self._tell(job, error)
 
     def _tell(self, job: Job, error: ProtocolError) -> None:

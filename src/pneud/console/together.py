@@ -10,7 +10,7 @@ from pneud.console.orders import Desk, Orders
 from pneud.console.protocol import Error, ProtocolError
 from pneud.console.records import ProgramError
 from pneud.control.together import alike
-from pneud.signals import Request, RequestKind
+from pneud.signals import Answer, Request, RequestKind
 
 _MM = 1e-3
 _ALL = frozenset(("arm", "disarm", "clear", "hold", "mark"))  # where no axis is named
@@ -63,6 +63,12 @@ def _check_free(desk: Desk, verb: str) -> None:
         raise ProtocolError(Error.INVALID, words, axis=desk.name)
 
 
+def half_done(desks: Sequence[Desk], axes: Sequence[int], undo: Request | None) -> None:
+    """Have axes know what to undo where all ends here; None: what was begun is whole, or undone."""
+    for axis in axes:
+        desks[axis].half_done(undo)
+
+
 def plan(desks: Sequence[Desk], message: protocol.Request) -> Orders:
     """What to ask of the loop, of all axes that a request is for.
 
@@ -74,11 +80,27 @@ def plan(desks: Sequence[Desk], message: protocol.Request) -> Orders:
     if isinstance(message, protocol.Run) and message.axis is None and len(desks) > 1:
         return run(desks, message)
     axes = meant(desks, message)
+    if message.verb == "restart":
+        _check_idle(desks)
     try:
         return desks[axes[0]].plan(message)._replace(axes=axes)
     except ProtocolError as e:
         e.axis = desks[axes[0]].name if len(desks) > 1 else ""
         raise
+
+
+def _check_idle(desks: Sequence[Desk]) -> None:
+    """No file is read for what is refused anyway: on a disk that stalls, that would stop an engaged axis.
+
+    Raises:
+        ProtocolError: an axis is engaged.
+    """
+    for desk in desks:
+        if state := desk.engaged_in():
+            words = f"restart: not while the axis is {state}"
+            error = ProtocolError(Answer.WRONG_STATE.name.lower(), words, state=state)
+            error.axis = desk.name if len(desks) > 1 else ""
+            raise error
 
 
 def run(desks: Sequence[Desk], message: protocol.Run) -> Orders:
@@ -114,7 +136,13 @@ def run(desks: Sequence[Desk], message: protocol.Run) -> Orders:
         raise ProtocolError(Error.INVALID, "run: what an input begins is a program of one axis; name it")
     words = programs.run_in_words(found, message.record, message.cycles)
     return Orders(
-        words, tuple(lists[0]), axes=tuple(chosen), steps=steps, attended=message.attended, done=taken
+        words,
+        tuple(lists[0]),
+        undo=programs.EMPTY,
+        axes=tuple(chosen),
+        steps=steps,
+        attended=message.attended,
+        done=taken,
     )
 
 

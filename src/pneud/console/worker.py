@@ -100,7 +100,12 @@ def serve(post: Post, daemon: int, keeper: int, place: int) -> None:
         for seat, watch in zip(seats, watches, strict=True)
     ]
     first = place * _NUMBERS
-    server = Server(post.listener, post.loop, desks, post.say, first=first, name=post.name)
+    server = Server(
+        *(post.listener, post.loop, desks, post.say),
+        first=first,
+        name=post.name,
+        place=ring.consoles_gone,
+    )
     if place:
         _pass_over(post.loop)
     while not (ring.closed or server.over):

@@ -176,7 +176,8 @@ class Session:
             no_realtime=config.realtime.required and not fifo.ok,
             follow_s=1e-3 * config.bus.sensor_timeout_ms if config.bus.follows else None,
         )
-        end = handoff.SharedEnd(taking)
+        ring = self.axes[0].ring  # all have the same console
+        end = handoff.SharedEnd(taking, consoles_gone=lambda: ring.consoles_gone)
         ends.callback(end.close)  # by which the console sees at once that the run is over
         asking = Asking(end, len(self.axes)) if len(self.axes) > 1 else None
         lanes = []
