@@ -1,6 +1,7 @@
-"""Mistakes that this program once had, put back one at a time: who has made them, and which oracle says no.
+"""Mistakes put back one at a time, and which oracle says no.
 
-Where a patch would no longer fit, because the code has moved, a function is what it was in effect.
+`HAD` are those that this program once had; where a patch would no longer fit, because the code has moved, a
+function is what it was in effect. `RULES` leave out a rule that there has been from the beginning.
 """
 
 from __future__ import annotations
@@ -21,9 +22,10 @@ from pneud.loop.answers import Answers
 from pneud.loop.company import Company
 from pneud.loop.conditions import Conditions
 from pneud.loop.console_watch import CONSOLE_LOST, SILENT_NS, ConsoleWatch
+from pneud.loop.lane import Lane
 from pneud.loop.recorder_watch import RecorderWatch
 from pneud.rt.notify import Service
-from pneud.signals import Host
+from pneud.signals import Host, RequestKind
 
 
 class Mistake(NamedTuple):
@@ -113,6 +115,23 @@ def _a_fault_touches_others_whatever_they_say(patch: pytest.MonkeyPatch) -> None
     patch.setattr(company, "_TOUCHES", dict.fromkeys(company._TOUCHES, company.CENTRE))
 
 
+def _a_run_arms_again_what_an_operator_has_had(patch: pytest.MonkeyPatch) -> None:
+    honest = Lane.over
+
+    def over(self: Any) -> bool:
+        armed, found = self._armed, honest(self)
+        if self._asked or self.request is None or self.request.kind != RequestKind.ARM:
+            self._armed = armed
+        return found
+
+    patch.setattr(Lane, "over", over)
+
+
+def _what_a_dead_console_has_asked_is_done(patch: pytest.MonkeyPatch) -> None:
+    honest = handoff._unpacked
+    patch.setattr(handoff, "_unpacked", lambda data, late_ns, _: honest(data, late_ns, data[7]))
+
+
 def _words_without_room_are_lost(patch: pytest.MonkeyPatch) -> None:
     honest = Service._send
 
@@ -123,7 +142,7 @@ def _words_without_room_are_lost(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Service, "_send", send)
 
 
-MISTAKES: dict[str, Mistake] = {
+HAD: dict[str, Mistake] = {
     "arming before the recorder has begun": Mistake(("arming",), 29, _begun_before_the_recorder),
     "a console that has died is not missed": Mistake(("console",), 8, _console_not_watched),
     "the next console undoes the end of the last": Mistake(
@@ -134,6 +153,15 @@ MISTAKES: dict[str, Mistake] = {
     "a set that comes past the deadline": Mistake(("deadline",), 48, _set_comes_whenever_its_stamp_says),
     "the wall clock is not followed": Mistake(("heard",), 1, _wall_clock_is_not_followed),
     "a second controller": Mistake(("centre",), 28, _second_controller_is_no_fault),
+    "words without room are lost": Mistake(("service",), 39, _words_without_room_are_lost),
+    "a run arms again what an operator has had": Mistake(
+        ("arming",), 583, _a_run_arms_again_what_an_operator_has_had
+    ),
+    "what a dead console has asked is done": Mistake(
+        ("console",), 2388, _what_a_dead_console_has_asked_is_done
+    ),
+}
+RULES: dict[str, Mistake] = {
     "a recorder that is gone": Mistake(("recorder",), 29, _recorder_that_is_gone_is_not_missed),
     "a full disk is no fault": Mistake(("recorder",), 12, _full_disk_is_no_fault),
     "late requests are done": Mistake(("late",), 1711, _late_requests_are_done),
@@ -141,6 +169,6 @@ MISTAKES: dict[str, Mistake] = {
     "a fault touches others whatever they say": Mistake(
         ("touched",), 28, _a_fault_touches_others_whatever_they_say
     ),
-    "words without room are lost": Mistake(("service",), 39, _words_without_room_are_lost),
     "written before the disk has it": Mistake(("log",), 29, _written_before_the_disk_has_it),
 }
+MISTAKES = HAD | RULES

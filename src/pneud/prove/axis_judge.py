@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -68,17 +69,30 @@ class Session:
         log: its file.
         recorder: that writes it, by its process id.
         asking: where operators' requests come to the loop.
+        offset_ns: CLOCK_REALTIME minus CLOCK_MONOTONIC, as the log and viewers have it.
         ticks: that were recorded, in order.
         durable: records that the disk was known to have.
         cut: power was cut, so that only what is durable has to be there.
         removed: somebody has removed the log.
     """
 
-    def __init__(self, lane: Lane, ring: Ring, log: Path, recorder: int, asking: Any) -> None:
+    def __init__(
+        self, lane: Lane, ring: Ring, log: Path, recorder: int, asking: Any, offset_ns: int = 0
+    ) -> None:
         self.lane, self.ring, self.log, self.recorder, self.asking = lane, ring, log, recorder, asking
+        self.offset_ns = offset_ns
         self.ticks: list[Taken] = []
         self.durable = 0
         self.cut = self.removed = False
+
+    def has_decided(self, t_ns: int) -> bool:
+        """Whether there was a tick with SYNC then."""
+        place = bisect_left(self.ticks, t_ns, key=_sync_ns)
+        return place < len(self.ticks) and self.ticks[place].t_ns == t_ns
+
+
+def _sync_ns(tick: Taken) -> int:
+    return tick.t_ns
 
 
 class AxisJudge:
@@ -127,6 +141,7 @@ class AxisJudge:
         self._latched = 0
         self._engaged = self._calm = self._to_blame = 0  # ticks in a row
         self._commanded = False  # an operator has engaged the axis, or led it
+        self._has_been = False  # engaged in this run
         self._console_died = self._recorder_died = self._left = 0  # ticks since then; 0 where it has not
         self._failing = 0  # ticks in which the log is lost, and nobody says so
         self._foreign_ns = 0  # when somebody else's command was there
@@ -228,6 +243,9 @@ class AxisJudge:
             self._commanded = True
         if before is not None and is_engaged(before.state):
             return
+        once, self._has_been = self._has_been, True
+        if by_itself and once:
+            self._says_no("arming", "by itself, though it had been engaged before")
         if request is None or request.kind not in ENGAGES:
             self._says_no("arming", "the axis engages, and nobody asks for it")
             return
@@ -309,10 +327,14 @@ class AxisJudge:
                 self._says_no("attended", words)
 
     def _in_time(self, session: Session, kind: int) -> None:
-        """What has waited for the loop for too long is not done."""
+        """What has waited for too long is not done, and what a dead console has asked does not go on."""
         age_ns = session.asking.age_ns
-        if session.lane._asked and kind not in _NEVER_LATE and age_ns > LATE_NS:
+        if not session.lane._asked or kind in _NEVER_LATE:
+            return
+        if age_ns > LATE_NS:
             self._says_no("late", f"a request has waited for {1e-6 * age_ns:.0f} ms, and is done")
+        if kind in _COMMANDS and not self._world.processes[session.asking.sender].alive:
+            self._console_died = self._console_died or 1
 
     def _waiting(self, record: Record) -> None:
         """The loop waits for answers as long as it may, and no longer, unless it stands still."""

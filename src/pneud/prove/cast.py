@@ -26,6 +26,7 @@ from pneud.log.files.naming import LogError, open_log
 from pneud.log.live.notes import Teller
 from pneud.log.live.ring import Ring
 from pneud.loop.loop import Loop
+from pneud.prove import lookers
 from pneud.prove.axis_judge import Session as Kept
 from pneud.prove.canbus import CanBus
 from pneud.prove.disk import Disk, File
@@ -45,7 +46,7 @@ SETTLES_NS = 200_000_000  # from the rig's beginning until it answers
 CATCHES_UP_NS = 300_000_000  # that it takes to pass over what it has been asked while it stood
 LOADING_S = (0.0, 0.01, 0.1, 1.0)  # that a process takes at most to load what it needs
 AGAIN_S = 0.5  # from a daemon's death to the next one
-CREW = ("daemon", "recorder", "keeper", "console", "plant", "screen", "nodes")
+CREW = ("daemon", "recorder", "keeper", "console", "plant", "screen", "nodes", lookers.NAME)
 _MANAGER_S = 0.05
 
 
@@ -65,6 +66,7 @@ class Cast:
         self.plan, self.world, self.bus, self.disk, self.judge = plan, world, bus, disk, judge
         self.begin = begin
         self.manager, self.terminal = Manager(judge), Terminal(world)
+        self.viewers = lookers.Viewers(judge)
         self.listener: Listener | None = None
         self.daemon: Process | None = None
         self.rig: Process | None = None
@@ -127,6 +129,7 @@ class Cast:
             "pneud.rig.plant_process.PlantNode": self._node,
             "pneud.view.terminal.Console": lambda **_: Console(file=self.terminal, highlight=False),
             **self._of_nodes(),
+            **(lookers.adapters() if self.plan.viewed else {}),
         }
 
     def _of_nodes(self) -> dict[str, Any]:
@@ -306,7 +309,7 @@ class Cast:
             0,
             link,
             Endpoint(self.listener, Path("prove.sock"), -1),  # type: ignore[arg-type]
-            None,
+            lookers.place(self.world) if plan.viewed else None,
         )
         return _Watched(all_ready, self)
 
@@ -395,7 +398,10 @@ class _Watched(Session):
         loop, (_, _, asking, _), judge = super()._loop(*args), args, self._judge
         judge.begins(
             [
-                Kept(lane, axis.ring, axis.ready.log_file, axis.recorder, asking)
+                Kept(
+                    *(lane, axis.ring, axis.ready.log_file, axis.recorder, asking),
+                    axis.header.realtime_offset_ns,
+                )
                 for lane, axis in zip(loop.lanes, self.axes, strict=True)
             ]
         )

@@ -101,8 +101,9 @@ class Socket(Readable):
         self._messages = messages
         self._waiting: deque[bytes] = deque()
         self._bytes = 0
-        self._since_ns: deque[int] = deque()  # when each message came
+        self._since: deque[tuple[int, int]] = deque()  # when each message came, and from which process
         self.age_ns = 0  # of the message that was taken last
+        self.sender = 0  # of it
         self._timeout_s: float | None = None  # for ever
 
     @property
@@ -170,7 +171,8 @@ class Socket(Readable):
             raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
         data = self._waiting.popleft()
         if self._messages:
-            self.age_ns = world.now_ns - self._since_ns.popleft()
+            since_ns, self.sender = self._since.popleft()
+            self.age_ns = world.now_ns - since_ns
         else:
             self._bytes -= min(len(data), most)
             if len(data) > most:
@@ -202,7 +204,7 @@ class Socket(Readable):
         self.peer._waiting.append(some)
         self.peer._bytes += len(some)
         if self._messages:
-            self.peer._since_ns.append(self.world.now_ns)
+            self.peer._since.append((self.world.now_ns, self.world.pid))
         self.world.happens(self.peer.readable)
         return len(some)
 

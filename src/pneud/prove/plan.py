@@ -18,6 +18,8 @@ CONFIGURED_S = 1.5  # that it takes at least until nodes are
 _RIG_BEGINS_S = 0.1  # the manager starts the daemon somewhat later
 _GOOD, _BAD = "good", "bad"
 TWO_AXES, SERVICE, SHOWN = 0.25, 0.4, 0.1  # of the seeds; of the rest, the last
+VIEWED = 0.06  # of the seeds
+TOPICS = ("/axis/tick", "/can/frames", "/events")
 NODES = 0.04  # of the seeds with one axis
 TIED = 0.35  # of the seeds with two
 NAMES = ("x", "y")
@@ -56,6 +58,7 @@ class Plan(NamedTuple):
     items: tuple[Item, ...]
     service: bool = False  # of a manager that has a watchdog
     shown: bool = False  # on a screen
+    viewed: bool = False  # by viewers, who have a server
     others: tuple[tuple[str, str], ...] = ()  # of several axes: `[faults.others]` of each, centre and stop
     file: str = "virtual.toml"  # of the configuration
 
@@ -80,12 +83,13 @@ def plan_of(seed: int) -> Plan:
     for kind in kinds:
         for _ in range(rng.choice((1, 1, 2, 3))):
             items.append(Item(rng.uniform(_RIG_BEGINS_S, length_s), kind, _FAULTS[kind](rng)))
-    if rng.random() < 0.2:
-        items += _at_once(rng, length_s)
+    at_once = _at_once(rng, length_s) if rng.random() < 0.2 else []
+    items += at_once
     for operator in range(rng.choice((0, 1, 1, 1, 2, 2, 3)) if virtual else rng.choice((1, 1, 1, 2, 2, 3))):
         items += _operations(rng, operator, length_s)
     if rng.random() < 0.3:
         items += _nuisance(rng, length_s)
+    items += _asked_meanwhile(random.Random(f"asks {seed}"), at_once)
     plan = Plan(
         seed,
         length_s,
@@ -103,6 +107,8 @@ def plan_of(seed: int) -> Plan:
         plan = _with_two_axes(more, plan, file)
     elif what.random() < NODES:
         plan = _with_nodes(what, plan)
+    if (viewed := random.Random(f"viewed {seed}")).random() < VIEWED:
+        plan = plan._replace(viewed=True, items=_viewed(viewed, plan))
     if more.random() < SERVICE:
         return plan._replace(service=True, items=_with(more, plan, "deaf", 0.5))
     if more.random() < SHOWN:
@@ -120,6 +126,19 @@ def _with(rng: random.Random, plan: Plan, kind: str, share: float) -> tuple[Item
         if does != kind:
             what |= {"who": "screen", "step": _at_step(rng)}
         more.append(Item(at_s, does, what))
+    return tuple(sorted((*plan.items, *more), key=_at))
+
+
+def _viewed(rng: random.Random, plan: Plan) -> tuple[Item, ...]:
+    """What happens, with what somebody looks at, and what becomes of who serves it."""
+    more, names = [], AXES.get(plan.file, ("",))
+    for _ in range(rng.choice((2, 4, 8))):
+        above = f"/{name}" if (name := rng.choice(names)) else ""
+        what = {"who": rng.randrange(2), "topic": above + rng.choice(TOPICS), "on": rng.random() < 0.7}
+        more.append(Item(rng.uniform(_RIG_BEGINS_S, plan.length_s), "look", what))
+    while rng.random() < 0.4:
+        what = {"who": "viewers", "step": _at_step(rng), "for_s": rng.uniform(0.05, 2.0)}
+        more.append(Item(rng.uniform(_RIG_BEGINS_S, plan.length_s), rng.choice(("kill", "stop")), what))
     return tuple(sorted((*plan.items, *more), key=_at))
 
 
@@ -187,6 +206,15 @@ def _at_once(rng: random.Random, length_s: float) -> list[Item]:
     stop = {"who": stands, "step": 0, "for_s": rng.choice((0.02, 0.045, 0.045, 1.0)) * rng.uniform(0.7, 1.0)}
     kill = {"who": dies, "step": 0}
     return [Item(at_s, "stop", stop), Item(at_s + rng.uniform(0.0, 0.01), "kill", kill)]
+
+
+def _asked_meanwhile(rng: random.Random, at_once: list[Item]) -> list[Item]:
+    """While the loop stands and its console is about to die, somebody asks for something."""
+    if not at_once or (at_once[0].what["who"], at_once[1].what["who"]) != ("daemon", "console"):
+        return []
+    verb, fields = rng.choice((("arm", {}), ("goto", {"x_mm": rng.uniform(100.0, 800.0), "attended": True})))
+    at_s = rng.uniform(at_once[0].at_s, at_once[1].at_s)
+    return [Item(at_s, "operator", {"who": 0, "verb": verb, **fields})]
 
 
 def _victim(rng: random.Random) -> str:

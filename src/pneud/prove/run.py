@@ -7,14 +7,14 @@ import hashlib
 import signal
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pneud.bus.shared import identifiers
 from pneud.config.toml import changed_text, tables_of
 from pneud.loading import load_axes
-from pneud.prove import logs
+from pneud.prove import logs, lookers
 from pneud.prove.canbus import CanBus
 from pneud.prove.cast import CREW, Begin, Cast
 from pneud.prove.disk import Disk
@@ -148,7 +148,10 @@ def _run(plan: Plan, begin: Begin, folder: Path, most_steps: int | None) -> Outc
         from pneud.prove import canlib  # noqa: PLC0415 - what it takes is loaded for few seeds only
 
         seams = SEAMS | canlib.SEAMS
-    with opened(opens, cast.adapters(), ENVIRON if plan.service else {}, seams):
+    library: AbstractContextManager[None] = nullcontext()
+    if plan.viewed:
+        seams, library = seams | lookers.SEAMS, lookers.library(cast.viewers)
+    with library, opened(opens, cast.adapters(), ENVIRON if plan.service else {}, seams):
         try:
             cast.start()
             troubles.begin()

@@ -115,6 +115,9 @@ class Troubles:
     def _terminal(self, item: Item) -> None:
         self._cast.terminal.stands_until_ns = self._world.now_ns + round(10.0 * item.what["for_s"] * _NS)
 
+    def _look(self, item: Item) -> None:
+        self._cast.viewers.looks(item.what["who"], item.what["topic"], on=item.what["on"])
+
     # clocks, disks
 
     def _clock(self, item: Item) -> None:
