@@ -461,6 +461,29 @@ def test_nodes_without_a_heartbeat_are_asked_for_their_state() -> None:
     assert {data & 0x7F for data in told} == {Nmt.OPERATIONAL}
 
 
+def test_nodes_are_ready_for_the_axis_whose_they_are() -> None:
+    readiness = keeper.Readiness([{1, 2}, {11}, set()])
+
+    def ready() -> list[bool]:
+        return [readiness.is_ready(axis) for axis in range(3)]
+
+    readiness.tell({1, 2, 11})
+    assert (readiness.ready, ready()) == (False, [False, False, True])
+    readiness.tell({11})
+    assert (readiness.ready, ready()) == (False, [True, False, True])
+    readiness.tell(set())
+    assert (readiness.ready, ready()) == (True, [True] * 3)
+    readiness.lost = True
+    assert (readiness.ready, ready()) == (False, [False, False, True])
+    alone = keeper.Readiness()
+    assert not alone.is_ready(0)
+    alone.tell(set())
+    assert alone.ready
+    assert alone.is_ready(0)
+    alone.lost = True
+    assert not alone.is_ready(0)
+
+
 def test_a_bus_that_fails_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> None:
         raise CanOperationError("Failed to transmit: [Errno 105]\nNo buffer space available")

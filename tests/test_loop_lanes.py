@@ -20,6 +20,8 @@ from pneud.loop.options import Options
 from pneud.loop.recorder_watch import RecorderWatch
 from pneud.loop.turn import END_TICKS, Turn
 from pneud.rig.node import PlantNode
+from pneud.safety.faults import F
+from pneud.safety.supervisor import is_engaged
 from pneud.signals import Frame, Host, Record, State
 
 RATE_HZ = 100.0
@@ -132,6 +134,42 @@ def test_a_loop_that_follows_sends_no_sync_and_misses_it_when_its_patience_is_ov
     lost = [tick.t_ns for tick in ticks if tick.measurement.host & Host.SYNC_LOST]
     assert lost
     assert lost[0] - ticks[0].t_ns >= 0.04e9  # from when it has begun to wait
+
+
+class Nodes:
+    """Of two axes; the second one's are not ready any more as soon as both are engaged, until neither is."""
+
+    lost = quiet = False
+
+    def __init__(self, lanes: list[Lane]) -> None:
+        self.lanes, self.missing = lanes, False
+
+    def engaged(self) -> list[bool]:
+        return [bool(records(one)) and is_engaged(one.turn.tick.state) for one in self.lanes]
+
+    @property
+    def ready(self) -> bool:
+        self.missing = all(self.engaged()) or (self.missing and not self.quiet)
+        return not self.missing
+
+    def is_ready(self, axis: int) -> bool:
+        return axis == 0 or not self.missing
+
+    def look(self) -> None:
+        pass
+
+
+def test_nodes_that_are_not_ready_stop_the_axis_whose_they_are_and_no_other() -> None:
+    carrier = Carrier()
+    link = Link("here", carrier)
+    lanes = [lane(link), lane(link)]
+    Loop(lanes, LOADED.codecs, link, OPTIONS._replace(duration_s=0.5), Nodes(lanes)).run()
+    lost = 1 << F.HEARTBEAT_LOST
+    assert [one.tally.ever_latched & lost for one in lanes] == [0, lost]
+    assert lanes[0].tally.state == State.TRACKING
+    at = next(n for n, r in enumerate(records(lanes[1])) if r.tick.present & lost)
+    syncs = [frame for frame in carrier.sent if frame.can_id == SYNC.can_id]
+    assert len(syncs) > at + 10  # the bus is the other one's, as long as it needs it
 
 
 def fail(one: Lane) -> None:

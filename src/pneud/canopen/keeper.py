@@ -1,7 +1,8 @@
 """The keeper of the nodes: a process beside the loop that configures them, and again where one has rebooted.
 
 It has the bus to itself while it works: the loop sends no SYNC until the nodes are ready, unless its axis is
-engaged, and the keeper waits for that. Two bytes of shared memory say so to each other.
+engaged, and the keeper waits for that. Bytes of shared memory say so to each other, of each axis whether its
+own nodes are ready: a node that has to be configured anew is nothing to an axis that goes on without it.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from pneud.canopen.plan import Plan
 from pneud.canopen.words import RESET_WORD
 from pneud.signals import Frame
 
-_READY, _QUIET = 0, 1  # places in the memory: of the keeper, and of the loop
+_QUIET, _READY = 0, 1  # places in the memory: of the loop, and of the keeper, a byte for each axis
 _AGAIN = "it is configured anew before anything arms"
 _LOOK_S = 0.02
 _AGAIN_S = 2.0  # after a failure
@@ -39,7 +40,14 @@ class Readiness:
         lost: it has died, and nobody configures the nodes any more; known by `look`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, axes: Sequence[Set[int]] | None = None) -> None:
+        """No node is ready.
+
+        Args:
+            axes: identifiers of each one's nodes; None for an axis that has them all.
+        """
+        self._axes = axes
+        self._places = range(_READY, _READY + (1 if axes is None else len(axes)))
         self._memory = mmap.mmap(-1, mmap.PAGESIZE)
         self.keeper = 0
         self.lost = False
@@ -47,16 +55,26 @@ class Readiness:
     def look(self) -> None:
         """See whether the keeper is there; in the loop's process, which is its parent."""
         if self.keeper and not self.lost and crew.gone(self.keeper):
-            self.lost, self.ready = True, False
+            self.lost = True
 
     @property
     def ready(self) -> bool:
-        """The nodes are configured and started; until then they are not to be armed."""
-        return self._memory[_READY] != 0
+        """All nodes are configured and started; until then nothing is to be armed."""
+        return not self.lost and all(self._memory[place] for place in self._places)
 
-    @ready.setter
-    def ready(self, ready: bool) -> None:
-        self._memory[_READY] = ready
+    def is_ready(self, axis: int) -> bool:
+        """Whether those of an axis are, by its place."""
+        if self.lost:
+            return self._axes is not None and not self._axes[axis]
+        return self._memory[_READY + axis] != 0
+
+    def tell(self, to_do: Set[int]) -> None:
+        """What has to be configured yet."""
+        if self._axes is None:
+            self._memory[_READY] = not to_do
+        else:
+            for place, own in zip(self._places, self._axes, strict=True):
+                self._memory[place] = own.isdisjoint(to_do)
 
     @property
     def quiet(self) -> bool:
@@ -124,19 +142,18 @@ class Keeper:
         """Until told to leave."""
         with open_link(self._channel) as link:
             while not self._stop():
-                if self._to_do:
-                    self._readiness.ready = False
-                    if not self._configured(link):
-                        self._sleep(_AGAIN_S)
-                else:
-                    self._readiness.ready = True
+                self._readiness.tell(self._to_do)
+                if not self._to_do:
                     self._watch(link)
+                elif not self._configured(link):
+                    self._sleep(_AGAIN_S, link)
 
     def _configured(self, link: Link) -> bool:
         end = time.monotonic() + _QUIET_S
         while not self._readiness.quiet and time.monotonic() < end:
-            self._sleep(_LOOK_S)
+            self._sleep(_LOOK_S, link)
         if not self._readiness.quiet:
+            self._tell("nodes: to configure them takes a bus without SYNC: that waits until no axis is armed")
             return False
         plans = [plan for node, plan in self._plans.items() if node in self._to_do]
         if link.down:
@@ -163,11 +180,15 @@ class Keeper:
     def _watch(self, link: Link) -> None:
         """Look on until a node has to be configured anew."""
         while not self._stop() and not self._to_do:
-            time.sleep(_LOOK_S)
-            self._hear(link)
-            self._guard(link)
-            self._miss()
+            self._look(link)
             self._end_faults(link)
+
+    def _look(self, link: Link) -> None:
+        """See how the nodes are that are ready."""
+        time.sleep(_LOOK_S)
+        self._hear(link)
+        self._guard(link)
+        self._miss()
 
     def _hear(self, link: Link, just_done: Set[int] = frozenset()) -> None:
         """Take what has come.
@@ -247,10 +268,14 @@ class Keeper:
             self._said = line
             self._say(line)
 
-    def _sleep(self, seconds: float) -> None:
+    def _sleep(self, seconds: float, link: Link) -> None:
         end = time.monotonic() + seconds
         while not self._stop() and time.monotonic() < end:
-            time.sleep(_LOOK_S)
+            if self._readiness.quiet:
+                time.sleep(_LOOK_S)
+            else:  # an axis goes on, with nodes that have to be looked after
+                self._look(link)
+                self._readiness.tell(self._to_do)
 
 
 def _to_standard_error(line: str) -> None:

@@ -281,8 +281,9 @@ class Session:
         """Have the nodes configured; the loop runs meanwhile, and nothing is armed."""
         from pneud.canopen.keeper import Readiness, fork_keeper  # noqa: PLC0415 - for rigs with nodes only
 
-        readiness = Readiness()
-        plans = tuple(plan for axis in self.axes for plan in plans_of_nodes(axis.ready.loaded))
+        each = [plans_of_nodes(axis.ready.loaded) for axis in self.axes]
+        readiness = Readiness([{plan.node.id for plan in plans} for plans in each])
+        plans = tuple(plan for plans in each for plan in plans)
         keeper = fork_keeper(self.ready.link.name, plans, readiness)
 
         def end() -> None:

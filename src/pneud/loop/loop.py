@@ -37,9 +37,15 @@ UNREADY = int(Host.HEARTBEAT_LOST)  # nodes that have yet to be configured are n
 class Nodes(Protocol):
     """What the loop and whoever configures the nodes of its bus tell each other."""
 
-    ready: bool  # they are configured; until then nothing is armed
-    quiet: bool  # no SYNC is sent, so that they can be
+    quiet: bool  # no SYNC is sent, so that they can be configured
     lost: bool  # who configures them has died
+
+    @property
+    def ready(self) -> bool:
+        """They are configured; until then nothing is armed."""
+
+    def is_ready(self, axis: int) -> bool:
+        """Whether those of an axis are, by its place."""
 
     def look(self) -> None:
         """See whether that has died; it costs a system call."""
@@ -139,7 +145,7 @@ class Loop:
             _, late_ns, skipped = self._pacer.next()
         host = self._host if link.watch_clock() == 0 else self._host | CLOCK_STEP
         if self._nodes is not None:
-            host |= self._lacks(self._nodes)
+            self._give_way(self._nodes)
         # drain
         if following is None:
             link.drain(self._came)
@@ -187,14 +193,17 @@ class Loop:
             self._pacer.put_off(self._phase.shift_ns(frames[-1].stamp_ns - t_ns))
         return self._account(t_ns, skipped)
 
-    def _lacks(self, nodes: Nodes) -> int:
-        """What the host lacks while nodes have yet to be configured, which takes a bus without SYNC."""
+    def _give_way(self, nodes: Nodes) -> None:
+        """Send no SYNC while nodes have yet to be configured, as far as no axis needs it."""
         ready = nodes.ready
         engaged = self._count and any(is_engaged(turn.tick.state) for turn in self._turns)
         self._hushed = not ready and not engaged and not nodes.lost
         if nodes.quiet != self._hushed:
             nodes.quiet = self._hushed
-        return 0 if ready else UNREADY
+
+    def _lacking(self, nodes: Nodes, axis: int) -> int:
+        """What the host lacks of an axis whose nodes are not configured yet, or whose bus is given away."""
+        return UNREADY if self._hushed or not nodes.is_ready(axis) else 0
 
     def _wait(self, t_ns: int, sync_ns: int, host: int) -> int:
         """Wait until every axis has its set, or for as long as there is time.
@@ -246,8 +255,10 @@ class Loop:
             self._service.stopping()
         company = self._company
         may_arm = company is None or company.look()
-        for lane in self.lanes:
-            lane.prepare(host, self._ending, may_arm)
+        nodes = self._nodes
+        for place, lane in enumerate(self.lanes):
+            lacking = 0 if nodes is None else self._lacking(nodes, place)
+            lane.prepare(host | lacking, self._ending, may_arm)
 
     def _complete(self) -> bool:
         for turn in self._turns:  # noqa: SIM110 - a generator would take longer than all of it

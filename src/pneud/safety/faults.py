@@ -353,8 +353,8 @@ TABLE: tuple[Fault, ...] = (
     Fault(
         F.HEARTBEAT_LOST,
         Reaction.STOP,
-        "a node with heartbeat_timeout_ms sends no heartbeat for as long, or is not operational, or nodes"
-        " that pneud configures are not ready, or the process that does it has died",
+        "a node with heartbeat_timeout_ms sends no heartbeat for as long, or is not operational, or nodes of"
+        " the axis that pneud configures are not ready, or the process that does it has died",
         "check the node's power and wiring; set it operational (NMT start); what keeps pneud's nodes from it"
         " stands in the journal; where pneud-nodes is no longer among the processes, pneud restart",
         clears="with the next heartbeat of an operational node, and when all nodes are ready",
