@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canopen_bus import Wire, canopen, network_of
-from commands import pneud, pneud_here
+from commands import pneud
 from pneud import resources
 from pneud.bus.codec import ROW, Codec, Codecs
 from pneud.bus.unixcan import UnixCanBus
@@ -434,14 +434,6 @@ def test_the_nodes_of_the_page_are_those_of_an_axis() -> None:
     assert [(n.id, n.profile, n.filled) for n in nodes] == [
         (n.id, n.profile, n.filled) for n in load("canopen.toml").config.bus.nodes
     ]
-
-
-def test_without_the_library_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(keeper, "find_spec", lambda _: None)
-    done = pneud_here("nodes", "list", "--bus", "unixcan:x")
-    assert done.returncode == 3
-    assert done.stdout == ""
-    assert done.stderr == "pneud: [[bus.nodes]] needs the canopen library: pip install 'pneud[canopen]'\n"
 
 
 def test_nodes_without_a_heartbeat_are_asked_for_their_state() -> None:

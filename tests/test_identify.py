@@ -398,13 +398,6 @@ def test_what_is_no_earlier_estimate_is_refused_before_anything_takes_time(tmp_p
     assert "cannot be read" in done.stderr
 
 
-def test_without_scipy_the_cure_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    done = pneud_here("identify", GOLDEN / "composite.mcap")
-    assert (done.returncode, done.stdout) == (3, "")
-    assert "pip install 'pneud[identify]'" in done.stderr
-
-
 def header(loaded: Loaded) -> LogHeader:
     """Of a run in simulated time."""
     return LogHeader(

@@ -197,13 +197,6 @@ def test_a_mistake_is_told_before_anything_is_loaded(words: list[str], why: str)
     assert why in done.stderr
 
 
-def test_a_missing_package_is_told_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    done = pneud_here("mqtt")
-    assert (done.returncode, done.stdout) == (3, "")
-    assert "pip install 'pneud[mqtt]'" in done.stderr
-
-
 # a broker
 
 

@@ -6,7 +6,6 @@ import itertools
 import math
 import random
 import statistics
-import sys
 
 import pytest
 from hypothesis import given
@@ -231,12 +230,6 @@ def test_what_cannot_be_compiled_is_named() -> None:
         jitted(nested)
     with pytest.raises(JitError, match="no plain Python function"):
         jitted(math.sin)
-
-
-def test_a_missing_compiler_is_named_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "numba", None)
-    with pytest.raises(JitError, match=r"pneud\[sim\]"):
-        jitted(step)
 
 
 def test_quantisation_rounds_to_the_nearest_and_zero_is_exact() -> None:

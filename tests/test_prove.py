@@ -217,12 +217,6 @@ def test_options_that_make_no_sense_are_refused(tmp_path: Path) -> None:
             prove(**options)
 
 
-def test_a_library_that_is_lacking_is_named_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pneud.verbs.prove.find_spec", lambda name: None if name == "canopen" else name)
-    with pytest.raises(VerbError, match="prove needs canopen; install it with"):
-        prove()
-
-
 def test_a_seed_leaves_its_logs_and_its_trace(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "kept"
     assert prove(seed=3, steps=8000, keep=folder, json=True, how="off") == 0

@@ -356,16 +356,6 @@ def test_json_has_no_nan() -> None:
     assert read["good"] is False
 
 
-def test_without_matplotlib_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "matplotlib.py").write_text("raise ImportError")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    done = pneud("reproduce", "-o", tmp_path / "out")
-    assert (done.returncode, done.stdout) == (3, "")
-    assert len(done.stderr.splitlines()) == 1
-    assert "pip install 'pneud[plots]'" in done.stderr
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_folder_that_cannot_be_made_is_said_before_the_work(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     done = pneud_here("reproduce", "-o", tmp_path / "file")

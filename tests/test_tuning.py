@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -174,10 +173,6 @@ def test_options_and_what_is_missing(file: Path, tmp_path: Path, monkeypatch: py
     file.write_text(BRIEF.replace("runs = 3", "runs = 2"))
     done = pneud_here("campaign", file, "--tune", 2)
     assert (done.returncode, "holds another tuning" in done.stderr) == (2, True)
-    find = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "optuna" else find(name))
-    done = pneud_here("campaign", file, "--tune", 2)
-    assert (done.returncode, "pip install 'pneud[tune]'" in done.stderr) == (3, True)
 
 
 @settings(max_examples=50)

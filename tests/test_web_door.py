@@ -164,10 +164,3 @@ def test_a_mistake_is_one_line(words: list[str], status: int, says: str) -> None
     done = pneud_forked("web", *words)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (status, "", 1), done.stderr
     assert says in done.stderr
-
-
-def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    done = pneud_forked("web")
-    assert done.returncode == 3
-    assert "pip install 'pneud[web]'" in done.stderr

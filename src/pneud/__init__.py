@@ -38,16 +38,16 @@ if TYPE_CHECKING:
     from pneud.console.endpoint import PlaceError
     from pneud.log.files.naming import LogError
     from pneud.notebook.client import AsyncClient, Client
-    from pneud.notebook.frames import ExtraError
     from pneud.notebook.logs import Log, read_log
     from pneud.notebook.runs import simulate
+    from pneud.rt.extras import ExtraError
 
 _WHERE = {
     "AsyncClient": "pneud.notebook.client",
     "Axis": "pneud.axis.cycle",
     "Client": "pneud.notebook.client",
     "ConfigError": "pneud.config.sections",
-    "ExtraError": "pneud.notebook.frames",
+    "ExtraError": "pneud.rt.extras",
     "Log": "pneud.notebook.logs",
     "LogError": "pneud.log.files.naming",
     "PlaceError": "pneud.console.endpoint",

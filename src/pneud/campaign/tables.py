@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
 from pathlib import Path
 
 from pneud.campaign.rows import Rows
+from pneud.rt.extras import cure, missing
 from pneud.rt.outputs import replacing
 
 NAME = "rows"
-LACKS = "rows are written as CSV; for Parquet: pip install 'pneud[parquet]'"
+LACKS = f"rows are written as CSV; for Parquet: {cure('parquet')}"
 
 
 def parquet() -> bool:
     """Whether Parquet can be written here."""
-    return importlib.util.find_spec("pyarrow") is not None
+    return not missing("parquet")
 
 
 def write(folder: Path, rows: Rows) -> Path:

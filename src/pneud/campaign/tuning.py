@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
-import importlib.util
 import json
 import math
 import warnings
@@ -26,6 +25,7 @@ from pneud.campaign.record import Chunk, RecordError
 from pneud.campaign.unit import ERROR, Row
 from pneud.campaign.workers import LocalWorkers
 from pneud.config.sections import ConfigError
+from pneud.rt.extras import require
 from pneud.view.progress import Report
 
 JOURNAL, STUDY = "tune.journal", "pneud"
@@ -33,12 +33,6 @@ NEVER = 1e6  # stands for a figure that a run lacks: greater than any
 FIRST = 10  # trials anywhere, before what came of them tells where to look
 LOST = 3  # times that processes may be killed during a trial
 Value = float | int | bool | str
-
-
-class TuneError(Exception):
-    """It cannot be tuned here; one line for a person."""
-
-    exit_code = 3
 
 
 class Trial(NamedTuple):
@@ -86,15 +80,14 @@ class Tuning:
         folder: made where it is missing.
 
     Raises:
-        TuneError: Optuna is missing.
+        ExtraError: Optuna is missing.
         ConfigError: an objective is none of the figures, or the values are none of a configuration.
         RecordError: the folder has another study, or somebody is at work in it.
         OSError: it cannot be written.
     """
 
     def __init__(self, c: Campaign, plan: Plan, folder: Path) -> None:
-        if importlib.util.find_spec("optuna") is None:
-            raise TuneError("--tune needs Optuna; install it with: pip install 'pneud[tune]'")
+        require("--tune", "tune")
         assert c.tune is not None
         self.tune: Tune = c.tune
         plan = plan.with_all_columns()

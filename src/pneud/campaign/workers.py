@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import logging
 import multiprocessing
 import os
@@ -24,6 +23,7 @@ from pneud.compiled import slow
 from pneud.compiled.backend import lacking
 from pneud.crew import die_with_parent
 from pneud.log.format.fingerprint import numeric_fingerprint
+from pneud.rt.extras import require
 from pneud.study import trial
 
 PATIENCE_S = 60.0  # with a scheduler that is gone, or has no workers
@@ -177,12 +177,12 @@ class DaskWorkers:
         say: told what a person should know, in one line.
 
     Raises:
-        ClusterError: Dask is missing, or nobody answers.
+        ClusterError: nobody answers.
+        ExtraError: Dask is missing.
     """
 
     def __init__(self, plan: Plan, address: str, say: Callable[[str], None] = lambda _: None) -> None:
-        if importlib.util.find_spec("distributed") is None:
-            raise ClusterError("--scheduler needs Dask; install it with: pip install 'pneud[cluster]'")
+        require("--scheduler", "cluster")
         self._plan, self._address = plan, address
         self._client: Any = None
         self._width, self._counted_s = 0, -1.0

@@ -12,16 +12,16 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Sequence, Set
-from importlib.util import find_spec
 
 from pneud import crew
 from pneud.bus.link import Link, LinkError, open_link
 from pneud.bus.wire import CAN_RTR_FLAG
 from pneud.canopen import objects
-from pneud.canopen.master import NEEDS_LIBRARY, BusError, Master, MissingLibraryError, NodeError, network_on
+from pneud.canopen.master import NEEDER, BusError, Master, NodeError, network_on
 from pneud.canopen.objects import Nmt
 from pneud.canopen.plan import Plan
 from pneud.canopen.words import RESET_WORD
+from pneud.rt.extras import ExtraError, require
 from pneud.signals import Frame
 
 _QUIET, _READY = 0, 1  # places in the memory: of the loop, and of the keeper, a byte for each axis
@@ -102,7 +102,7 @@ def fork_keeper(channel: str, plans: Sequence[Plan], readiness: Readiness) -> in
         keeper = Keeper(channel, plans, readiness, crew.asked_to_leave(signal.SIGTERM))
         keeper.run()
 
-    readiness.keeper = crew.fork(main, name="nodes", known=(LinkError, MissingLibraryError))
+    readiness.keeper = crew.fork(main, name="nodes", known=(LinkError, ExtraError))
     return readiness.keeper
 
 
@@ -286,7 +286,6 @@ def check_library() -> None:
     """Make sure that what configures nodes is installed.
 
     Raises:
-        MissingLibraryError: it is not.
+        ExtraError: it is not.
     """
-    if find_spec("canopen") is None:
-        raise MissingLibraryError(NEEDS_LIBRARY)
+    require(NEEDER, "canopen")

@@ -19,8 +19,9 @@ from pneud.canopen.objects import Command, Nmt, Object
 from pneud.canopen.plan import Plan, Step
 from pneud.canopen.words import LOCAL_BIT, READY_BIT, RESET_WORD
 from pneud.config.nodes import HOLD_WORD
+from pneud.rt.extras import require
 
-NEEDS_LIBRARY = "[[bus.nodes]] needs the canopen library: pip install 'pneud[canopen]'"
+NEEDER = "[[bus.nodes]]"  # of the library
 _SAVE_S = 2.0  # that it may take a device to store its parameters
 _LOOKS = 4  # for a second node of the same identifier
 _SETTLE_S = 0.02  # in which a second node of the same identifier would have answered, too
@@ -46,12 +47,6 @@ class NodeError(Exception):
     def __init__(self, plan: Plan, o: Object | str, problem: str, cure: str) -> None:
         super().__init__(f"{plan.name}, {o}: {problem}; {cure}")
         self.node, self.object, self.problem, self.cure = plan.node.id, str(o), problem, cure
-
-
-class MissingLibraryError(Exception):
-    """The `canopen` library is not installed."""
-
-    exit_code = 3
 
 
 class BusError(Exception):
@@ -82,14 +77,13 @@ def network_on(channel: str) -> Iterator[Any]:
         channel: `socketcan:IF` or `unixcan:NAME`.
 
     Raises:
-        MissingLibraryError: it is not installed.
+        ExtraError: it is not installed.
         BusError: the bus cannot be used, now or later.
     """
-    try:
-        import can  # noqa: PLC0415 - for whoever configures only
-        import canopen  # noqa: PLC0415
-    except ImportError:
-        raise MissingLibraryError(NEEDS_LIBRARY) from None
+    require(NEEDER, "canopen")
+    import can  # noqa: PLC0415 - for whoever configures only
+    import canopen  # noqa: PLC0415
+
     kind, _, name = channel.partition(":")
     network = canopen.Network()
     network.NOTIFIER_CYCLE = 0.1

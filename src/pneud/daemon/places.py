@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import ipaddress
 import secrets
 import socket
@@ -11,6 +10,7 @@ from urllib.parse import quote
 
 from pneud.config.sections import ConfigError
 from pneud.rt.addresses import AddressError, in_url, is_loopback, listening, parsed
+from pneud.rt.extras import require
 from pneud.view.admission import VIEWERS, Admission, is_origin
 
 FOXGLOVE = "https://app.foxglove.dev/~/view"
@@ -40,7 +40,8 @@ def viewers_place(where: str, origins: tuple[str, ...]) -> ViewersPlace:
         origins: of pages elsewhere that may look.
 
     Raises:
-        ConfigError: it is none, or taken, or an origin is none, or the package that serves is missing.
+        ConfigError: it is none, or taken, or an origin is none.
+        ExtraError: the library that serves is missing.
     """
     try:
         host, port = parsed(where, "127.0.0.1:8765")
@@ -49,8 +50,7 @@ def viewers_place(where: str, origins: tuple[str, ...]) -> ViewersPlace:
     for origin in origins:
         if not is_origin(origin):
             raise ConfigError(f"--live-origin {origin}: must be as browsers say it, https://example.org")
-    if importlib.util.find_spec("foxglove") is None:
-        raise ConfigError("--live needs foxglove-sdk; install it with: pip install 'pneud[live]'")
+    require("--live", "live")
     try:
         listener = listening(host, port, both=True)
     except AddressError as e:

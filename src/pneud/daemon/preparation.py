@@ -89,7 +89,7 @@ def prepared(o: RunOptions) -> Iterator[Ready]:
         LinkError: the bus cannot be used.
         LogError: the log cannot be written.
         EdsError: the EDS of a node cannot be used.
-        MissingLibraryError: there are nodes, and nothing installed that configures them.
+        ExtraError: there are nodes, and nothing installed that configures them.
         BuildError: the compiled law is required and cannot be had.
         PlaceError: the console's socket cannot be made.
     """

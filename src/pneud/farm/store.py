@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from pneud.farm.rows import TYPES, Row
 from pneud.log.files.naming import LogError
 from pneud.log.format.meanings import unit_of
+from pneud.rt.extras import cure
 from pneud.rt.outputs import replacing
 
 SUFFIXES = (".parquet", ".csv")
@@ -220,5 +221,5 @@ def store_of(path: Path) -> tuple[ParquetStore | CsvStore, str]:
     except ImportError:
         other = path.with_suffix(".csv")
         return CsvStore(other), (
-            f"{path} needs pyarrow, which is missing: written as {other}; pip install 'pneud[parquet]'"
+            f"{path} needs pyarrow, which is missing: written as {other}; {cure('parquet')}"
         )

@@ -14,6 +14,7 @@ import numpy as np
 from pneud.log.files.columns import blocks
 from pneud.log.files.reader import LogReader
 from pneud.log.files.table import Column, TickTable, about
+from pneud.rt.extras import lack
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,10 +26,6 @@ WORDS = ("state_name", "fault_names")
 EXTRAS = {"pandas": "frames", "polars": "frames", "xarray": "frames", "pyarrow": "parquet"}
 
 
-class ExtraError(ImportError):
-    """A library is missing that a call needs; the text is one line that names what to install."""
-
-
 def require(library: str) -> Any:
     """A library that pneud does not need itself.
 
@@ -38,9 +35,7 @@ def require(library: str) -> Any:
     try:
         return import_module(library)
     except ImportError:
-        raise ExtraError(
-            f"this needs {library}; install it with: pip install 'pneud[{EXTRAS[library]}]'", name=library
-        ) from None
+        raise lack("this", EXTRAS[library], [library]) from None
 
 
 def columns(log: LogReader, wanted: Sequence[str] | None = None) -> dict[str, Column]:

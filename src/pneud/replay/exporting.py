@@ -20,6 +20,7 @@ from pneud.log.format.frames import FrameBlock
 from pneud.log.format.records import LoggedEvent, pack_event, unpack
 from pneud.log.format.schema import EVENTS, FRAMES, STATE, TICK, topics
 from pneud.replay import sidecar, traffic
+from pneud.rt.extras import require
 from pneud.rt.outputs import replacing, replacing_all
 from pneud.signals import Frame
 
@@ -155,11 +156,10 @@ def _write_csv(log: LogReader, path: Path) -> int:
 
 
 def _write_parquet(log: LogReader, path: Path) -> int:
-    try:
-        import pyarrow as pa  # noqa: PLC0415  (an extra)
-        import pyarrow.parquet as pq  # noqa: PLC0415
-    except ImportError:
-        raise LogError("Parquet needs pyarrow; install it with: pip install 'pneud[parquet]'") from None
+    require("Parquet", "parquet")
+    import pyarrow as pa  # noqa: PLC0415  (an extra)
+    import pyarrow.parquet as pq  # noqa: PLC0415
+
     rows, table = 0, TickTable(log)
     writer = None
     try:

@@ -20,24 +20,6 @@ DPI = 120
 SIZE = (10.0, 3.2)
 
 
-class PicturesError(Exception):
-    """Pictures cannot be drawn here; the text is one line for a person."""
-
-    exit_code = 2
-
-
-def require() -> None:
-    """Make sure that pictures can be drawn, before anything takes time.
-
-    Raises:
-        PicturesError: matplotlib is missing.
-    """
-    try:
-        import matplotlib.figure  # noqa: F401, PLC0415  (an extra)
-    except ImportError:
-        raise PicturesError("pictures need matplotlib; install it with: pip install 'pneud[plots]'") from None
-
-
 def write(runs: Sequence[LoggedRun], stem: Path) -> list[Path]:
     """Draw every figure into a file of its own.
 

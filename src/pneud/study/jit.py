@@ -6,6 +6,8 @@ import types
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar, cast
 
+from pneud.rt.extras import require
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 _compiled: dict[types.FunctionType, Any] = {}
@@ -26,12 +28,12 @@ def jitted(function: F) -> F:
         function: a function of a module, on numbers and NamedTuples.
 
     Raises:
-        JitError: numba is missing, or this is no plain function, or it calls itself.
+        ExtraError: numba is missing.
+        JitError: this is no plain function, or it calls itself.
     """
-    try:
-        import numba  # noqa: PLC0415  (an extra, and half a second to import)
-    except ImportError:
-        raise JitError("numba is missing; install it with: pip install 'pneud[sim]'") from None
+    require("to compile it", "sim")
+    import numba  # noqa: PLC0415  (an extra, and half a second to import)
+
     return cast(F, _compile(function, numba.njit, ()))
 
 

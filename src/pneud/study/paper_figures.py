@@ -10,6 +10,7 @@ import numpy as np
 
 from pneud.control.homogeneous import feedback
 from pneud.control.reference import sine
+from pneud.rt.extras import require
 from pneud.study.convergence import Convergence, Settling, chain
 from pneud.study.ideal import E3, ED, W1, W2, X1, U, V
 from pneud.study.paper import PICTURED, Reproduction
@@ -26,12 +27,6 @@ WIDTH = 1.2
 GREY = "#777777"
 
 
-class FiguresError(Exception):
-    """Figures cannot be drawn here; the text is one line for a person."""
-
-    exit_code = 3
-
-
 class Picture(NamedTuple):
     """One figure."""
 
@@ -40,25 +35,13 @@ class Picture(NamedTuple):
     png: bytes
 
 
-def require() -> None:
-    """Make sure that figures can be drawn, before anything takes time.
-
-    Raises:
-        FiguresError: matplotlib is missing.
-    """
-    try:
-        import matplotlib.figure  # noqa: F401, PLC0415  (an extra)
-    except ImportError:
-        raise FiguresError("figures need matplotlib; install it with: pip install 'pneud[plots]'") from None
-
-
 def pictures(found: Reproduction) -> list[Picture]:
     """All figures, those of the paper first.
 
     Raises:
-        FiguresError: matplotlib is missing.
+        ExtraError: matplotlib is missing.
     """
-    require()
+    require("figures", "plots")
     drawn = []
     for h_s, form in PICTURED:
         for case in CASES:

@@ -5,7 +5,6 @@ Table 1, the gains and the reference come from the configurations `paper-case1.t
 
 from __future__ import annotations
 
-import importlib.util
 import itertools
 import math
 from collections.abc import Callable
@@ -19,6 +18,7 @@ from pneud.control.disturbance import EXPLICIT, IMPLICIT, MATCHED
 from pneud.control.homogeneous import feedback
 from pneud.loading import load
 from pneud.rig.dynamics import initial_state
+from pneud.rt.extras import missing
 from pneud.study.ideal import COLUMNS, E3, ED, P2, SQUARE, WORST, IdealLoop, U, run_ideal
 from pneud.study.jit import jitted
 
@@ -83,7 +83,7 @@ class PaperRun(NamedTuple):
 
 def fast(function: F) -> F:
     """The function compiled where numba is there, else as it is: the results are the same."""
-    return jitted(function) if importlib.util.find_spec("numba") is not None else function
+    return function if missing("sim") else jitted(function)
 
 
 def paper_loop(case: int) -> IdealLoop:

@@ -81,7 +81,7 @@ def campaign(
         DatabaseError: a DBC cannot be used.
         RecordError: the folder has another campaign, or somebody is at work in it.
         ClusterError: there is no cluster, or nobody in it.
-        TuneError: Optuna is missing.
+        ExtraError: a library is missing.
         VerbError: an option makes no sense.
     """
     c, text, path = load_campaign(file)

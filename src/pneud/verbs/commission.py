@@ -6,7 +6,6 @@ in simulated time, which is no proof.
 
 from __future__ import annotations
 
-import importlib.util
 import json as json_
 import os
 import sys
@@ -21,6 +20,7 @@ from pneud.config.models import Config
 from pneud.config.proof import Proof, digest, proven
 from pneud.console.client import Client, RefusedError
 from pneud.loading import Loaded, load
+from pneud.rt.extras import require
 from pneud.rt.outputs import require_folder, write_whole
 from pneud.safety.supervisor import is_engaged
 from pneud.signals import State
@@ -79,8 +79,8 @@ def commission(
         VerbError: nobody agrees, the axis is not at rest, something is missing, or the proof cannot be kept.
         OSError: a file cannot be written.
     """
-    if not test_only and importlib.util.find_spec("scipy") is None:
-        raise VerbError("commission needs scipy; install it with: pip install 'pneud[identify]'", 3)
+    if not test_only:
+        require("commission", "identify")
     from pneud.study.commissioning.procedure import Wishes, as_json  # noqa: PLC0415
 
     _agreeing(virtual, test_only, {"--socket": socket, "--again": again}, {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json as json_
 import sys
 from collections.abc import Sequence
@@ -13,6 +12,7 @@ import typer
 
 from pneud.config.reading import load_config
 from pneud.log.files.reader import LogReader, read_log
+from pneud.rt.extras import require
 from pneud.rt.outputs import require_folder, write_whole
 from pneud.verbs import JsonOption, LogsArgument, ProgressOption, VerbError, require_suffix, watch, whole
 from pneud.view.progress import progress
@@ -57,11 +57,10 @@ def identify(
     Raises:
         ConfigError: a configuration, or the earlier estimate, cannot be used.
         LogError: not logs that this version reads, or too little in them.
-        VerbError: scipy is missing.
+        ExtraError: scipy is missing.
         OSError: the page, or what is kept, cannot be written.
     """
-    if importlib.util.find_spec("scipy") is None:
-        raise VerbError("identify needs scipy; install it with: pip install 'pneud[identify]'", 3)
+    require("identify", "identify")
     from pneud.study.identification import (  # noqa: PLC0415
         comparing,
         courses,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import importlib.util
 import os
 import sys
 from pathlib import Path
@@ -12,9 +11,9 @@ from typing import Annotated
 import typer
 
 from pneud.console.client import Client
-from pneud.verbs import AxisOption, SocketOption, VerbError
+from pneud.rt.extras import require
+from pneud.verbs import AxisOption, SocketOption
 
-_NEEDS = "aiomqtt"
 _PASSWORD = "PNEUD_MQTT_PASSWORD"
 _NICE = 5
 
@@ -68,13 +67,12 @@ def mqtt(
         Exit status: 0.
 
     Raises:
-        VerbError: a package is missing.
+        ExtraError: a library is missing.
         PlaceError: there is no daemon.
         BrokerError: there can be no such broker.
         TopicError: nor such a topic.
     """
-    if importlib.util.find_spec(_NEEDS) is None:
-        raise VerbError(f"this needs {_NEEDS}; install it with: pip install 'pneud[mqtt]'", 3)
+    require("mqtt", "mqtt")
 
     from pneud.mqtt.broker import broker_of, password_of  # noqa: PLC0415 - who has made a mistake is told at once
     from pneud.mqtt.facts import checked, level  # noqa: PLC0415

@@ -3,12 +3,12 @@
 import json as json_
 import tempfile
 import time
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from pneud.rt.extras import require
 from pneud.verbs import JsonOption, ProgressOption, VerbError
 from pneud.view.progress import progress
 
@@ -39,7 +39,8 @@ def prove(
         Exit status: 0, or 1 where an oracle says no.
 
     Raises:
-        VerbError: the options do not go together, or a library is missing.
+        VerbError: the options do not go together.
+        ExtraError: a library is missing.
     """
     numbers = _numbers(only)
     if seeds < 1 or (minutes is not None and not minutes > 0.0) or (steps is not None and steps < 1):
@@ -48,9 +49,7 @@ def prove(
         raise VerbError("prove: --keep and --only are for one seed")
     if keep is not None and keep.exists() and (not keep.is_dir() or any(keep.iterdir())):
         raise VerbError(f"prove: --keep {keep}: is no empty folder")
-    for library in ("greenlet", "canopen"):
-        if find_spec(library) is None:
-            raise VerbError(f"prove needs {library}; install it with: pip install 'pneud[prove]'", 3)
+    require("prove", "prove")
     from pneud.prove.plan import plan_of  # noqa: PLC0415 - what not everybody has
     from pneud.prove.run import Bench, Outcome, shrunk  # noqa: PLC0415
 

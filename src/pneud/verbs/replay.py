@@ -27,8 +27,8 @@ from pneud.replay.differences import Differences, compare
 from pneud.replay.playing import play
 from pneud.replay.replaying import ReplayOutcome
 from pneud.replay.replaying import replay as run
-from pneud.report.pictures import require
 from pneud.report.timing import in_words
+from pneud.rt.extras import require
 from pneud.rt.outputs import require_folder
 from pneud.study.running import doubts_of
 from pneud.verbs import (
@@ -126,7 +126,7 @@ def _check_picture(output: Path) -> None:
     if output.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise ConfigError(f"{output}: a picture's name ends in .png, .svg or .pdf")
     require_folder(output)
-    require()
+    require("replay -o", "plots")
 
 
 def _config(log: LogReader, file: str | None, settings: list[str]) -> Config | None:

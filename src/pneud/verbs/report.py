@@ -15,6 +15,7 @@ from pneud.log.files.reader import read_log
 from pneud.report import pictures
 from pneud.report.gather import Window, gather
 from pneud.report.page import is_reference, page
+from pneud.rt.extras import require
 from pneud.rt.inputs import read_whole
 from pneud.rt.outputs import require_folder, write_whole
 from pneud.verbs import LogsArgument, ProgressOption, require_suffix, watch, whole
@@ -59,7 +60,7 @@ def report(
     require_suffix(output, ".html", "a report is a page of HTML")
     require_folder(output)
     if png:
-        pictures.require()
+        require("report --png", "plots")
     setting = _reference(reference) if reference is not None else None
     buckets = max(_FEWEST, _BUCKETS // len(logs))
     readers = [read_log(log) for log in logs]

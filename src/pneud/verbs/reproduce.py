@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import importlib.util
 import json as json_
 import os
 import sys
@@ -13,9 +12,10 @@ from typing import Annotated
 import typer
 
 from pneud.config.sections import ConfigError
+from pneud.rt.extras import cure, missing, require
 from pneud.rt.outputs import write_whole
 from pneud.study import paper
-from pneud.study.paper_figures import pictures, require
+from pneud.study.paper_figures import pictures
 from pneud.study.paper_page import page, words
 from pneud.verbs import JsonOption, ProgressOption
 from pneud.view.progress import progress
@@ -36,13 +36,10 @@ def reproduce(
         Exit status: 0 where every figure is within its bound, 1 where one is not.
     """
     if output is not None:
-        require()
+        require("reproduce -o", "plots")
         _writable(output)
-    if importlib.util.find_spec("numba") is None:
-        print(
-            "pneud: without numba this takes minutes; install it with: pip install 'pneud[sim]'",
-            file=sys.stderr,
-        )
+    if missing("sim"):
+        print(f"pneud: without numba this takes minutes: {cure('sim')}", file=sys.stderr)
     with progress(how) as report:
         found = paper.reproduce(report)
     if output is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json as json_
 import os
 import shutil
@@ -31,6 +30,7 @@ from pneud.replay.moves import Course, moves_of, steps_of
 from pneud.replay.moves import in_words as moves_in_words
 from pneud.replay.running import TOLD_TICKS, Ran, through
 from pneud.replay.running_together import run_together
+from pneud.rt.extras import cure, missing
 from pneud.rt.outputs import require_folder, write_whole
 from pneud.scenario import verdict
 from pneud.scenario.files import in_simulation, load_axis, load_scenario
@@ -283,9 +283,9 @@ def _compare(loaded: Loaded, rest_s: float, output: Path | None, json: bool, how
     """Run every law through every case and print the tables, folded on a terminal; write the page."""
     if not 1.0 <= rest_s <= MOST_REST_S:
         raise ConfigError(f"--duration {rest_s:g}: with --compare, between 1 and {MOST_REST_S:g} s")
-    compiled = importlib.util.find_spec("numba") is not None
+    compiled = not missing("sim")
     if not compiled:
-        print("pneud: three cases only without numba; for all: pip install 'pneud[sim]'", file=sys.stderr)
+        print(f"pneud: three cases only without numba; for all: {cure('sim')}", file=sys.stderr)
     with progress(how) as report:
         found = compare(loaded, rest_s, compiled, report=report)
     if output is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import secrets
 import sys
 from functools import partial
@@ -12,9 +11,8 @@ from typing import Annotated
 import typer
 
 from pneud.console.client import Client
+from pneud.rt.extras import require
 from pneud.verbs import AxisOption, SocketOption, VerbError
-
-_NEEDS = ("starlette", "uvicorn", "websockets")
 
 
 def web(
@@ -52,12 +50,12 @@ def web(
         Exit status: 0.
 
     Raises:
-        VerbError: what was given does not go together, or a package is missing.
+        VerbError: what was given does not go together.
+        ExtraError: a library is missing.
         PlaceError: there is no daemon.
         ListenError: the page cannot be there.
     """
-    if missing := [package for package in _NEEDS if importlib.util.find_spec(package) is None]:
-        raise VerbError(f"this needs {', '.join(missing)}; install it with: pip install 'pneud[web]'", 3)
+    require("web", "web")
     if (tls_cert is None) != (tls_key is None):
         raise VerbError("--tls-cert and --tls-key belong together")
     if metrics is not None and metrics.suffix != ".prom":
