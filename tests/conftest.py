@@ -13,6 +13,7 @@ from hypothesis import settings
 
 from commands import Figures
 
+gc.disable()  # until all tests are collected, a second sooner: they stay, and so does what they import
 settings.register_profile("busy", deadline=None)  # how long an example takes is the machine's matter
 settings.load_profile("busy")
 
@@ -46,9 +47,9 @@ def pytest_collection_finish() -> None:
 
     Nor need anybody look often: cycles that tests leave behind are few.
     """
-    gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 10, 10)
+    gc.enable()
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
