@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from hil.device_sets import device_sets
 
+from commands import object_of, pneud_here
 from dumped import dumped, identifiers
 
 pytestmark = pytest.mark.vm
@@ -34,7 +35,7 @@ def test_a_device_set_tracks_over_vcan0(name: str, ids: set[str], tmp_path: Path
     seen = tmp_path / "candump.log"
     with dumped(seen):
         done = pneud(
-            "--virtual", "--config", file, "--bus", "socketcan:vcan0", "--duration", 12, "--headless",
+            "--virtual", "--config", file, "--bus", "socketcan:vcan0", "--duration", 10, "--headless",
             "--json", "--log", log,
         )  # fmt: skip
     print(done.stdout, done.stderr)
@@ -42,4 +43,4 @@ def test_a_device_set_tracks_over_vcan0(name: str, ids: set[str], tmp_path: Path
     summary = json.loads(done.stdout)
     assert (summary["state"], summary["faults"]) == ("tracking", [])
     assert set(identifiers(seen)) == ids
-    assert json.loads(pneud("replay", log, "--json").stdout)["identical"] is True
+    assert object_of(pneud_here("replay", log, "--json"))["identical"] is True

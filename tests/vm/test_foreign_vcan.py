@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from commands import pneud
+from commands import object_of, pneud, pneud_here
 from foreign import axis, built
 
 pytestmark = pytest.mark.vm
@@ -21,7 +21,7 @@ def test_an_axis_arms_and_tracks_on_a_foreign_node(tmp_path: Path) -> None:
     with subprocess.Popen([node, "vcan0", "200"], stderr=subprocess.PIPE, text=True) as foreign:
         try:
             done = pneud(
-                "--config", config, "--bus", "socketcan:vcan0", "--arm", "--unproven", "--duration", 20,
+                "--config", config, "--bus", "socketcan:vcan0", "--arm", "--unproven", "--duration", 12,
                 "--headless", "--json", "--log", log, timeout=120,
             )  # fmt: skip
         finally:
@@ -35,7 +35,7 @@ def test_an_axis_arms_and_tracks_on_a_foreign_node(tmp_path: Path) -> None:
     assert summary["frames"]["crc"] == summary["frames"]["stale"] == 0
     assert summary["frames"]["rx"] > 2.5 * summary["ticks"]
     assert summary["tracking_mm"]["rms"] < 12.0  # gains for 50 Hz: 4.4 on pneud's own plant
-    mapped = json.loads(pneud("map", log, "--dbc", tmp_path / "foreign.dbc", "--json").stdout)
+    mapped = object_of(pneud_here("map", log, "--dbc", tmp_path / "foreign.dbc", "--json"))
     rules = {m["name"]: m["checksum"] and m["checksum"]["protection"] for m in mapped["messages"]}
     assert rules["LINEAR_POSITION"] == "e2e-p01" and rules["DRIVE_SETPOINT"] == "e2e-p02"
 

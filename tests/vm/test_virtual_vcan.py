@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from commands import object_of, pneud_here
 from dumped import dumped, identifiers
 from pneud import resources
 
@@ -47,7 +48,7 @@ def test_a_virtual_run_over_vcan0_tracks_and_candump_sees_the_frames(tmp_path: P
     assert ids["080"] == ids["203"] >= summary["ticks"]
     assert min(ids["181"], ids["182"], ids["183"]) > 0.9 * ids["080"]
 
-    again = json.loads(pneud("replay", log, "--json").stdout)
+    again = object_of(pneud_here("replay", log, "--json"))
     assert again["identical"] is True
     assert again["engaged_ticks"] > 0.9 * summary["ticks"]
 
