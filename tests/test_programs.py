@@ -304,6 +304,18 @@ def test_tables_of_any_names_are_read_as_they_were_written(tables: dict[str, Any
     assert tables_of(toml_text(tables)) == tables
 
 
+@pytest.mark.parametrize(
+    ("record", "words"),
+    [
+        ({"do": "until", "above_n": 140.0, "below_n": 200.0}, "until above 140 N and below 200 N"),
+        ({"do": "until", "above_mm": 5.0, "axis": "x"}, "x: until above 5 mm"),
+        ({"do": "until", "input": "part"}, "until part on"),
+    ],
+)
+def test_what_is_waited_for_is_told_with_its_unit(record: dict[str, Any], words: str) -> None:
+    assert programs.in_words(record) == words
+
+
 def test_the_page_names_every_record_and_field() -> None:
     text = (ROOT / "docs" / "programs.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`(\w+)`", text))

@@ -19,6 +19,7 @@ from pneud.console.endpoint import PlaceError
 from pneud.console.going import go_through
 from pneud.control import program
 from pneud.log.files.reader import read_log
+from pneud.safety.faults import FAULT_CURES, F
 from pneud.signals import Progress, Request, RequestKind, Stage, State
 from test_goto_wait import daemon
 
@@ -204,6 +205,20 @@ def test_a_dry_run_tells_each_record_and_draws_it(file: Path, tmp_path: Path) ->
     assert [row["record"] for row in found["records"]] == [1, 2]
     assert found["ended"] is True
     assert found["air_l"] > 0.0
+
+
+def test_a_dry_run_that_a_fault_ends_names_record_and_cure(file: Path) -> None:
+    file.write_text(
+        PROGRAM.replace(
+            'do = "wait"\nfor_s = 0.05', 'do = "force"\nforce_n = 200\nlow_mm = 400\nhigh_mm = 485'
+        )
+    )
+    done = pneud_here("run", file, "--dry-run")
+    assert done.returncode == 1
+    found = object_of(pneud_here("run", file, "--dry-run", "--json"))
+    assert found["why"].startswith("fault force_window in record 2: ")
+    assert FAULT_CURES[F.FORCE_WINDOW] in found["why"]
+    assert found["why"] in done.stdout
 
 
 def test_a_point_is_taught_into_a_file(tmp_path: Path) -> None:

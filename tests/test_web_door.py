@@ -136,7 +136,7 @@ def test_a_taken_port_is_one_line() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         with pytest.raises(ListenError) as e:
             listen(f"127.0.0.1:{taken.getsockname()[1]}", False, ())
-        assert "Address already in use" in str(e.value)
+        assert "cannot listen there: Address already in use; name another" in str(e.value)
 
 
 def test_a_password_is_long_and_its_owner_s_alone(tmp_path: Path) -> None:

@@ -26,6 +26,10 @@ _MM = 1e-3
 FAR = 1e9  # stands for no bound
 MOTION_TIMEOUT_S = 60.0  # that a motion has, unless it says otherwise
 FAST_TOLERANCE = 10.0  # times the tolerance of a load in position
+_BOUNDS = (
+    *((f"{side}_mm", side, "mm") for side in ("above", "below")),
+    *((f"{side}_n", side, "N") for side in ("above", "below")),
+)
 MOST_WALKED = 20_000  # steps that are gone through to see where relative ways lead
 ROUNDING_M = 1e-9
 EMPTY = Request(RequestKind.RECORD)  # the program of an axis
@@ -467,11 +471,7 @@ def in_words(record: Mapping[str, Any]) -> str:
         case "output":
             words = f"output {record['output']} {'on' if record['on'] else 'off'}"
         case _:
-            parts = [
-                f"{key.partition('_')[0]} {record[key]:g} {key.partition('_')[2]}"
-                for key in ("above_mm", "below_mm", "above_n", "below_n")
-                if key in record
-            ]
+            parts = [f"{side} {record[key]:g} {unit}" for key, side, unit in _BOUNDS if key in record]
             if "input" in record:
                 parts = [f"{record['input']} {'on' if record.get('on', True) else 'off'}"]
             words = f"until {' and '.join(parts)}"

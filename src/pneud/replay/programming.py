@@ -10,7 +10,7 @@ from typing import NamedTuple
 from pneud.control import program
 from pneud.control.program import Program, Step
 from pneud.replay.asking import ARM, Asking, is_armable
-from pneud.safety.faults import FAULT_NAMES
+from pneud.safety.faults import FAULT_CURES, FAULT_NAMES
 from pneud.signals import Answer, Record, Request, Stage, State, Tick
 
 DUE, DONE, ENDED, STOPPED = int(Stage.DUE), int(Stage.DONE), int(Stage.ENDED), int(Stage.STOPPED)
@@ -223,6 +223,7 @@ def _why(tick: Tick) -> str:
     if tick.request is not None and tick.answer != Answer.TAKEN:
         return f"refused: {Answer(tick.answer).name.lower().replace('_', ' ')}"
     if tick.latched:
-        names = [name for bit, name in enumerate(FAULT_NAMES) if tick.latched >> bit & 1]
-        return f"fault {', '.join(names)} in record {tick.progress.step}"
+        bits = [bit for bit in range(len(FAULT_NAMES)) if tick.latched >> bit & 1]
+        names = ", ".join(FAULT_NAMES[bit] for bit in bits)
+        return f"fault {names} in record {tick.progress.step}: {FAULT_CURES[bits[0]]}"
     return f"stopped in record {tick.progress.step}" if tick.progress.stage == STOPPED else ""

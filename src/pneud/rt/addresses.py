@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import os
 import socket
 
 _BACKLOG = 32
@@ -44,7 +45,10 @@ def listening(host: str, port: int, *, both: bool = False) -> socket.socket:
             dualstack_ipv6=six and both,
         )
     except (OSError, UnicodeError, OverflowError) as e:
-        why = e.strerror if isinstance(e, OSError) else "no such name"
+        why = "no such name"
+        if isinstance(e, OSError):  # names that are none have numbers below 0; else Python adds the address
+            number = e.errno or 0
+            why = os.strerror(number) if number > 0 else str(e.strerror)
         raise AddressError(f"cannot listen there: {why}; name another") from None
 
 

@@ -299,4 +299,4 @@ def _in_words(plan: Plan, rows: Rows, s: dict[str, Any], told: Told) -> str:
 
 
 def _shown(value: object) -> str:
-    return "–" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+    return "–" if value is None or value == "" else f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -91,7 +91,7 @@ def _summarised(where: list[Path], table: Path, json: bool, how: str) -> int:
         print(json_.dumps({"schema": 1, "summary": str(store.path), **done._asdict(), **lists}))
     else:
         print(
-            f"{store.path}: {done.motions} motions; {done.logs} logs, {done.read} of them read now"
+            f"{store.path}: {done.motions} motions of {done.logs} logs, {done.read} of them read now"
             f" ({_hours(done.recorded_s)} in {done.took_s:.1f} s)"
         )
         if done.gone:

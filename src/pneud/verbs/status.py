@@ -100,7 +100,8 @@ def in_words(s: dict[str, Any]) -> list[str]:
 def _program(p: dict[str, Any]) -> str:
     """How far a program is."""
     name, stage = p["name"] or "", str(p["stage"]).replace("_", " ")
-    return f"program {name}: {stage}, {where(p)}, {p['cycle']} cycles done".replace(" :", ":")
+    rounds = f"{p['cycle']} cycle{'' if p['cycle'] == 1 else 's'} done"
+    return f"program {name}: {stage}, {where(p)}, {rounds}".replace(" :", ":")
 
 
 def _station(s: dict[str, Any]) -> str:
