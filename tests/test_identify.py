@@ -47,7 +47,7 @@ from pneud.study.identification import (
 )
 from pneud.study.identification import parameters as key
 from pneud.study.identification.explaining import Bin
-from pneud.study.identification.fitting import Fit, Unknown, fit
+from pneud.study.identification.fitting import Fit, Found, Unknown, fit
 from pneud.study.identification.parameters import Estimate
 from pneud.study.identification.table import Piece, Table
 
@@ -244,6 +244,13 @@ def test_a_bound_holds() -> None:
 
 
 # beside what is known
+
+
+def test_that_there_is_nothing_of_a_kind_is_told_as_any_value_is() -> None:
+    nothing = Found(0.0, -14.0, 14.0, True)
+    assert key.estimate(key.DAMPING, nothing, {}) == Estimate(0.0, 0.0, 14.0, None, True)
+    assert not key.estimate(key.DAMPING, nothing, {}, more=1.0).told
+    assert not key.estimate(key.DAMPING, nothing._replace(told=False), {}).told
 
 
 def estimate(value: float, half: float, configured: float | None = None, told: bool = True) -> Estimate:

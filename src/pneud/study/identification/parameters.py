@@ -225,5 +225,5 @@ def estimate(key: str, found: Found, config: Mapping[str, float], more: float = 
     low = found.value - half
     if found.value >= 0.0 and key not in (PLUS, MINUS, CENTRE, LOAD, FORWARD):
         low = max(low, 0.0)
-    told = found.told and more < OF_NO_USE * abs(found.value)
+    told = found.told and more <= OF_NO_USE * abs(found.value)  # nothing is a value, too
     return Estimate(found.value, low, found.value + half, config.get(key), told)
