@@ -103,7 +103,7 @@ class Chosen(NamedTuple):
         """For scripts."""
         return {
             "bandwidth_rad_s": self.bandwidth_rad_s,
-            "holds": self.holds,
+            "holds": self.holds if self.judged else None,
             "doubts": list(self.doubts),
             "missed": sorted({f"{j.case}: {f.part} {f.what}" for j in self.judged for f in j.missed}),
         }
