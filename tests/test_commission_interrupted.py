@@ -159,6 +159,7 @@ def begun(loaded: Loaded, monkeypatch: pytest.MonkeyPatch) -> Callable[[Amid], B
     def bench(amid: Amid) -> Bench:
         monkeypatch.setattr(procedure, "_steps", lambda p, wishes: amid.steps(loaded))
         monkeypatch.setattr(procedure, "_learnt_edges", lambda *_: False)
+        monkeypatch.setattr(procedure, "GENTLER", ())
         if amid != FIRST:
             monkeypatch.setattr(steps, "first", lambda p: [])
         if amid.braking:

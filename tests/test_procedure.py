@@ -359,6 +359,30 @@ def test_edges_that_are_of_no_use_do_not_stay_in_the_file(
     assert rig.loaded.config.valve.dead_zone_v == 0.1
 
 
+def test_what_a_loop_cannot_follow_is_asked_for_more_slowly(
+    virtual: Loaded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[list[Step]] = []
+    came_to = [Played(), Played("a fault", ("overspeed",), 2), Played("a fault", ("overspeed",), 1), Played()]
+
+    def played(bench: Simulated, steps: list[Step], _talk: Any) -> Played:
+        asked.append(steps)
+        return came_to.pop(0)
+
+    monkeypatch.setattr(procedure, "_learnt_edges", lambda *_: False)
+    monkeypatch.setattr(procedure, "_played", played)
+    rig, talk = Simulated(virtual, {}, 1, tmp_path), Quiet()
+    assert procedure._stepped(rig, procedure.Wishes(), talk).whole
+    _, whole, half, quarter = asked
+    assert [step.name for step in half] == [step.name for step in whole[-2:]] == ["moves", "moves"]
+    assert (len(half), len(quarter)) == (2, 1)
+    fastest = [
+        max(r.values[1] for a in s[-1].acts for r in a.requests if len(r.values) > 1) for s in asked[1:]
+    ]
+    assert fastest == pytest.approx([0.5, 0.25, 0.125])
+    assert sum("more slowly" in words for words in talk.said) == 2
+
+
 @contextlib.contextmanager
 def live(folder: Path) -> Iterator[tuple[Live, Path]]:
     """The axis of a daemon, and its file."""

@@ -24,6 +24,7 @@ class Played(NamedTuple):
 
     failure: str = ""  # why they have not come to their end
     faults: tuple[str, ...] = ()
+    left: int = 0  # steps that have not come to theirs
 
     @property
     def whole(self) -> bool:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # the movement test alone goes without scipy
 LOOP = {"tracking_error", "braking_distance", "overspeed"}  # faults of a loop whose valve is another
 AXIS_S, VERIFYING_S = 300.0, 60.0  # of motion in all, at most; what a verification takes of it, about
 MOST_TRIES = 4  # of gains on the rig
+GENTLER = (0.5, 0.25)  # of limits.motion, where a loop with what is believed so far cannot follow
 SHORT = 3  # motions of the verification that are tried beforehand: a sine, and rest
 SLOWER = 0.2  # of limits.motion, where nothing has been found out about quick motion
 SLOW_ONLY = (
@@ -193,9 +194,10 @@ def axis_of(loaded: Loaded) -> AxisParameters:
 def _stepped(bench: Bench, wishes: Wishes, talk: Talk) -> Played:
     """All steps: once the valve's edges are known, and again where a loop could not be closed.
 
-    What they did not come to their end with does not stay.
+    With other edges, if these explain it, and otherwise more slowly, from the step on that has not come to
+    its end. What they did not come to their end with does not stay.
     """
-    from pneud.study.commissioning.steps import first  # noqa: PLC0415
+    from pneud.study.commissioning.steps import dynamic, first, gentler  # noqa: PLC0415
 
     before, whole = bench.loaded.text, False
     try:
@@ -207,6 +209,12 @@ def _stepped(bench: Bench, wishes: Wishes, talk: Talk) -> Played:
             talk.say("the loop could not be closed: the valve's edges, from what has been seen so far")
             if _learnt_edges(bench, wishes, talk):
                 played = _played(bench, _steps(axis_of(bench.loaded), wishes), talk)
+        for share in GENTLER if wishes.dynamic else ():
+            p = axis_of(bench.loaded)
+            steps = dynamic(p._replace(motion=gentler(p.motion, share)))
+            if _of_the_loop(played.faults) and played.left <= len(steps):
+                talk.say(f"the loop could not follow; more slowly, by {share:g} of limits.motion")
+                played = _played(bench, steps[-played.left :], talk)
         whole = played.whole
         return played
     finally:
@@ -219,9 +227,16 @@ def _played(bench: Bench, steps: list[Step], talk: Talk) -> Played:
     from pneud.study.commissioning.steps import length_s  # noqa: PLC0415
 
     talk.say(f"{len(steps)} steps, {length_s(steps):.0f} s")
-    player = Player(steps, axis_of(bench.loaded).controller.h, lambda step: talk.say(_announced(step)))
+    begun: list[Step] = []
+
+    def announce(step: Step) -> None:
+        begun.append(step)
+        talk.say(_announced(step))
+
+    player = Player(steps, axis_of(bench.loaded).controller.h, announce)
     bench.play(player)
-    return player.verdict or Played("it has not come to its end")
+    played = player.verdict or Played("it has not come to its end")
+    return played if played.whole else played._replace(left=len(steps) - max(0, len(begun) - 1))
 
 
 class _Tested:

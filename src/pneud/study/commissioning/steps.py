@@ -94,6 +94,11 @@ def dynamic(p: AxisParameters) -> list[Step]:
     return _joined(g, sorted(moving, key=lambda m: _speed(m, g)))
 
 
+def gentler(bounds: Bounds, share: float) -> Bounds:
+    """Motion that takes longer: so much of its speed, and of what brings it there."""
+    return Bounds(*(share * value for value in bounds))
+
+
 def length_s(steps: Iterable[Step]) -> float:
     """How long they take, about [s]."""
     return sum(step.seconds for step in steps)
@@ -113,7 +118,7 @@ def reach_m(steps: Iterable[Step]) -> list[float]:
 def _speed(m: Motion, g: Ground) -> float:
     if m.kind == "sine":
         return 2.0 * math.pi * m.frequency_hz * m.amplitude * (g.high_m - g.low_m)
-    return m.speed_m_s or g.motion.speed_m_s
+    return m.speed_m_s or math.inf
 
 
 def _joined(g: Ground, motions: Sequence[Motion]) -> list[Step]:
