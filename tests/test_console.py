@@ -661,12 +661,52 @@ def test_a_line_that_is_too_long_ends_the_connection(desk: Bench) -> None:
 def test_a_flood_is_slowed_down_and_keeps_nobody_else_waiting(desk: Bench) -> None:
     flooder, other = desk.connect(), desk.connect()
     flooder.sendall(b"rubbish\n" * 1000)
-    desk.turn(20)
+    desk.turn(70)
     assert len(desk.replies(flooder)) == BOUNDS.burst
     assert desk.ask(other, "stop")["ok"]
     desk.now_s += 1.0
-    desk.turn()
+    desk.turn(40)
     assert len(desk.replies(flooder)) == BOUNDS.rate_hz
+
+
+@pytest.mark.parametrize("line", [message("status"), message("tune_get"), "rubbish"])
+def test_however_many_ask_for_whatever_they_like_a_stop_waits_for_a_few_lines_of_each(
+    desk: Bench, line: dict[str, Any] | str
+) -> None:
+    flooders, other = [desk.connect() for _ in range(20)], desk.connect()
+    desk.turn()
+    for one in flooders:
+        one.sendall(b"\n".join([json.dumps(line).encode()] * 100) + b"\n")
+    other.sendall(json.dumps(message("stop")).encode() + b"\n")
+    desk.turn(2)
+    assert [request.kind for request in desk.requests] == [RequestKind.STOP]
+    assert sum(len(desk.replies(one)) for one in flooders) <= 2 * 4 * len(flooders)
+    for _ in range(20):
+        desk.turn(10)
+    assert all(desk.replies(one) for one in flooders), "and they are served, too"
+
+
+def test_a_turn_does_not_wait_where_a_client_has_sent_more_than_was_taken(
+    desk: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    client, selector, waits = desk.connect(), desk.server._selector, list[float]()
+    select = selector.select
+
+    def watched(timeout: float | None = None) -> list[Any]:
+        found = select(0.0)
+        waits.extend([timeout] if timeout and not found else [])
+        return found
+
+    monkeypatch.setattr(selector, "select", watched)
+    client.sendall(b"".join(json.dumps(message("status")).encode() + b"\n" for _ in range(30)))
+    replies = 0
+    while replies < 30:
+        desk.server.step(1.0)
+        replies += len(desk.replies(client))
+        assert waits == []
+    desk.server.step(1.0)
+    desk.server.step(1.0)
+    assert waits, "it does, with nothing to do"
 
 
 def test_who_does_not_read_is_dropped(desk: Bench) -> None:
@@ -704,6 +744,7 @@ def test_a_hundred_clients_displace_the_idle_ones_but_not_the_one_that_commands(
 def test_mistakes_are_logged_once_a_second_with_their_number(desk: Bench) -> None:
     client = desk.connect()
     desk.tell(client, b"rubbish\n" * 50)
+    desk.turn(10)
     assert len(desk.said) == 1
     desk.now_s += 1.1
     desk.turn(1)

@@ -7,11 +7,14 @@ import socket
 from collections.abc import Callable
 from typing import NamedTuple
 
+from pneud.console.beside import Then
 from pneud.console.lease import LEASE_S
 from pneud.console.line_stream import MAX_LINE
 from pneud.console.orders import Orders
 from pneud.console.peer import Peer
 from pneud.console.protocol import Error, ProtocolError
+
+LINES = 4  # of a client in a turn, and on their way: nobody's stop waits for more of everybody else's
 
 
 class ClientBounds(NamedTuple):
@@ -47,6 +50,27 @@ class Connected:
         self.ended = False  # sends what is left, then goes
         self.mistakes = 0  # not yet in the log
         self.quiet_until_s = 0.0
+        self.awaits = 0  # replies that depend on a file
+
+    @property
+    def has_line(self) -> bool:
+        """Whether it has sent a line that is not taken yet, or one that is too long."""
+        return b"\n" in self.received or len(self.received) >= MAX_LINE
+
+    @property
+    def is_due(self) -> bool:
+        """Whether it has sent something that is not taken yet, and could be."""
+        return self.interest == 0 and self.tokens >= 1.0 and self.awaits < LINES
+
+    def awaiting(self, then: Then) -> Then:
+        """How to go on with a reply, which is awaited until then."""
+        self.awaits += 1
+
+        def go_on(read: bool) -> None:
+            self.awaits -= 1
+            then(read)
+
+        return go_on
 
     def next_line(self) -> bytes | None:
         """The next line that is complete.

@@ -17,9 +17,8 @@ from typing import Any
 
 from pneud.console import handoff, protocol, together
 from pneud.console.beside import Beside, Then
-from pneud.console.connected import BOUNDS, ClientBounds, Connected, Job
+from pneud.console.connected import BOUNDS, LINES, ClientBounds, Connected, Job
 from pneud.console.lease import Lease
-from pneud.console.line_stream import MAX_LINE
 from pneud.console.orders import Desk, Orders
 from pneud.console.peer import GROUP, Peer, commanding_group, may_command, peer_of
 from pneud.console.protocol import Error, ProtocolError
@@ -108,6 +107,8 @@ class Server:
 
     def step(self, timeout_s: float) -> None:
         """Wait for something to do, for so long at most, and do it."""
+        if any(client.is_due for client in self._clients):
+            timeout_s = 0.0
         for key, events in self._selector.select(min(timeout_s, _LOOK_S) if self._later else timeout_s):
             if key.fileobj is self._listener:
                 self._accept()
@@ -231,10 +232,9 @@ class Server:
         client.paced_s = now_s
         if client.mistakes and now_s >= client.quiet_until_s:
             self._report_mistakes(client)
-        waiting = False
-        while not client.ended and not client.unsent:
-            waiting = b"\n" in client.received or len(client.received) >= MAX_LINE
-            if not waiting or client.tokens < 1.0:
+        for _ in range(LINES):
+            full = client.awaits >= LINES or client.tokens < 1.0
+            if client.ended or client.unsent or full or not client.has_line:
                 break
             try:
                 line = client.next_line()
@@ -254,7 +254,7 @@ class Server:
         if client.ended and not client.unsent:
             self._drop(client)
             return
-        wanted = selectors.EVENT_WRITE if client.unsent else 0 if waiting else selectors.EVENT_READ
+        wanted = selectors.EVENT_WRITE if client.unsent else 0 if client.has_line else selectors.EVENT_READ
         if wanted != client.interest:
             if not client.interest:
                 self._selector.register(client.connection, wanted, client)
@@ -314,12 +314,6 @@ class Server:
     def _refusal(self, error: ProtocolError) -> bytes:
         return protocol.refusal(error, self._name)
 
-    def _of(self, plan: Orders) -> str:
-        """Whose it is, for the log, where there are several axes."""
-        if len(self._desks) == 1:
-            return ""
-        return f"{', '.join(self._desks[axis].name for axis in plan.axes)}: "
-
     # requests
 
     def _take(self, client: Connected, line: bytes) -> None:
@@ -331,7 +325,8 @@ class Server:
         number = message.id
         match message.verb:
             case "status":
-                self._files.do(self._bounds.look_s, lambda _: self._tell_status(client, message))
+                tell = client.awaiting(lambda _: self._tell_status(client, message))
+                self._files.do(self._bounds.look_s, tell)
             case "tune_get":
                 if (axis := self._one(client, message)) is not None:
                     self._send(client, self._reply(number, (axis,), **self._desks[axis].gains()))
@@ -342,7 +337,8 @@ class Server:
                 if (axis := self._one(client, message)) is not None:
                     self._attach(client, axis, number)
             case _:
-                self._read_first(message, lambda read: self._command(client, message, read))
+                then = client.awaiting(lambda read: self._command(client, message, read))
+                self._read_first(message, then)
 
     def _one(self, client: Connected, message: protocol.Request) -> int | None:
         """The one axis that is meant; None where none is, which the client has been told."""
@@ -374,8 +370,8 @@ class Server:
         holder = self._lease.holder(now_s)
         if holder is None:
             return None
-        left_s = round(self._lease.left_s(now_s), 3)
-        return {"uid": holder.peer.uid, "pid": holder.peer.pid, "left_s": left_s}
+        left_s = self._lease.left_s(now_s)
+        return {"uid": holder.peer.uid, "pid": holder.peer.pid, "left_s": round(left_s, 3)}
 
     def _attach(self, client: Connected, axis: int, number: int) -> None:
         """Reply with a descriptor, which goes with the first byte of the line."""
@@ -414,8 +410,7 @@ class Server:
     def _command(self, client: Connected, message: protocol.Request, read: bool) -> None:
         if client not in self._clients:  # has gone meanwhile
             return
-        number = message.id
-        words: str = message.verb
+        number, words = message.id, str(message.verb)
         try:
             if client.read_only:
                 raise ProtocolError(Error.READ_ONLY, _why_read_only(client.peer))
@@ -564,7 +559,7 @@ class Server:
             if job.plan.unfinished and job.client is None:
                 self._undo(job.plan, job.label)
         if kind not in _RENEWED or job.plan.words != self._renewed.get(job.plan.axes[0]):
-            self._say(INFO, f"{job.label}: {self._of(job.plan)}{job.plan.words} → taken")
+            self._say(INFO, f"{job.label}: {together.whose(self._desks, job.plan)}{job.plan.words} → taken")
         for axis in job.plan.axes if moves else ():
             self._attend(axis, job, renewed=job.plan.words if kind in _RENEWED else "")
         if job.plan.then is not None:
@@ -590,7 +585,9 @@ class Server:
 
     def _tell(self, job: Job, error: ProtocolError) -> None:
         error.number = job.number
-        self._say(WARNING, f"{job.label}: {self._of(job.plan)}{job.plan.words} → {error.kind}")
+        self._say(
+            WARNING, f"{job.label}: {together.whose(self._desks, job.plan)}{job.plan.words} → {error.kind}"
+        )
         self._send(job.client, self._refusal(error))
         if job.refused is not None:
             job.refused(error)

@@ -63,6 +63,11 @@ def _check_free(desk: Desk, verb: str) -> None:
         raise ProtocolError(Error.INVALID, words, axis=desk.name)
 
 
+def whose(desks: Sequence[Desk], orders: Orders) -> str:
+    """Whose it is, for the log, where there are several axes."""
+    return f"{', '.join(desks[axis].name for axis in orders.axes)}: " if len(desks) > 1 else ""
+
+
 def half_done(desks: Sequence[Desk], axes: Sequence[int], undo: Request | None) -> None:
     """Have axes know what to undo where all ends here; None: what was begun is whole, or undone."""
     for axis in axes:
