@@ -158,6 +158,17 @@ def test_a_motion_that_is_attended_ends_when_its_client_has_gone(
     assert "has gone while moving: hold → taken" in desk.said[-1]
 
 
+@pytest.mark.parametrize("verb", ["arm", "stop"])
+def test_of_what_a_client_has_asked_that_has_gone_only_stops_are_done(desk: Bench, verb: str) -> None:
+    one = desk.connect()
+    one.sendall(json.dumps(message(verb)).encode() + b"\n")
+    one.close()  # the console stood still meanwhile, or was not there
+    desk.turn()
+    assert [r.kind for r in desk.requests] == ([RequestKind.STOP] if verb == "stop" else [])
+    assert desk.said[0].endswith("stop → taken" if verb == "stop" else "arm → late")
+    assert not desk.server._clients
+
+
 def test_a_client_that_goes_in_peace_stops_nothing(desk: Bench) -> None:
     one = desk.connect()
     desk.ask(one, "jog", velocity_mm_s=20)

@@ -47,6 +47,7 @@ class Connected:
         self.tokens = burst
         self.paced_s = self.active_s = self.sent_s = now_s
         self.interest = selectors.EVENT_READ
+        self.has_gone = False  # has hung up; of what it has sent before, stops are done, and nothing else
         self.ended = False  # sends what is left, then goes
         self.mistakes = 0  # not yet in the log
         self.quiet_until_s = 0.0

@@ -54,3 +54,8 @@ def commanding_group() -> int | None:
 def may_command(peer: Peer, group: int | None) -> bool:
     """Whether a peer may do more than look."""
     return peer.uid in (0, os.geteuid()) or group in peer.groups
+
+
+def why_read_only(peer: Peer) -> str:
+    """What to tell somebody who may not command, or has said that he will not."""
+    return f"may only look: uid {peer.uid} is not in the group {GROUP}, or has asked for no more"

@@ -20,7 +20,7 @@ from pneud.console.beside import Beside, Then
 from pneud.console.connected import BOUNDS, LINES, ClientBounds, Connected, Job
 from pneud.console.lease import Lease
 from pneud.console.orders import Desk, Orders
-from pneud.console.peer import GROUP, Peer, commanding_group, may_command, peer_of
+from pneud.console.peer import commanding_group, may_command, peer_of, why_read_only
 from pneud.console.protocol import Error, ProtocolError
 from pneud.console.setting_out import SettingOut
 from pneud.signals import Answer, Request, RequestKind, State
@@ -86,6 +86,7 @@ class Server:
         self._number = first
         self._attending: dict[int, Connected] = {}  # to a motion of an axis that ends with him
         self._files = files or Beside(self._read, clock)
+        self._statuses: dict[int, dict[str, Any]] = {}  # of axes, for all who ask in a turn
         self._later = SettingOut(self._desks, self._refuse)
         self._unfinished: tuple[Connected | None, Orders] | None = None
         self._renewed: dict[int, str] = {}  # by axis
@@ -124,6 +125,7 @@ class Server:
             self._give_up(self._flight[1])
         for client in list(self._clients):
             self._serve(client, now_s)
+        self._statuses.clear()
         self._files.go_on()
         for setting_out, message in self._later.due(now_s) if self._later else ():
             self._command(setting_out, message, True)
@@ -213,17 +215,17 @@ class Server:
             self._unattended(axis, client.peer.label)
 
     def _receive(self, client: Connected) -> None:
-        try:
-            data = client.connection.recv(_CHUNK)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if not data:
-            self._drop(client)
-        elif not client.ended:
-            client.received += data
-            client.active_s = self._clock()
+        for _ in range(2):  # behind the last that a client says it is known whether it has gone
+            try:
+                data = client.connection.recv(_CHUNK)
+            except BlockingIOError:
+                return
+            except OSError:
+                data = b""
+            client.has_gone = not data
+            if not client.ended:
+                client.received += data
+                client.active_s = self._clock()
 
     def _serve(self, client: Connected, now_s: float) -> None:
         """Take the lines that have come, at the pace that is due to a client."""
@@ -251,7 +253,7 @@ class Server:
             self._say(WARNING, f"{client.peer.label}: dropped, does not read its replies")
             self._drop(client)
             return
-        if client.ended and not client.unsent:
+        if (client.ended and not client.unsent) or (client.has_gone and not client.has_line):
             self._drop(client)
             return
         wanted = selectors.EVENT_WRITE if client.unsent else 0 if client.has_line else selectors.EVENT_READ
@@ -353,22 +355,23 @@ class Server:
         lease = self._lease_fields()
         if message.axis is not None or len(self._desks) == 1:
             if (axis := self._one(client, message)) is not None:
-                fields = {**self._desks[axis].status(), "lease": lease, "order": self._order.get(axis)}
+                fields = {**self._status(axis), "lease": lease}
                 if len(self._desks) > 1:
-                    others = (desk for n, desk in enumerate(self._desks) if n != axis)
-                    fields["others"] = {desk.name: desk.status()["state"] for desk in others}
+                    others = (n for n in range(len(self._desks)) if n != axis)
+                    fields["others"] = {self._desks[n].name: self._status(n)["state"] for n in others}
                 self._send(client, self._reply(message.id, (axis,), **fields))
             return
-        each = {
-            desk.name: {**desk.status(), "order": self._order.get(axis)}
-            for axis, desk in enumerate(self._desks)
-        }
+        each = {desk.name: self._status(axis) for axis, desk in enumerate(self._desks)}
         self._send(client, self._reply(message.id, schema=1, name=self._name, axes=each, lease=lease))
+
+    def _status(self, axis: int) -> dict[str, Any]:
+        if axis not in self._statuses:
+            self._statuses[axis] = {**self._desks[axis].status(), "order": self._order.get(axis)}
+        return self._statuses[axis]
 
     def _lease_fields(self) -> dict[str, Any] | None:
         now_s = self._clock()
-        holder = self._lease.holder(now_s)
-        if holder is None:
+        if (holder := self._lease.holder(now_s)) is None:
             return None
         left_s = self._lease.left_s(now_s)
         return {"uid": holder.peer.uid, "pid": holder.peer.pid, "left_s": round(left_s, 3)}
@@ -413,9 +416,11 @@ class Server:
         number, words = message.id, str(message.verb)
         try:
             if client.read_only:
-                raise ProtocolError(Error.READ_ONLY, _why_read_only(client.peer))
+                raise ProtocolError(Error.READ_ONLY, why_read_only(client.peer))
             plan = self._plan(message, read)
             words = plan.words
+            if client.has_gone and not plan.urgent:
+                raise ProtocolError(Error.LATE, "who asked had gone before; it has not been done")
             now_s = self._clock()
             if not plan.free and not self._lease.take(client, now_s, by_force=plan.urgent):
                 holder = self._lease.holder(now_s)
@@ -591,7 +596,3 @@ class Server:
         self._send(job.client, self._refusal(error))
         if job.refused is not None:
             job.refused(error)
-
-
-def _why_read_only(peer: Peer) -> str:
-    return f"may only look: uid {peer.uid} is not in the group {GROUP}, or has asked for no more"
