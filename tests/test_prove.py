@@ -170,6 +170,17 @@ def test_what_a_console_has_asked_is_not_done_where_it_dies_before_the_loop_come
     assert not any("holding" in line for line in outcome.trace)
 
 
+def test_nothing_is_armed_for_who_has_given_up_while_there_was_no_console(bench: Bench) -> None:
+    asks = {"who": 0, "verb": "arm", "patience_s": 0.1}
+    plan = plan_with(
+        Item(0.6, "kill", {"who": "console", "step": 0}), Item(0.7, "operator", asks), length_s=1.8
+    )
+    outcome = bench.run(plan._replace(virtual=False))
+    assert not outcome.found
+    assert any("does not answer" in line for line in outcome.trace)
+    assert not any("holding" in line for line in outcome.trace)
+
+
 @pytest.mark.parametrize("happens", ["removed", "failing"])
 def test_a_log_is_none_if_it_goes_while_the_last_of_it_is_synced(happens: str, bench: Bench) -> None:
     plan = plan_with(

@@ -46,6 +46,8 @@ SETTLES_NS = 200_000_000  # from the rig's beginning until it answers
 CATCHES_UP_NS = 300_000_000  # that it takes to pass over what it has been asked while it stood
 LOADING_S = (0.0, 0.01, 0.1, 1.0)  # that a process takes at most to load what it needs
 AGAIN_S = 0.5  # from a daemon's death to the next one
+PATIENCE_S = 5.0  # of an operator
+_NOT_SAID = ("who", "verb", "patience_s")
 CREW = ("daemon", "recorder", "keeper", "console", "plant", "screen", "nodes", lookers.NAME)
 _MANAGER_S = 0.05
 
@@ -321,7 +323,7 @@ class Cast:
         for item in items:
             world.sleep_until(START_NS + round(item.at_s * 1e9))
             verb = item.what["verb"]
-            fields = {name: value for name, value in item.what.items() if name not in ("who", "verb")}
+            fields = {name: value for name, value in item.what.items() if name not in _NOT_SAID}
             try:
                 if verb == "leave":
                     if client is not None:
@@ -334,9 +336,13 @@ class Cast:
                     continue
                 if client is None:
                     client = Client()
+                client._connection.settimeout(item.what.get("patience_s", PATIENCE_S))
                 world.note(f"asks {verb}")
-                self.judge.asks(verb, fields.get("axis"))
-                reply = client.ask(verb, **fields)
+                asked = self.judge.asks(verb, fields.get("axis"))
+                try:
+                    reply = client.ask(verb, **fields)
+                finally:
+                    asked.until_ns = world.now_ns
                 self.judge.told(verb, reply)
                 if "order" in reply:
                     attending.difference_update(whose := reply.get("axes") or [reply["axis"]])

@@ -11,7 +11,7 @@ from pneud.loop.company import ties_of
 from pneud.prove.axis_judge import AxisJudge, Session
 from pneud.prove.canbus import CanBus
 from pneud.prove.tie_judge import TieJudge
-from pneud.prove.world import START_NS, Process, World
+from pneud.prove.world import FOREVER_NS, START_NS, Process, World
 from pneud.signals import RequestKind
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 END_S = 30.0  # after which a run that was told to end has to have ended
 QUEUE_BYTES = 512 * 1024
-ASKED_NS = 1_700_000_000  # console and loop turn away what is older
+ASKED_NS = 300_000_000  # after who has asked has gone: console and loop turn away what is older
 _VERBS = ("arm", "disarm", "stop", "hold", "goto", "jog", "track", "force", "clear", "mark", "restart")
 _ACKNOWLEDGED = {verb: int(RequestKind[verb.upper()]) for verb in _VERBS}
 _ACKNOWLEDGED["goto_all"] = int(RequestKind.GOTO)
@@ -37,6 +37,18 @@ class Finding(NamedTuple):
 
     def __str__(self) -> str:
         return f"{self.oracle}: {self.words} (at {self.t_s:.6f} s, step {self.step})"
+
+
+class Asked:
+    """Something that an operator asks for.
+
+    Attributes:
+        until_ns: he has waited for it.
+    """
+
+    def __init__(self, verb: str, axis: str | None) -> None:
+        self.verb, self.axis = verb, axis
+        self.until_ns = FOREVER_NS
 
 
 class Judge:
@@ -66,7 +78,7 @@ class Judge:
         ties = ties_of([axis.config for axis in axes])
         self.tie = TieJudge(self, ties[0]) if ties else None
         self._commands = {axis.command_id: axis for axis in self.axes}
-        self._asked: deque[tuple[int, str, str | None]] = deque(maxlen=64)  # when, verb, axis
+        self._asked: deque[Asked] = deque(maxlen=64)
         self._acknowledged: Counter[tuple[str, int]] = Counter()  # by axis, or "" for some of all
         world.on_death = self._died
 
@@ -129,17 +141,18 @@ class Judge:
 
     # operators
 
-    def asks(self, verb: str, axis: str | None) -> None:
+    def asks(self, verb: str, axis: str | None) -> Asked:
         """An operator is about to ask for something, of an axis that he names or of all."""
-        self._asked.append((self.world.now_ns, verb, axis))
+        self._asked.append(asked := Asked(verb, axis))
+        return asked
 
     def was_asked_to_engage(self, name: str) -> bool:
-        """Whether somebody has lately asked for what engages an axis."""
+        """Whether somebody waits for what engages an axis, or has done so just now."""
         since_ns, names = self.world.now_ns - ASKED_NS, {None, name}
         if self.tie is not None and self.tie.gantry:
             names |= {axis.name for axis in self.axes}  # who arms one half arms both
         return any(
-            t_ns > since_ns and verb in _ENGAGING and axis in names for t_ns, verb, axis in self._asked
+            one.until_ns > since_ns and one.verb in _ENGAGING and one.axis in names for one in self._asked
         )
 
     def told(self, verb: str, reply: dict[str, Any]) -> None:

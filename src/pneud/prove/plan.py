@@ -22,6 +22,7 @@ VIEWED = 0.06  # of the seeds
 TOPICS = ("/axis/tick", "/can/frames", "/events")
 NODES = 0.04  # of the seeds with one axis
 TIED = 0.35  # of the seeds with two
+IMPATIENT = 9  # the operator who waits for no reply for long
 NAMES = ("x", "y")
 TWO, LED, GANTRY, CANOPEN = "two-axes.toml", "led.toml", "gantry.toml", "canopen.toml"
 AXES = {TWO: NAMES, LED: NAMES, GANTRY: ("x1", "x2")}
@@ -89,7 +90,7 @@ def plan_of(seed: int) -> Plan:
         items += _operations(rng, operator, length_s)
     if rng.random() < 0.3:
         items += _nuisance(rng, length_s)
-    items += _asked_meanwhile(random.Random(f"asks {seed}"), at_once)
+    items += _asked_meanwhile(random.Random(f"asks {seed}"), items, at_once)
     plan = Plan(
         seed,
         length_s,
@@ -208,13 +209,19 @@ def _at_once(rng: random.Random, length_s: float) -> list[Item]:
     return [Item(at_s, "stop", stop), Item(at_s + rng.uniform(0.0, 0.01), "kill", kill)]
 
 
-def _asked_meanwhile(rng: random.Random, at_once: list[Item]) -> list[Item]:
-    """While the loop stands and its console is about to die, somebody asks for something."""
-    if not at_once or (at_once[0].what["who"], at_once[1].what["who"]) != ("daemon", "console"):
-        return []
-    verb, fields = rng.choice((("arm", {}), ("goto", {"x_mm": rng.uniform(100.0, 800.0), "attended": True})))
-    at_s = rng.uniform(at_once[0].at_s, at_once[1].at_s)
-    return [Item(at_s, "operator", {"who": 0, "verb": verb, **fields})]
+def _asked_meanwhile(rng: random.Random, items: list[Item], at_once: list[Item]) -> list[Item]:
+    """Somebody asks for something while the loop stands and its console is about to die, or when it has."""
+    found = []
+    if at_once and (at_once[0].what["who"], at_once[1].what["who"]) == ("daemon", "console"):
+        goes = {"x_mm": rng.uniform(100.0, 800.0), "attended": True}
+        verb, fields = rng.choice((("arm", {}), ("goto", goes)))
+        at_s = rng.uniform(at_once[0].at_s, at_once[1].at_s)
+        found.append(Item(at_s, "operator", {"who": 0, "verb": verb, **fields}))
+    for item in items:
+        if item.kind in ("kill", "stop") and item.what["who"] == "console" and rng.random() < 0.3:
+            asks = {"who": IMPATIENT, "verb": "arm", "patience_s": rng.uniform(0.05, 0.5)}
+            found.append(Item(item.at_s + rng.uniform(0.0, 0.5), "operator", asks))
+    return found
 
 
 def _victim(rng: random.Random) -> str:
