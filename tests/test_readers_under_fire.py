@@ -44,7 +44,7 @@ from recorded import Recorded
 from rewritten import rewrite
 
 PATIENCE_S = 2.0
-few, many = pytest.param(100, id="few"), pytest.param(1000, id="many", marks=pytest.mark.slow)
+few, many = pytest.param(50, id="few"), pytest.param(1000, id="many", marks=pytest.mark.slow)
 all_of_them = pytest.param(10_000, id="all", marks=pytest.mark.soak)
 share = pytest.mark.parametrize("count", [few, many, all_of_them])
 DBC = resources.configs() / "pneud.dbc"
