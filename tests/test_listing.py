@@ -47,7 +47,7 @@ def test_logs_with_their_facts(folder: Path) -> None:
     assert not by_name["b.mcap"]["closed"]
     words = pneud_here("logs", folder).stdout
     assert "2 logs" in words
-    assert "without its end" in words
+    assert "goes on, or was cut short" in words
 
 
 def test_the_parts_of_a_run_are_one_log(tmp_path: Path, folder: Path) -> None:

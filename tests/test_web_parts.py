@@ -142,6 +142,19 @@ def test_programs_are_those_of_a_folder_and_what_cannot_be_read_says_why(tmp_pat
     assert Programs(tmp_path / "gone").listed() == NO_PROGRAMS.listed() == []
 
 
+def test_what_the_console_finds_wrong_with_a_program_is_told_with_its_file(tmp_path: Path) -> None:
+    async def talk(desk: Desk, hand: Hand) -> None:
+        await hand.ask("run", 7, {"program": "pick"})
+        for number, kind in ((7, "program"), (7, "busy"), (8, "program")):
+            error = {"type": kind, "message": "run: record 1 (goto): too far"}
+            desk.ends[-1].send(json.dumps({"id": number, "ok": False, "error": error}).encode() + b"\n")
+        while len(desk.told) < 3:
+            await asyncio.sleep(0)
+
+    told = [one["message"] for one in served(talk, folder_of_programs(tmp_path)).told]
+    assert told == ["pick.toml: record 1 (goto): too far", *["run: record 1 (goto): too far"] * 2]
+
+
 @pytest.mark.parametrize(
     "name", ["../pick", "points", "pick.toml", "", None, 3, {"schema": 1}, "bad", "long"]
 )

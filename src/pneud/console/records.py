@@ -25,6 +25,9 @@ LEAST = 1e-3
 LEAST_RAMP_N_S = 1.0  # as the axis takes it
 
 
+UNUSABLE = "program"  # the type of the console's error about a program that it cannot use
+
+
 class ProgramError(Exception):
     """A program cannot be used; one line for a person, with the record and the cure."""
 

@@ -110,7 +110,7 @@ def _as_object(log: ListedLog) -> dict[str, object]:
 def _in_words(log: ListedLog) -> str:
     when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(log.start_unix_s)) if log.start_unix_s else "–"
     parts = f", {log.parts} parts" if log.parts > 1 else ""
-    end = "" if log.closed else ", without its end"
+    end = "" if log.closed else ", goes on, or was cut short"
     size = f"{1e-6 * log.bytes:.1f} MB"
     rate = f"{log.rate_hz:g} Hz"
     return f"{log.path.name:44} {when:19} {log.length_s:8.1f} s {size:>9}  {rate}, {log.bus}{parts}{end}"

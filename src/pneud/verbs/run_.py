@@ -12,7 +12,7 @@ import typer
 from pneud.console import programs
 from pneud.console.client import Client, RefusedError
 from pneud.console.going import Sharing, go_through
-from pneud.console.records import ProgramError
+from pneud.console.records import UNUSABLE, ProgramError
 from pneud.console.results import refused, show
 from pneud.control.program import MOST_STEPS
 from pneud.verbs import (
@@ -25,8 +25,6 @@ from pneud.verbs import (
     VerbError,
 )
 from pneud.view.progress import Report, progress
-
-UNUSABLE = "program"  # what the console says of a program that it cannot use
 
 
 def run_(

@@ -15,7 +15,7 @@ from typing import Any
 
 from pneud.console.endpoint import PlaceError
 from pneud.console.line_stream import MAX_LINE, VERSION, line
-from pneud.console.records import ProgramError
+from pneud.console.records import UNUSABLE, ProgramError
 from pneud.web.programs import Programs
 
 ORDERS: dict[str, tuple[str, ...]] = {  # what a page may ask, with the fields that it may give
@@ -71,6 +71,7 @@ class Hand:
         self._tell = tell
         self._programs = programs
         self._axis = {"axis": axis} if axis is not None else {}
+        self._run = (-1, "")  # the last request for a program: its number, and the file
         self._writer: asyncio.StreamWriter | None = None
         self._ear: asyncio.Task[None] | None = None
 
@@ -103,7 +104,9 @@ class Hand:
             return
         if "program" in given:
             try:
-                given = {**given, "program": await asyncio.to_thread(self._programs.tree, given["program"])}
+                tree = await asyncio.to_thread(self._programs.tree, given["program"])
+                self._run = (number, f"{given['program']}.toml")
+                given = {**given, "program": tree}
             except ProgramError as e:
                 self._refuse(number, str(e))
                 return
@@ -135,12 +138,20 @@ class Hand:
                 reply = json.loads(found)
                 told = {"reply": reply.get("id"), "ok": bool(reply.get("ok"))}
                 if not told["ok"]:
-                    told["message"] = str(reply.get("error", {}).get("message", ""))
+                    told["message"] = self._why_not(reply)
                 told.update((key, reply[key]) for key in ("gains", "changed", "state") if key in reply)
                 self._tell(told)
         writer.close()
         if self._writer is writer:
             self._writer = None
+
+    def _why_not(self, reply: dict[str, Any]) -> str:
+        """Why something is not done; what is wrong with a program is told with its file."""
+        error, (number, file) = reply.get("error", {}), self._run
+        message = str(error.get("message", ""))
+        if error.get("type") == UNUSABLE and reply.get("id") == number:
+            return f"{file}: {message.removeprefix('run: ')}"
+        return message
 
     async def let_go(self) -> None:
         """Hang up: the lease is given back, and what needed an operator is held."""

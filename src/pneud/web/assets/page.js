@@ -157,7 +157,7 @@
     set("done", status.done ? `in its life: ${status.done}` : "");
     const p = status.program;
     set("program", !p ? "none under way" : `${p.name || "a program"}: ${p.stage.replace("_", " ")}, record ${p.record}`
-      + (p.of ? ` of ${p.of}` : "") + (p.words ? ` (${p.words})` : "") + `, ${p.cycle} cycles done`);
+      + (p.of ? ` of ${p.of}` : "") + (p.words ? ` (${p.words})` : "") + `, ${p.cycle} cycle${p.cycle === 1 ? "" : "s"} done`);
     at("resume").hidden = !(p && p.stage === "stopped");
     set("who", status.lease ? `commanded by process ${status.lease.pid} of user ${status.lease.uid}` : "nobody commands");
   }
@@ -365,7 +365,7 @@
       link.href = `reports/${encodeURIComponent(log.name)}`; link.target = "_blank"; link.rel = "noopener";
       link.textContent = "report"; link.ariaLabel = `report on ${log.name}`;
       const began = log.start ? new Date(1e3 * log.start).toLocaleString() : "–";
-      for (const content of [began, link, `${log.length_s.toFixed(1)} s${log.closed ? "" : ", goes on"}`, size(log.bytes), log.name]) {
+      for (const content of [began, link, `${log.length_s.toFixed(1)} s${log.closed ? "" : ", goes on, or was cut short"}`, size(log.bytes), log.name]) {
         const cell = document.createElement("td");
         cell.append(content); row.append(cell);
       }
