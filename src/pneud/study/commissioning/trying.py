@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from pneud.study.commissioning.found import Found
 from pneud.study.commissioning.verification import Verified
 
-NO_WORSE = math.log(2.0)  # beyond the limits: by some of it do two verifications of one axis differ
+NO_WORSE = math.log(3.0)  # beyond the limits: by some of it do two verifications of one axis differ
 
 
 class Attempt(NamedTuple):
@@ -44,7 +44,7 @@ def excess(v: Verified, names: Collection[tuple[str, str]] | None = None) -> flo
 
 
 def is_worse(after: Verified, before: Verified | None) -> bool:
-    """Whether an axis ends its verification early, or misses twice as much of what was looked at before."""
+    """Whether an axis ends its verification early, or misses three times as much of what was seen before."""
     if after.failure or before is None or before.failure:
         return bool(after.failure)
     names = {(f.part, f.what) for f in before.figures}
