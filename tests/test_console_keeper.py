@@ -231,6 +231,20 @@ def test_a_signal_to_the_keeper_reaches_the_console_and_a_group_kill_does_not(ke
     assert kept.console == first
 
 
+def test_a_signal_that_comes_while_there_is_no_console_is_for_the_next_one(hasty: None, kept: Kept) -> None:
+    eventually(kept.lives)
+    os.kill(kept.console, signal.SIGKILL)
+    eventually(lambda: kept.ring.console_ns == CONSOLE_GONE)
+    os.kill(kept.keeper, signal.SIGHUP)
+    heard: list[str] = []
+
+    def told() -> bool:
+        heard.append(kept.said())
+        return any("SIGHUP: tune from the file" in words for words in heard)
+
+    eventually(told)
+
+
 def test_a_console_ends_with_the_run(kept: Kept) -> None:
     eventually(kept.lives)
     console = kept.console

@@ -70,6 +70,12 @@ class _Keeper:
         self._begun_ns = 0
         self._before = 0  # consoles that have been started
         self._at_once = 0  # of them the last ones that died at once
+        self._hung_up = False  # a SIGHUP has come that no console has had yet
+
+    @property
+    def _begun(self) -> bool:
+        """Whether there is a console that has begun, and hears signals."""
+        return self._console != 0 and self._post.ring.console_ns > self._begun_ns
 
     def _over(self) -> bool:
         return self._post.ring.closed or os.getppid() != self._daemon
@@ -97,9 +103,11 @@ class _Keeper:
             crew.kill(self._console)
 
     def _sleep(self, longest_s: float) -> None:
-        """Until something happens, or for so long; a SIGHUP is passed on."""
+        """Until something happens, or for so long; a SIGHUP is passed on, to the next console if need be."""
         happened = signal.sigtimedwait(_WAKE, longest_s)
-        if happened is not None and happened.si_signo == signal.SIGHUP and self._console:
+        self._hung_up |= happened is not None and happened.si_signo == signal.SIGHUP
+        if self._hung_up and self._begun:
+            self._hung_up = False
             with suppress(ProcessLookupError):
                 os.kill(self._console, signal.SIGHUP)
 
