@@ -275,6 +275,42 @@ def test_a_key_is_found_on_the_line_it_stands_on(data: st.DataObject) -> None:
         assert line_of(text, key) == line
 
 
+@pytest.mark.parametrize(
+    ("key", "line"),
+    [
+        ("play", 2),
+        ("play.0.do", 3),
+        ("play.1", 5),
+        ("play.1.move.by_m", 7),
+        ("play.1.by_m", 7),
+        ("play.1.move.to_mm", 5),
+        ("bus.nodes.0.id", 10),
+        ("bus.nodes.1.id", 12),
+        ("bus.nodes.1.extra.x", 14),
+        ("bus.rate", 16),
+    ],
+)
+def test_a_key_of_one_of_several_tables_is_found_in_that_one(key: str, line: int) -> None:
+    text = """
+[[play]]
+do = "sine"
+
+[[play]]
+do = "move"
+by_m = 1
+
+[[bus.nodes]]
+id = 1
+[[bus.nodes]]
+id = 2
+[bus.nodes.extra]
+x = 1
+[bus]
+rate = 1
+"""
+    assert line_of(text, key.split(".")) == line
+
+
 def test_the_page_of_all_keys_is_what_the_models_say() -> None:
     made = subprocess.run(
         [sys.executable, "docs/generators/configuration.py"],

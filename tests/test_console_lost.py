@@ -69,7 +69,7 @@ def test_it_comes_to_rest_and_is_operated_again(tmp_path: Path, activity: str, n
             at_s = lost(run, number)
         if number == signal.SIGKILL:  # whoever calls now is served by the next console
             done = pneud_here("stop", "--socket", run.socket)
-            assert done.returncode == 0 or "not while the axis is fault" in done.stderr, done.stderr
+            assert done.returncode == 0 or "not while the axis is in fault" in done.stderr, done.stderr
         eventually(lambda: run.status() == ("fault", ["console_lost"]))
         shown = pneud_here("status", "--socket", run.socket)
         assert "fault console_lost (latched; controlled stop): none but to clear and arm" in shown.stdout

@@ -21,19 +21,46 @@ def line_of(text: str, where: Sequence[str]) -> int:
 
     Args:
         text: TOML that can be parsed.
-        where: the tables and the key.
+        where: the tables and the key; of tables that come one after the other each by its number, from 0, and
+            behind it, as pydantic has it, perhaps the kind of table that it is.
     """
-    wanted, table = tuple(where), ()  # type: tuple[str, ...], tuple[str, ...]
+    wanted = tuple(where)
+    kindless = {wanted[: n + 1] + wanted[n + 2 :] for n, part in enumerate(wanted) if part.isdecimal()}
     best, length = 0, 0
-    for number, line in enumerate(text.splitlines(), start=1):
-        found: tuple[str, ...] = ()
-        if head := _TABLE.match(line):
-            found = table = _parts(head.group(1))
-        elif key := _KEY.match(line):
-            found = (*table, *_parts(key.group(1)))
-        if length < len(found) <= len(wanted) and found == wanted[: len(found)]:
-            best, length = number, len(found)
+    for number, found in _places(text):
+        for path in (wanted, *kindless):
+            if length < len(found) <= len(path) and found == path[: len(found)]:
+                best, length = number, len(found)
     return best
+
+
+def _places(text: str) -> Iterator[tuple[int, tuple[str, ...]]]:
+    """Lines with the keys and tables that stand there."""
+    table: tuple[str, ...] = ()
+    counts: dict[tuple[str, ...], int] = {}
+    for number, line in enumerate(text.splitlines(), start=1):
+        if head := _TABLE.match(line):
+            *above, name = _parts(head.group(1))
+            table = (*_counted(above, counts), name)
+            if line.lstrip().startswith("[["):
+                counts[table] = counts.get(table, -1) + 1
+                yield number, table
+            table = _counted((name,), counts, table[:-1])
+            yield number, table
+        elif key := _KEY.match(line):
+            yield number, (*table, *_parts(key.group(1)))
+
+
+def _counted(
+    names: Sequence[str], counts: dict[tuple[str, ...], int], above: tuple[str, ...] = ()
+) -> tuple[str, ...]:
+    """The names of tables, behind each that comes again and again the number of the last one."""
+    found = above
+    for name in names:
+        found = (*found, name)
+        if found in counts:
+            found = (*found, str(counts[found]))
+    return found
 
 
 def keys_of(model: type[BaseModel], path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:

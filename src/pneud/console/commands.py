@@ -362,7 +362,7 @@ class AxisDesk:
         more: dict[str, Any] = {"state": state}
         match kind:
             case Answer.WRONG_STATE:
-                text = f"{words}: not while the axis is {state}"
+                text = f"{words}: not while the axis is {'in fault' if state == State.FAULT.label else state}"
                 if words.partition(" ")[0].rstrip(",") in _LEADS:
                     text += _FIRST.get(state, "")
                 if words.startswith("run") and state in _STEERED:

@@ -106,7 +106,7 @@ def load_scenario(file: str | Path) -> Scenario:
     except TomlError as e:
         raise ConfigError(f"{path}: {e}") from None
     except ValidationError as e:
-        raise ConfigError(f"{path}: {explain(e)}") from None
+        raise ConfigError(f"{path}: {explain(e, text)}") from None
 
 
 def in_simulation(scenario: Scenario) -> Scenario:
