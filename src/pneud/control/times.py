@@ -12,4 +12,5 @@ def over_ns(time_s: float, period_ns: int) -> int:
         time_s: that was asked for.
         period_ns: of the ticks.
     """
-    return max(0, round(time_s * 1e9) - period_ns // 2)
+    half_ns = round(0.5 * period_ns - 0.25)  # rounded down, without //, of which there is no counterpart in C
+    return max(0, round(time_s * 1e9) - half_ns)
