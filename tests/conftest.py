@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import gc
+import importlib
 import socket
 import sys
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -32,6 +35,16 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     kept = getattr(getattr(session.config, "failures_db", None), "sock", None)
     if kept is not None:
         kept.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    config, worker = session.config, getattr(session.config, "workerinput", {"workercount": 0})
+    if worker["workercount"] > 1 and config.args_source == config.ArgsSource.TESTPATHS:
+        load_share(int(worker["workerid"].removeprefix("gw")), worker["workercount"])
+
+
+def load_share(number: int, workers: int) -> None:
+    """Load a part of the tests first: in a fresh checkout no worker compiles what another one does."""
+    for file in sorted(Path(__file__).parent.glob("test_*.py"))[number % workers :: workers]:
+        with suppress(Exception, pytest.skip.Exception):  # which is told when it is collected
+            importlib.import_module(file.stem)
 
 
 @pytest.fixture(autouse=True)
