@@ -46,7 +46,7 @@ contracts: $(DEV) ## who may import whom
 	@exec $(BIN)/lint-imports --no-logo
 
 ci-tests: $(DEV) ## the tests that take longer
-	@$(BIN)/python -m pytest $(WORKERS) -m 'slow and not realtime' $(addprefix --ignore ,$(LATER)) $(ARGS); others=$$?; \
+	@$(BIN)/python -m pytest $(WORKERS) -m 'slow and not realtime' $(ARGS); others=$$?; \
 	  $(BIN)/python -m pytest -m 'slow and realtime' $(ARGS) && exit $$others
 
 coverage: $(DEV) ## every branch of safety/ and control/ is taken by a test of theirs

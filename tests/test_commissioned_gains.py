@@ -175,7 +175,7 @@ def test_gains_are_the_fastest_that_hold(
     monkeypatch.setattr(judging, "judges", lambda _processes: Judges())
     chosen = choose(found, FOUND, 0.0)
     assert chosen.holds is not kept
-    assert {count for lengths, count in tried if lengths == WHOLE} == {15}
+    assert {count for lengths, count in tried if lengths == WHOLE} == {len(spread(plant_of(found), FOUND))}
     assert max(count for lengths, count in tried if lengths != WHOLE) == 3
     values = chosen.values(found)
     assert all(name.startswith("control.") for name in values)
