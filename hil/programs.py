@@ -198,9 +198,10 @@ def read(axes: Together, found: programs.Compiled, logs: Path, cycles: int) -> I
         rounds_s = passing.rounds_s() or [0.0]
         # of the first round nobody knows when it would have begun
         even_s = [s for lap, s in enumerate(rounds_s, 1) if lap not in stalled]
-        apart_s = apart(even_s), apart(rounds_s)
-        few = len(rounds_s) - len(even_s)
-        yield Rounds(name, done, wrong, few, *apart_s, max(rounds_s), identical(log))
+        yield Rounds(
+            name, done, wrong, len(rounds_s) - len(even_s), apart(even_s), apart(rounds_s),
+            max(rounds_s), identical(log),
+        )  # fmt: skip
 
 
 def main() -> int:

@@ -156,6 +156,15 @@ def twin(rig: Rig) -> Rig:
     return copy.deepcopy(rig, {id(part): part for part in shared})
 
 
+def in_position_without(rig: Rig, source: int, missing: range, ticks: int) -> list[int]:
+    """Whether the axis is in position, tick by tick; in some of them a source's frame does not come."""
+    found = []
+    for i in range(ticks):
+        rig.frame = lambda f, i=i: None if f.can_id == source and i in missing else f  # type: ignore[misc]
+        found.append(rig.tick().in_position)
+    return found
+
+
 def assert_smooth(ticks: list[Tick], bounds: Bounds, room: float = 1.0) -> None:
     """Position, velocity and acceleration of the reference never step, and the jerk keeps its bound."""
     jerk = room * bounds.jerk_m_s3

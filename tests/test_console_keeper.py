@@ -215,19 +215,23 @@ def test_a_console_dies_with_its_keeper_and_falls_silent(kept: Kept) -> None:
     assert kept.words.gone
 
 
+def eventually_says(kept: Kept, words: str) -> None:
+    heard: list[str] = []
+
+    def told() -> bool:
+        heard.append(kept.said())
+        return any(words in said for said in heard)
+
+    eventually(told)
+
+
 def test_a_signal_to_the_keeper_reaches_the_console_and_a_group_kill_does_not(kept: Kept) -> None:
     eventually(kept.lives)
     first = kept.console
     for pid in (kept.keeper, first):
         os.kill(pid, signal.SIGTERM)
     os.kill(kept.keeper, signal.SIGHUP)
-    heard: list[str] = []
-
-    def told() -> bool:
-        heard.append(kept.said())
-        return any("SIGHUP: tune from the file" in words for words in heard)
-
-    eventually(told)
+    eventually_says(kept, "SIGHUP: tune from the file")
     assert kept.console == first
 
 
@@ -236,13 +240,7 @@ def test_a_signal_that_comes_while_there_is_no_console_is_for_the_next_one(hasty
     os.kill(kept.console, signal.SIGKILL)
     eventually(lambda: kept.ring.console_ns == CONSOLE_GONE)
     os.kill(kept.keeper, signal.SIGHUP)
-    heard: list[str] = []
-
-    def told() -> bool:
-        heard.append(kept.said())
-        return any("SIGHUP: tune from the file" in words for words in heard)
-
-    eventually(told)
+    eventually_says(kept, "SIGHUP: tune from the file")
 
 
 def test_a_console_ends_with_the_run(kept: Kept) -> None:

@@ -8,7 +8,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from axis_rig import ARM, DISARM, PRESSURE, H, Rig, loaded, quick, ready, tracking, twin
+from axis_rig import (
+    ARM,
+    DISARM,
+    PRESSURE,
+    H,
+    Rig,
+    in_position_without,
+    loaded,
+    quick,
+    ready,
+    tracking,
+    twin,
+)
 from pneud.compiled.backend import INTERPRETED
 from pneud.config.conversions import axis_of, pressing_of
 from pneud.control import force
@@ -91,11 +103,7 @@ def test_a_force_counts_as_reached_in_a_tick_whose_pressures_were_read(quickly: 
         rig = twin(_held())
         rig.go_on(quick() if quickly else INTERPRETED)
         rig.tick(FORCE, *asked())
-        found = []
-        for i in range(300):
-            rig.frame = lambda f, i=i: None if f.can_id == PRESSURE and i in missing else f  # type: ignore[misc]
-            found.append(rig.tick().in_position)
-        return found
+        return in_position_without(rig, PRESSURE, missing, 300)
 
     usual = said(range(0))
     first = usual.index(1)

@@ -17,12 +17,12 @@ pytest.importorskip("greenlet")
 
 from historical import MISTAKES
 from pneud.loop.loop import Loop
-from pneud.prove.plan import NAMES, OTHERS, TOPICS, TWO, Item, Plan, plan_of
+from pneud.prove.plan import NAMES, OTHERS, TWO, Item, Plan, plan_of
 from pneud.prove.run import Bench, shrunk
 from pneud.rt.outputs import write_whole
 from pneud.verbs import VerbError
 from pneud.verbs.prove import prove
-from pneud.view.viewers import _Publisher
+from pneud.view.viewers import TOPICS, _Publisher
 
 CI_SEEDS = 200
 SOAK_SEEDS = int(os.environ.get("PNEUD_SEEDS", "100000"))

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from axis_rig import ENCODER, Rig, loaded, quick, ready
+from axis_rig import ENCODER, Rig, in_position_without, loaded, quick, ready
 from pneud.axis.standing import AT_WORK, Expected, Standing, cause, judge
 from pneud.compiled.backend import INTERPRETED
 from pneud.config.conversions import axis_of, expected_of, plant_of
@@ -217,11 +217,7 @@ def test_an_axis_is_not_in_position_by_an_estimate_that_is_led_on(quickly: bool)
         rig = ready()
         rig.go_on(quick() if quickly else INTERPRETED)
         rig.tick(RequestKind.ARM)
-        found = []
-        for i in range(400):
-            rig.frame = lambda f, i=i: None if f.can_id == ENCODER and i in missing else f  # type: ignore[misc]
-            found.append(rig.tick().in_position)
-        return found
+        return in_position_without(rig, ENCODER, missing, 400)
 
     usual = said(range(0))
     first = usual.index(1)

@@ -27,8 +27,8 @@ FAR = 1e9  # stands for no bound
 MOTION_TIMEOUT_S = 60.0  # that a motion has, unless it says otherwise
 FAST_TOLERANCE = 10.0  # times the tolerance of a load in position
 _BOUNDS = (
-    *((f"{side}_mm", side, "mm") for side in ("above", "below")),
-    *((f"{side}_n", side, "N") for side in ("above", "below")),
+    *(("above_mm", "above", "mm"), ("below_mm", "below", "mm")),
+    *(("above_n", "above", "N"), ("below_n", "below", "N")),
 )
 MOST_WALKED = 20_000  # steps that are gone through to see where relative ways lead
 ROUNDING_M = 1e-9

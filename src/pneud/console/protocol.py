@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import from_json
 
 from pneud.console.line_stream import VERSION, line
+from pneud.console.records import UNUSABLE
 
 MAX_PIECES = 32  # of a profile in one line
 
@@ -34,7 +35,7 @@ class Error(StrEnum):
     CONFIGURATION = "configuration"  # the file cannot be used
     OUT_OF_TRAVEL = "out_of_travel"
     BEYOND_LIMITS = "beyond_limits"
-    PROGRAM = "program"  # it cannot be used: which record, and why
+    PROGRAM = UNUSABLE  # it cannot be used: which record, and why
 
 
 class ProtocolError(Exception):

@@ -80,7 +80,7 @@ class Tally:
         self.ever_latched |= tick.latched
         self.amiss.add(tick.measurement)
         if ending:
-            self._close(record)
+            self.close(tick.measurement.skipped, record.timing.lateness_ns)
             return
         self.ticks += 1
         self.state = tick.state
@@ -106,12 +106,16 @@ class Tally:
             tick.command.voltage_v,
         )
 
-    def _close(self, record: Record) -> None:
-        """What the first tick behind the end says of the time before: a stall that went on to it."""
-        skipped = record.tick.measurement.skipped
+    def close(self, skipped: int, lateness_ns: int) -> None:
+        """What the first tick behind the end says of the time before: a stall that went on to it.
+
+        Args:
+            skipped: ticks left out before it; of those behind it none count.
+            lateness_ns: of its wake-up.
+        """
         if skipped and self._timed and not self._closed:
             self.skipped += skipped
-            self.lateness.add(record.timing.lateness_ns)
+            self.lateness.add(lateness_ns)
         self._closed = True
 
     def asked_to_arm(self, tick: Tick) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from pneud.log.files.columns import blocks
 from pneud.log.files.reader import LogReader
 from pneud.log.files.table import Column, TickTable, about
-from pneud.rt.extras import lack
+from pneud.rt.extras import extra_of, lack
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 WORDS = ("state_name", "fault_names")
-EXTRAS = {"pandas": "frames", "polars": "frames", "xarray": "frames", "pyarrow": "parquet"}
 
 
 def require(library: str) -> Any:
@@ -35,7 +34,7 @@ def require(library: str) -> Any:
     try:
         return import_module(library)
     except ImportError:
-        raise lack("this", EXTRAS[library], [library]) from None
+        raise lack("this", extra_of(library), [library]) from None
 
 
 def columns(log: LogReader, wanted: Sequence[str] | None = None) -> dict[str, Column]:

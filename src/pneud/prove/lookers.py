@@ -9,14 +9,13 @@ from types import SimpleNamespace
 from typing import Any
 
 from pneud.daemon.places import ViewersPlace
-from pneud.log.format.schema import EVENTS, FRAMES, TICK
+from pneud.log.format.schema import TICK
 from pneud.prove.judge import Judge
 from pneud.prove.pipes import Listener
 from pneud.prove.world import World
 from pneud.view.admission import Admission
 
 NAME = "viewers"  # of the process
-TOPICS = (TICK, FRAMES, EVENTS)
 SEAMS: dict[str, tuple[str, ...]] = {"pneud.view.viewers": ("os", "signal", "sys", "time")}
 """As of `seams`, where somebody looks on."""
 

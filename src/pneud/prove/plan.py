@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection
 from typing import Any, NamedTuple
 
 from pneud.prove.canbus import ALL
+from pneud.view.viewers import TOPICS
 
 RATES_HZ = (100.0, 200.0)
 PERIOD_S = 0.005  # that troubles are measured by
@@ -19,7 +20,6 @@ _RIG_BEGINS_S = 0.1  # the manager starts the daemon somewhat later
 _GOOD, _BAD = "good", "bad"
 TWO_AXES, SERVICE, SHOWN = 0.25, 0.4, 0.1  # of the seeds; of the rest, the last
 VIEWED = 0.06  # of the seeds
-TOPICS = ("/axis/tick", "/can/frames", "/events")
 NODES = 0.04  # of the seeds with one axis
 TIED = 0.35  # of the seeds with two
 IMPATIENT = 9  # the operator who waits for no reply for long

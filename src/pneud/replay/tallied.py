@@ -37,7 +37,7 @@ class Tallied:
         """Nothing has happened; as for `Tally`."""
         self.tally = Tally(truth=truth, timed=timed, sync=sync)
         self._timed = timed
-        self._ended = self._closed = False
+        self._ended = False
 
     def add(self, block: Block) -> None:
         """Take the ticks of a block."""
@@ -53,7 +53,8 @@ class Tallied:
         if end:
             self._count(block if end == count else block.part(0, end))
         if self._ended and end < count:
-            self._close(block, end)
+            ticks = block.ticks
+            self.tally.close(int(ticks["measurement.skipped"][end]), int(ticks["timing.lateness_ns"][end]))
 
     def _end_of(self, block: Block) -> int:
         """How many of its ticks come before the run was told to end."""
@@ -64,14 +65,6 @@ class Tallied:
                 self._ended = True
                 return index + taken  # a restart begins with the next tick
         return len(block.number)
-
-    def _close(self, block: Block, index: int) -> None:
-        """A stall that went on to the first tick behind the end, as in `Tally`."""
-        skipped = int(block.ticks["measurement.skipped"][index])
-        if skipped and self._timed and not self._closed:
-            self.tally.skipped += skipped
-            self.tally.lateness.add(int(block.ticks["timing.lateness_ns"][index]))
-        self._closed = True
 
     def _count_amiss(self, block: Block) -> None:
         ticks = block.ticks

@@ -32,6 +32,11 @@ def cure(extra: str) -> str:
     return f"pip install 'pneud[{extra}]'"
 
 
+def extra_of(module: str) -> str:
+    """The extra that a module comes with."""
+    return next(extra for extra, modules in EXTRAS.items() if module in modules)
+
+
 def missing(extra: str) -> list[str]:
     """Modules of an extra that are not installed."""
     return [module for module in EXTRAS[extra] if find_spec(module) is None]

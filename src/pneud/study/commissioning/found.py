@@ -43,7 +43,3 @@ class Found(NamedTuple):
             ConfigError: it is none that can be used.
         """
         return written.text_with(self.loaded.text, str(self.loaded.path), self.changes, self.source)
-
-    def with_gains(self, chosen: Chosen) -> Found:
-        """The same with other gains."""
-        return self._replace(chosen=chosen)

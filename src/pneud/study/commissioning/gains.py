@@ -130,7 +130,7 @@ def otherwise(plant: PlantParameters, moved: Moved | None) -> PlantParameters | 
     """The plant with the other kind of friction, where that explains about as much; None where not."""
     if moved is None or moved.other is None:
         return None
-    x = dict(zip(moved.other.keys, moved.other.x.tolist(), strict=True))
+    x = moved.other.by_key
     friction = plant.friction._replace(
         static_n=x["coulomb"] * (1.0 + x["static"]),
         coulomb_n=x["coulomb"],

@@ -66,7 +66,7 @@ def verdict(v: Verified) -> str:
 
 def gains(chosen: Chosen) -> str:
     """In a line: what the gains are, and what they were judged by."""
-    which = "kept" if chosen.bandwidth_rad_s is None else f"for {chosen.bandwidth_rad_s:.4g} rad/s"
+    which = _which(chosen.bandwidth_rad_s)
     if not chosen.judged:
         return "; ".join([f"gains: {which}", *chosen.doubts])
     missed = sum(len(j.missed) for j in chosen.judged)
@@ -78,11 +78,14 @@ def tried(attempts: Sequence[Attempt]) -> list[str]:
     """What became of each gains on the rig, a line each, where there was more than one."""
     lines = []
     for one in attempts if len(attempts) > 1 else ():
-        which = "kept" if one.bandwidth_rad_s is None else f"for {one.bandwidth_rad_s:.4g} rad/s"
         count, missed = len(one.after.figures), len(one.after.missed)
         words = f"ended by {one.after.words}" if one.after.failure else f"{missed} of {count} figures missed"
-        lines.append(f"tried on the rig: gains {which}: {words}")
+        lines.append(f"tried on the rig: gains {_which(one.bandwidth_rad_s)}: {words}")
     return lines
+
+
+def _which(bandwidth_rad_s: float | None) -> str:
+    return "kept" if bandwidth_rad_s is None else f"for {bandwidth_rad_s:.4g} rad/s"
 
 
 def _by_name(v: Verified | None) -> dict[tuple[str, str], Figure]:

@@ -156,7 +156,7 @@ def _tried(bench: Bench, found: Found, keep: bool, talk: Talk) -> list[Attempt]:
         if slower is None:
             return tried
         talk.say(f"that is beyond its limits; slower gains, for {slower.bandwidth_rad_s:.4g} rad/s")
-        found = found.with_gains(slower)
+        found = found._replace(chosen=slower)
 
 
 def _of_the_loop(faults: tuple[str, ...]) -> bool:

@@ -145,7 +145,7 @@ def _first_fit(w: chambers.Windows, t: Table, c: Config, noise_pa: float) -> Val
 
 
 def _values(valved: Valved) -> dict[str, float]:
-    return dict(zip(valved.fit.keys, valved.fit.x.tolist(), strict=True))
+    return valved.fit.by_key
 
 
 def _guess(keys: Sequence[str], columns: Floats, rig: chambers.Rig) -> chambers.Guess:
@@ -231,7 +231,7 @@ def _by_step(found: Fit, step_m: float) -> Floats:
 
     That share of their stiffness, and of the damping with which the load would swing no more on them.
     """
-    x = dict(zip(found.keys, found.x.tolist(), strict=True))
+    x = found.by_key
     share = step_m / (x["coulomb"] * (1.0 + x["static"]) / x["stiffness"])
     off = {"stiffness": share * x["stiffness"], "damping": share * math.sqrt(x["stiffness"] * x["mass"])}
     return np.array([off.get(key, 0.0) for key in found.keys])

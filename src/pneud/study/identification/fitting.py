@@ -62,6 +62,11 @@ class Fit(NamedTuple):
         Floats  # what each parameter has moved by where something was done otherwise that should not matter
     )
 
+    @property
+    def by_key(self) -> dict[str, float]:
+        """The parameters."""
+        return dict(zip(self.keys, self.x.tolist(), strict=True))
+
     def found(self, **parts: float) -> Found:
         """A sum of parameters, each times a factor, with its interval."""
         factors = np.array([parts.get(key, 0.0) for key in self.keys])
