@@ -266,6 +266,18 @@ def test_who_does_not_hold_keeps_all_from_going(desk: Bench) -> None:
     assert desk.taken[-1] == {"x": Request(RequestKind.HOLD)}
 
 
+def test_what_all_go_through_is_handed_over_as_theirs_and_goes_on_with_all(desk: Bench) -> None:
+    desk.stands(0.4, 0.4)
+    tree = {"schema": 1, "record": [{"do": "wait", "for_s": 1.0}]}
+    assert desk.ask("run", program=tree)["records"] == 1
+    first, step, begun = desk.taken
+    assert first == dict.fromkeys(NAMES, Request(RequestKind.RECORD, (1.0, 1.0)))
+    assert begun == dict.fromkeys(NAMES, Request(RequestKind.RUN, (1.0, 1.0, 1.0)))
+    error = desk.ask("run", axis="x")["error"]
+    assert "x and y go through their program together: leave out the axis" in error["message"]
+    assert desk.taken == [first, step, begun]
+
+
 def going(desk: Bench, name: str, x: float) -> None:
     n = NAMES.index(name)
     desk.ticks[n] = tick(State.MOVING)._replace(reference=Reference(x, 0.1, 0.0, 0.0))

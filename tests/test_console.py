@@ -390,15 +390,15 @@ def test_an_upload_whose_client_goes_leaves_nothing(desk: Bench) -> None:
 
 
 PROGRAM = {"schema": 1, "record": [{"do": "wait", "for_s": 1.0}]}
-HALVES: dict[str, tuple[RequestKind, dict[str, Any]]] = {
-    "upload": (RequestKind.PIECE, {"first": True, "pieces": [PIECE]}),
-    "run": (RequestKind.RECORD, {"program": PROGRAM}),
+HALVES: dict[str, tuple[Request, dict[str, Any]]] = {
+    "upload": (Request(RequestKind.PIECE), {"first": True, "pieces": [PIECE]}),
+    "run": (Request(RequestKind.RECORD, (1.0, 0.0)), {"program": PROGRAM}),
 }
 
 
 @pytest.mark.parametrize("verb", HALVES)
 def test_what_is_handed_over_in_part_when_its_client_goes_is_undone(desk: Bench, verb: str) -> None:
-    (kind, fields), client = HALVES[verb], desk.connect()
+    (first, fields), client = HALVES[verb], desk.connect()
     desk.answer = lambda _: None  # yet: the first part is on its way
     desk.tell(client, message(verb, **fields))
     client.close()
@@ -406,16 +406,16 @@ def test_what_is_handed_over_in_part_when_its_client_goes_is_undone(desk: Bench,
     desk.answer = lambda _: Answer.TAKEN
     desk.loop.answer(tick_at(1)._replace(answer=Answer.TAKEN, state=int(State.HOLDING)))
     desk.turn()
-    assert desk.requests == [Request(kind), Request(kind)], "emptied, and emptied again"
+    assert desk.requests == [first, Request(first.kind)], "begun, and emptied"
 
 
 @pytest.mark.parametrize("verb", HALVES)
 def test_what_was_refused_from_the_beginning_takes_nothing_of_anothers_away(desk: Bench, verb: str) -> None:
-    kind, fields = HALVES[verb]
+    first, fields = HALVES[verb]
     desk.answer = lambda _: Answer.WRONG_STATE
     assert desk.error(desk.connect(), verb, **fields) == "wrong_state"
     desk.turn()
-    assert desk.requests == [Request(kind)]
+    assert desk.requests == [first]
 
 
 def test_an_upload_that_is_left_for_a_program_is_undone(desk: Bench) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Callable, Iterator
 from itertools import pairwise
@@ -37,7 +38,7 @@ from pneud.safety.faults import BLOCKS_ARM, F, names
 from pneud.safety.supervisor import is_engaged
 from pneud.safety.unnoticed import unnoticed
 from pneud.scenario.format import Scenario
-from pneud.signals import Frame, Hold, Record, Request, RequestKind, State
+from pneud.signals import Answer, Frame, Hold, Record, Request, RequestKind, State
 from pure2c import compile_functions
 from several import FOLDER, text_of
 
@@ -147,9 +148,13 @@ def faults(record: Record) -> list[str]:
     return names(record.tick.present | record.tick.latched)
 
 
-def steps(loaded: Loaded, *records: dict[str, Any]) -> tuple[Step, ...]:
+def whole(loaded: Loaded, *records: dict[str, Any]) -> programs.Compiled:
     tree = {"schema": 1, "record": list(records)}
-    return programs.compiled(tree, [programs.facts_of(loaded.config)]).steps[0]
+    return programs.compiled(tree, [programs.facts_of(loaded.config)])
+
+
+def steps(loaded: Loaded, *records: dict[str, Any]) -> tuple[Step, ...]:
+    return whole(loaded, *records).steps[0]
 
 
 GO, WAIT = {"do": "goto", "to_mm": 470.0}, {"do": "wait", "for_s": 0.02}
@@ -254,6 +259,65 @@ def test_a_start_that_can_begin_nothing_is_told_for_a_second() -> None:
     press(run)  # one that was stopped goes on by a person
     assert all(r.tick.progress.stage == 1 for r in run.ticks(50))
     assert "start_refused" in faults(run.records[-1])
+
+
+def test_a_start_in_the_middle_of_a_hand_over_begins_nothing_and_is_told() -> None:
+    loaded = axis()
+    found = whole(loaded, GO, WAIT, GO | {"to_mm": 250.0})
+    handed = programs.requests(found)
+    for given in range(1, len(handed)):
+        run = Run(loaded)
+        run.armed()
+        run.load(*found.steps[0])  # one that was whole is not, once another one comes
+        for request in handed[:given]:
+            run.tick(request)
+        press(run)
+        run.until(lambda r: "start_refused" in faults(r), 20)
+        assert run.tick(Request(RUN, (1.0, 1.0, 0.0))).tick.answer == Answer.NO_PROFILE
+        for request in handed[given:]:
+            assert run.tick(request).tick.answer == Answer.TAKEN
+        assert all(r.tick.progress.stage == 0 for r in run.records)
+        press(run)
+        run.until(lambda r: r.tick.progress.step == 1, 20)
+
+
+def test_a_start_in_a_tick_that_takes_a_step_is_refused_and_told() -> None:
+    loaded = axis()
+    run = Run(loaded)
+    run.armed()
+    press(run)
+    before = run.until(lambda r: "start_refused" in faults(r), 20)
+    run.ticks(1200)
+    run.put("start", False)
+    run.ticks(15)
+    run.put("start", True)
+    for _ in range(20):  # in one of these it comes on
+        for request in programs.requests(whole(loaded, WAIT)):
+            run.tick(request)
+    assert run.records[-1].tick.progress.stage == 0
+    assert "start_refused" in faults(run.records[-1])
+    assert run.records[-1].tick.t_ns - before.tick.t_ns > 1.1e9
+
+
+def test_a_start_begins_nothing_that_other_axes_go_through_too() -> None:
+    loaded = axis()
+    run = Run(loaded)
+    run.armed()
+    run.tick(Request(RECORD, (1.0, 1.0)))
+    for step in steps(loaded, WAIT):
+        run.tick(Request(RECORD, tuple(map(float, step))))
+    press(run)
+    run.until(lambda r: "start_refused" in faults(r), 20)
+    assert run.records[-1].tick.progress.stage == 0
+
+
+@pytest.mark.parametrize(
+    "values", [(0.0, 0.0), (257.0, 0.0), (2.5, 0.0), (3.0, 2.0), (math.nan, 0.0), (3.0, 0.0, 0.0)]
+)
+def test_steps_that_nobody_can_hand_over_are_not_announced(values: tuple[float, ...]) -> None:
+    run = Run(axis())
+    run.armed()
+    assert run.tick(Request(RECORD, values)).tick.answer == Answer.MALFORMED
 
 
 def press(run: Run) -> None:

@@ -220,10 +220,11 @@ def heed(
         asked = proceed(state, course, e, belief.sampled_ns, t_ns, p)
     elif judged.starts and run.stage < UNDER_WAY:
         asked = started(state, course.present, p)
-    if judged.starts and run.stage < UNDER_WAY and asked.run is None:
-        inputs = inputs._replace(refused_ns=t_ns)
+    idle = run.stage < UNDER_WAY
     if asked.run is not None:
         run = asked.run
+    if judged.starts and idle and run.stage < UNDER_WAY:
+        inputs = inputs._replace(refused_ns=t_ns)
     return asked, run, inputs
 
 

@@ -42,6 +42,8 @@ RECORD, RUN, GO_ON = int(RequestKind.RECORD), int(RequestKind.RUN), int(RequestK
 OWN = (RECORD, RUN, GO_ON)
 ENDS = (HOLD, GOTO, JOG, TRACK, HOME, FORCE)  # whoever asks for one of these takes over from the program
 FIRST_KIND = RECORD
+ANNOUNCING = 2  # values of a RECORD that says how many steps come, and whether other axes share them
+ANNOUNCED = range(1, program.MOST_STEPS + 1)
 MOST_LAPS = 1e9
 MOST_MASSES = 100.0  # of the axis's own, that a workpiece may have
 
@@ -67,7 +69,7 @@ def asked_of(request: Request, state: AxisState, present: int, p: AxisParameters
         return Asked(TAKEN, run=run._replace(stage=DUE))
     if len(values) != 3 or not 0.0 <= values[1] <= MOST_LAPS or values[2] not in (0.0, 1.0):
         return Asked(MALFORMED)
-    if not program.leads(steps):
+    if run.missing > 0 or not program.leads(steps):
         return Asked(NO_PROFILE)
     if state.supervisor.state not in STEERED or run.stage >= UNDER_WAY:
         return Asked(WRONG_STATE)
@@ -90,24 +92,31 @@ def asked_of(request: Request, state: AxisState, present: int, p: AxisParameters
 def started(state: AxisState, present: int, p: AxisParameters) -> Asked:
     """What becomes of the program where the input start comes on: it begins anew, where one is loaded.
 
+    One that several axes go through together is begun by an operator alone: this one would go by itself.
+
     Args:
         state: after the last tick, of an axis without a program under way.
         present: bits of the faults that hold now.
         p: parameters.
     """
-    if state.run.stage == STOPPED:
+    if state.run.stage == STOPPED or state.run.shared != 0:
         return NOTHING
     asked = asked_of(Request(RUN, (1.0, float(p.roles.laps), 0.0)), state, present, p)
     return NOTHING._replace(run=asked.run)
 
 
 def _add(values: tuple[float, ...], state: AxisState, p: AxisParameters) -> Asked:
-    """One more step, or none at all."""
-    if state.run.stage >= UNDER_WAY:
+    """No step at all, those that come announced; or one more of them."""
+    run = state.run
+    if run.stage >= UNDER_WAY:
         return Asked(WRONG_STATE)
-    idle = NO_RUN._replace(mass_kg=state.run.mass_kg, outputs=state.run.outputs)
+    idle = NO_RUN._replace(mass_kg=run.mass_kg, outputs=run.outputs)
     if not values:
         return Asked(TAKEN, program=(), run=idle)
+    if len(values) == ANNOUNCING:
+        if values[0] not in ANNOUNCED or values[1] not in (0.0, 1.0):
+            return Asked(MALFORMED)
+        return Asked(TAKEN, program=(), run=idle._replace(missing=int(values[0]), shared=int(values[1])))
     step = program.step_of(values)
     if step is None or len(state.program) >= program.MOST_STEPS:
         return Asked(MALFORMED)
@@ -118,6 +127,7 @@ def _add(values: tuple[float, ...], state: AxisState, p: AxisParameters) -> Aske
     heavy = step.mass_kg > MOST_MASSES * p.controller.cylinder.M
     if heavy or any(wanted > most for wanted, most in zip(bounds, p.motion, strict=True)):
         return Asked(BEYOND_LIMITS)
+    idle = idle._replace(missing=max(0, run.missing - 1), shared=run.shared)
     return Asked(TAKEN, program=(*state.program, step), run=idle)
 
 

@@ -244,13 +244,16 @@ class AxisDesk:
 
     def _go_through(self, m: protocol.Run) -> Orders:
         if m.program is None:
+            if len(axes := self.shares()) > 1:
+                words = f"run: {' and '.join(axes)} go through their program together: leave out the axis"
+                raise ProtocolError(Error.INVALID, words)
             return Orders("run, from where it was stopped", (_RESUME,), attended=m.attended)
         try:
             found = programs.compiled(m.program, [self.facts()])
             begun = programs.begun(found, m.record, m.cycles)
         except ProgramError as e:
             raise ProtocolError(Error.PROGRAM, f"run: {e}") from None
-        asked = (*programs.requests(found.steps[0]), begun)
+        asked = (*programs.requests(found), begun)
         words = programs.run_in_words(found, m.record, m.cycles)
         if m.load:
             if self._run.config.io.start != "program":

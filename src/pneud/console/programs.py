@@ -32,7 +32,7 @@ _BOUNDS = (
 )
 MOST_WALKED = 20_000  # steps that are gone through to see where relative ways lead
 ROUNDING_M = 1e-9
-EMPTY = Request(RequestKind.RECORD)  # the program of an axis
+EMPTY = Request(RequestKind.RECORD)  # takes the program of an axis away
 
 
 class AxisFacts(NamedTuple):
@@ -124,10 +124,16 @@ def compiled(tree: Mapping[str, Any], axes: Sequence[AxisFacts]) -> Compiled:
     return Compiled(name or "program", tuple(found), names, steps)
 
 
-def requests(steps: Program) -> list[Request]:
-    """What hands the steps to an axis."""
+def requests(found: Compiled, place: int = 0) -> list[Request]:
+    """What hands the steps of an axis over. It is told how many come: none begins before all are there.
+
+    Args:
+        found: the program.
+        place: of the axis among those of the program.
+    """
+    steps = found.steps[place]
     return [
-        EMPTY,
+        Request(RequestKind.RECORD, (float(len(steps)), float(len(found.axes) > 1))),
         *(Request(RequestKind.RECORD, tuple(map(float, step))) for step in steps),
     ]
 

@@ -129,7 +129,7 @@ def run(desks: Sequence[Desk], message: protocol.Run) -> Orders:
         begun = programs.begun(found, message.record, message.cycles)
     except ProgramError as e:
         raise ProtocolError(Error.PROGRAM, f"run: {e}") from None
-    lists = [[*programs.requests(steps), begun] for steps in found.steps]
+    lists = [[*programs.requests(found, place), begun] for place in range(len(found.steps))]
     steps = tuple(dict(zip(chosen, each, strict=True)) for each in zip(*lists, strict=True))
 
     def taken() -> dict[str, Any]:

@@ -101,6 +101,7 @@ class Run(NamedTuple):
     time_ns: int = 0
     timeout_ns: int = 0
     counts: tuple[int, ...] = ()  # rounds of each REPEAT, by its place
+    missing: int = 0  # steps that are still to be handed over: with some of them nothing begins
 
 
 NO_RUN = Run()
