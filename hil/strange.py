@@ -3,6 +3,7 @@
     python -m hil.strange                              # virtual.toml on its derived truth, on the second rig
     python -m hil.strange --config axis.toml --plant axis-truth.toml
     python -m hil.strange --config cyl25x200.toml --plant second --size cyl25x200 --seed 3 --json
+    python -m hil.strange --rigs folder --runs 2       # each NAME.toml there on its NAME-truth.toml, twice
 
 Real time, daemon and plant as processes of their own on a `unixcan` channel in a temporary folder. `truth` is
 a plant that differs from the configuration in everything at once (`FACTORS`), `second` is `hil.second_rig`;
@@ -33,8 +34,10 @@ import numpy as np
 from hil.second_rig import SIZES
 from numpy.typing import NDArray
 
+from pneud.bus.codec import DatabaseError
 from pneud.config.flow import area_of
 from pneud.config.models import Config
+from pneud.config.sections import ConfigError
 from pneud.console.client import Client, RefusedError
 from pneud.console.endpoint import PlaceError
 from pneud.loading import Loaded, load
@@ -233,8 +236,13 @@ class Course(NamedTuple):
         return begin + (int(moving[-1]) + 1 if moving.size else 0)
 
 
+NOTHING = Course(*(6 * (np.empty(0),)), latched=0, gotos=[])
+
+
 def course(left: Run) -> Course:
-    """What the log says, with the true positions where there are any."""
+    """What the log says, with the true positions where there are any; nothing, where it has no tick."""
+    if not left.log.exists():
+        return NOTHING
     fields = ("reference.position_m", "reference.velocity_m_s", "measurement.position_m", "command.voltage_v")
     reals: dict[str, list[Floats]] = {name: [] for name in fields}
     whole: dict[str, list[NDArray[Any]]] = {
@@ -254,6 +262,8 @@ def course(left: Run) -> Course:
             if request.kind == RequestKind.GOTO and block.ticks["answer"][i] == Answer.TAKEN
         ]
         count += len(block.number)
+    if not count:
+        return NOTHING
     target, speed, x, u = (np.concatenate(reals[name]) for name in fields)
     t_ns, state, offset_ns, fresh = (np.concatenate(many) for many in whole.values())
     x = np.where(fresh & Source.ENCODER, x, math.nan)
@@ -267,13 +277,13 @@ def moved(c: Course, leg: Leg, begin: int, end: int, band: float) -> dict[str, A
     """How a move went: error, overshoot [mm]; from the reference's end until it stays within the band [s]."""
     ended = c.ended(begin, end)
     way = leg.to_mm - c.target[max(begin - 1, 0)]
-    beyond = math.copysign(1.0, way) * (c.x[begin:end] - leg.to_mm)
+    beyond = _most(math.copysign(1.0, way) * (c.x[begin:end] - leg.to_mm))
     outside = np.flatnonzero(np.abs(c.x[ended:end] - leg.to_mm) > band)
     settled = float(c.t_s[ended + outside[-1]] - c.t_s[ended]) if outside.size else 0.0
     return {
         "move": leg.name,
         "max_error_mm": _most(np.abs(c.error(begin, end))),
-        "overshoot_mm": max(0.0, _most(beyond)),
+        "overshoot_mm": None if beyond is None else max(0.0, beyond),
         "settled_s": None if outside.size and ended + outside[-1] >= end - 2 else settled,
     }
 
@@ -322,13 +332,13 @@ def tracked(c: Course, begin_s: float, end_s: float) -> dict[str, Any]:
     }
 
 
-def _most(values: Floats) -> float:
-    return float(np.nanmax(values)) if values.size else math.nan
+def _most(values: Floats) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(known.max()) if known.size else None
 
 
-def judged(left: Run, config: Config, name: str) -> dict[str, Any]:
-    """What a run came to, and which goals it met."""
-    c = course(left)
+def judged(c: Course, left: Run, config: Config, name: str) -> dict[str, Any]:
+    """What a run came to, and which goals it met; what is not known of a leg misses its goal."""
     band = max(0.02, 2e3 * config.control.motion.encoder_resolution_m)
     spans = list(zip(left.legs, c.gotos, [*c.gotos[1:], len(c.t_s)], strict=False))
     period_s = 1.0 / config.reference.frequency_hz if config.reference.frequency_hz > 0.0 else 1.0
@@ -346,19 +356,23 @@ def judged(left: Run, config: Config, name: str) -> dict[str, Any]:
         "trouble": left.trouble,
         "host": left.host,
     }
-    values = {
+    values: dict[str, list[float | None]] = {
         "moves": [move["max_error_mm"] for move in found["moves"]],
         "overshoot": [move["overshoot_mm"] for move in found["moves"]],
         "creep": [creep["peak_to_peak_mm"] for creep in found["creep"]],
         "rest": [found["rest"].get("error_mm")],
     }
+    moves, creeps = (
+        sum(leg.name.endswith(ending) for leg in left.legs) for ending in ("mm", "creep")
+    )  # that were to be made
+    wanted = {"moves": moves, "overshoot": moves, "rest": 1, "creep": creeps}
     goals = []
     for what, limit in GOALS_MM.items():
-        known = [value for value in values[what] if value is not None and math.isfinite(value)]
+        known = [value for value in values[what] if value is not None]
         worst = max(known, default=None)
         goals.append({
             "case": name, "what": what, "worst_mm": worst, "limit_mm": limit,
-            "met": worst is not None and worst <= limit and len(known) == len(values[what]),
+            "met": worst is not None and worst <= limit and len(known) == wanted[what],
         })  # fmt: skip
     found["goals"] = goals
     found["met"] = all(goal["met"] for goal in goals) and not found["faults"] and not left.trouble
@@ -372,19 +386,35 @@ def plant_of(which: str, config: Path, given: argparse.Namespace, folder: Path) 
         truth = ["--truth", str(folder / "truth")]
         draw = ["--size", size, "--seed", str(given.seed), "--timeout-ms", str(TIMEOUT_MS)]
         return f"second {size} {given.seed}", [sys.executable, "-m", "hil.second_rig", *truth, *draw]
-    path = Path(which)
     if which == TRUTH:
         of = load(given.truth_of or given.config)
-        path = folder / "truth.toml"
-        path.write_text(load(of.path, change=truth_of(of.config)).text)
-    return which if which == TRUTH else path.stem, [*PNEUD, "plant", "--config", str(path)]
+        real = load(of.path, change=truth_of(of.config))
+    else:
+        real = load(which, change=PATIENT)
+    path = folder / "truth.toml"
+    path.write_text(real.text)
+    shutil.copy(real.dbc, folder / real.config.bus.dbc)
+    return which if which == TRUTH else real.path.stem, [*PNEUD, "plant", "--config", str(path)]
+
+
+def case(loaded: Loaded, which: str, given: argparse.Namespace, again: str) -> dict[str, Any]:
+    """A run of an axis on a plant, judged."""
+    with tempfile.TemporaryDirectory(prefix="strange-") as temporary:
+        folder = Path(temporary)
+        plant, command = plant_of(which, loaded.path, given, folder)
+        name = f"{loaded.path.stem}, {plant}{again}"
+        left = run(command, loaded, given, folder)
+        if given.keep:
+            kept = given.keep / name.replace(",", "").replace(" ", "-")
+            shutil.copytree(folder, kept, ignore=_sockets)
+        return judged(course(left), left, loaded.config, name)
 
 
 def words(cases: list[dict[str, Any]]) -> str:
     """The table that a person reads: goals, the worst first, then what each case came to."""
 
     def shown(value: float | None, form: str = ".3f") -> str:
-        return "—" if value is None or math.isnan(value) else format(value, form)
+        return "—" if value is None else format(value, form)
 
     goals = [goal for case in cases for goal in case["goals"]]
     missing = math.inf
@@ -412,20 +442,47 @@ def words(cases: list[dict[str, Any]]) -> str:
             f" {shown(creep['with_breakaway_mm'])} mm"
             for creep in case["creep"]
         ]
-        for m in sorted(case["moves"], key=lambda m: -m["max_error_mm"]):
+        for m in sorted(case["moves"], key=lambda m: -(m["max_error_mm"] or 0.0)):
             within = "never within" if m["settled_s"] is None else f"within after {m['settled_s']:.3f} s"
             lines.append(
-                f"  {m['move']:>7}: error up to {m['max_error_mm']:.3f} mm,"
-                f" overshoot {m['overshoot_mm']:.3f} mm, {within}"
+                f"  {m['move']:>7}: error up to {shown(m['max_error_mm'])} mm,"
+                f" overshoot {shown(m['overshoot_mm'])} mm, {within}"
             )
     return "\n".join(lines)
+
+
+def pairs(given: argparse.Namespace) -> list[tuple[Path, str]]:
+    """The axes' configurations, and the plant that each is to run on.
+
+    Raises:
+        ConfigError: there are none.
+    """
+    if given.rigs is None:
+        return [(Path(given.config), which) for which in given.plant or (TRUTH, SECOND)]
+    ending = f"-{TRUTH}.toml"
+    truths = sorted(given.rigs.glob(f"*{ending}"))
+    found = [(truth.with_name(truth.name.removesuffix(ending) + ".toml"), str(truth)) for truth in truths]
+    if not found:
+        raise ConfigError(f"{given.rigs}: no file is named NAME{ending}")
+    for axis, truth in found:
+        if not axis.exists():
+            raise ConfigError(f"{truth}: the axis that is to run on it, {axis.name}, is not beside it")
+    return found
 
 
 def main() -> int:
     """The command."""
     parser = argparse.ArgumentParser(description="The axis on rigs that are not as it believes.")
-    parser.add_argument("--config", default="virtual.toml", help="of the axis")
+    one = parser.add_mutually_exclusive_group()
+    one.add_argument("--config", default="virtual.toml", help="of the axis")
+    one.add_argument(
+        "--rigs",
+        type=Path,
+        metavar="FOLDER",
+        help="each NAME.toml there that has a NAME-truth.toml beside it, on that",
+    )
     parser.add_argument("--plant", action="append", help="truth, second, or a plant's configuration")
+    parser.add_argument("--runs", type=int, default=1, help="of each pair, about a minute each")
     parser.add_argument(
         "--truth-of", metavar="FILE", help="configuration that truth is made of, if not the axis's"
     )
@@ -436,18 +493,21 @@ def main() -> int:
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="for logs and what the processes said")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
+    if given.rigs is not None and given.plant:
+        parser.error("--rigs names the plants, too: leave --plant away")
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # as an exception, so that everything is ended
-    loaded, cases = load(given.config, change=PATIENT), list[dict[str, Any]]()
-    for which in given.plant or (TRUTH, SECOND):
-        with tempfile.TemporaryDirectory(prefix="strange-") as temporary:
-            folder = Path(temporary)
-            name, command = plant_of(which, loaded.path, given, folder)
-            left = run(command, loaded, given, folder)
-            if given.keep:
-                shutil.copytree(
-                    folder, given.keep / f"{loaded.path.stem} {name}".replace(" ", "-"), ignore=_sockets
-                )
-            cases.append(judged(left, loaded.config, f"{loaded.path.stem}, {name}"))
+    try:
+        rigs = [(load(axis, change=PATIENT), which) for axis, which in pairs(given)]
+        for _, which in rigs:
+            if which not in (TRUTH, SECOND):
+                load(which)  # what cannot be used is said before anything runs
+    except (ConfigError, DatabaseError) as e:
+        parser.error(str(e))
+    cases = [
+        case(loaded, which, given, f", run {n + 1}" if given.runs > 1 else "")
+        for n in range(given.runs)
+        for loaded, which in rigs
+    ]
     met = all(case["met"] for case in cases)
     print(json.dumps({"schema": 1, "cases": cases, "met": met}) if given.json else words(cases))
     return 0 if met else 1
