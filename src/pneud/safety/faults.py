@@ -529,8 +529,8 @@ TABLE: tuple[Fault, ...] = (
     Fault(
         F.START_REFUSED,
         Reaction.WARN,
-        "the input start has come on where no program can begin: not armed, none that is loaded, or one that"
-        " was stopped half way",
+        "the input start has come on where no program can begin: not armed, none that is loaded whole and for"
+        " this axis alone, or one that was stopped half way",
         "arm; pneud run FILE --load loads a program, pneud run --resume goes on with one that was stopped",
         clears="after 1 s",
     ),
