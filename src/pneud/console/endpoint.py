@@ -166,8 +166,8 @@ def find(given: str | None) -> socket.socket:
 
 def _mute(path: Path, pid: str) -> str:
     return (
-        f"{path}: the daemon (process {pid}) runs, but nobody listens there: its console is gone"
-        " for good, and what an operator had engaged comes to rest; restart the daemon, or end it:"
+        f"{path}: the daemon (process {pid}) runs, but nobody listens there: it is ending, or its console is"
+        " gone for good, and what an operator had engaged comes to rest; restart the daemon, or end it:"
         f" kill {pid}"
     )
 
