@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from pneud.bus.link import Link
-from pneud.console import handoff
+from pneud.console import handoff, programs
 from pneud.console.server import Server
 from pneud.log.files.saving import LogOutput
 from pneud.log.files.writer import LogWriter
@@ -142,6 +142,11 @@ def _words_without_room_are_lost(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Service, "_send", send)
 
 
+def _half_a_program_begins(patch: pytest.MonkeyPatch) -> None:
+    honest = programs.requests
+    patch.setattr(programs, "requests", lambda *whose: [programs.EMPTY, *honest(*whose)[1:]])
+
+
 HAD: dict[str, Mistake] = {
     "arming before the recorder has begun": Mistake(("arming",), 29, _begun_before_the_recorder),
     "a console that has died is not missed": Mistake(("console",), 8, _console_not_watched),
@@ -160,6 +165,7 @@ HAD: dict[str, Mistake] = {
     "what a dead console has asked is done": Mistake(
         ("console",), 2388, _what_a_dead_console_has_asked_is_done
     ),
+    "half a program begins": Mistake(("program",), 364, _half_a_program_begins),
 }
 RULES: dict[str, Mistake] = {
     "a recorder that is gone": Mistake(("recorder",), 29, _recorder_that_is_gone_is_not_missed),

@@ -18,6 +18,7 @@ pytest.importorskip("greenlet")
 from historical import MISTAKES
 from pneud.loop.loop import Loop
 from pneud.prove.plan import NAMES, OTHERS, TWO, Item, Plan, plan_of
+from pneud.prove.program_judge import ProgramJudge
 from pneud.prove.run import Bench, shrunk
 from pneud.rt.outputs import write_whole
 from pneud.verbs import VerbError
@@ -106,6 +107,34 @@ def test_a_fault_of_one_axis_touches_the_other_as_its_table_says(
     assert any(f": {one} fault" in line for line in until_end)
     after = [line for line in until_end if f": {other} " in line][4:]  # starting to tracking
     assert (then in after[0]) if then else not after
+
+
+def test_start_begins_nothing_while_a_program_is_handed_over(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tree = {"schema": 1, "record": [{"do": "wait", "for_s": 0.01}] * 30}
+    asks = {"who": 0, "verb": "run", "program": tree, "load": True}
+    halts = Item(0.85, "stop", {"who": "console", "step": 0, "for_s": 0.15})
+    arms = Item(0.6, "operator", {"who": 0, "verb": "arm", "unproven": True})
+    during, after = (Item(at_s, "press", {"for_s": 0.05}) for at_s in (0.88, 1.45))
+    plan = plan_with(arms, Item(0.75, "operator", asks), halts, during, length_s=1.8, pressed=True)
+    plan = plan._replace(virtual=False)
+    judged: list[ProgramJudge] = []
+    monkeypatch.setattr(ProgramJudge, "__init__", _noted(ProgramJudge.__init__, judged))
+    assert not bench.run(plan).found
+    assert (judged[-1].pressed, judged[-1].begun) == (1, 0)
+    assert not bench.run(plan._replace(items=(*plan.items, after))).found
+    assert (judged[-1].pressed, judged[-1].begun) == (2, 1)
+    MISTAKES["half a program begins"].make(monkeypatch)
+    assert [finding.oracle for finding in bench.run(plan).found] == ["program"]
+
+
+def _noted(make: Any, judged: list[Any]) -> Any:
+    def noted(self: Any, *args: Any) -> None:
+        make(self, *args)
+        judged.append(self)
+
+    return noted
 
 
 def test_the_manager_is_told_again_what_it_had_no_room_for(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pneud.loading import Loaded
 from pneud.log.live.ring import Ring
 from pneud.loop.lane import Lane
+from pneud.prove.program_judge import START, ProgramJudge
 from pneud.prove.world import Process
 from pneud.rig.node import PlantNode
 from pneud.safety.faults import BLOCKS_ARM, CENTRES, F
@@ -101,6 +102,7 @@ class AxisJudge:
     Attributes:
         session: that runs, or has run last.
         node: the rig's.
+        programs: who looks at them; None where no input begins any.
         last: tick.
         punctual: ticks in a row.
         done: requests by kind, in all sessions.
@@ -129,6 +131,7 @@ class AxisJudge:
         self._valve_ns = round(1e6 * config.bus.valve_timeout_ms)
         self._u_max_v = min(config.valve.u_max_v, 5.0)
         self._slew_v = config.limits.slew_v_s / config.loop.rate_hz
+        self.programs = ProgramJudge(judge, loaded) if START in config.bus.inputs else None
         self._wall_ns = self._world.wall_ns
         self._idle_ns = 0  # since when it is not engaged
         self._engaged_ns = 0  # when it was last
@@ -151,6 +154,8 @@ class AxisJudge:
     def begins(self, session: Session) -> None:
         """A loop is about to run."""
         self.session = session
+        if self.programs is not None:
+            self.programs.begins()
         self._begin()
 
     @property
@@ -194,6 +199,8 @@ class AxisJudge:
         self._waiting(record)
         if self._judge.nodes is not None:
             self._judge.nodes.decided(tick)
+        if self.programs is not None and self.programs.decided(tick):
+            self._left = 0  # this motion is not his who is gone
         if len(self._judge.axes) > 1:
             self._others(session, tick, engaged=engaged)
         if tick.request is not None and tick.answer == _TAKEN:

@@ -338,12 +338,12 @@ class Cast:
                     client = Client()
                 client._connection.settimeout(item.what.get("patience_s", PATIENCE_S))
                 world.note(f"asks {verb}")
-                asked = self.judge.asks(verb, fields.get("axis"))
+                asked = self.judge.asks(verb, fields.get("axis"), fields.get("program"))
                 try:
                     reply = client.ask(verb, **fields)
                 finally:
                     asked.until_ns = world.now_ns
-                self.judge.told(verb, reply)
+                self.judge.told("load" if fields.get("load") else verb, reply)
                 if "order" in reply:
                     attending.difference_update(whose := reply.get("axes") or [reply["axis"]])
                     attending.update(whose if verb == "jog" or fields.get("attended") else ())

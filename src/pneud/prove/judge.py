@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 END_S = 30.0  # after which a run that was told to end has to have ended
 QUEUE_BYTES = 512 * 1024
 ASKED_NS = 300_000_000  # after who has asked has gone: console and loop turn away what is older
-_VERBS = ("arm", "disarm", "stop", "hold", "goto", "jog", "track", "force", "clear", "mark", "restart")
+_VERBS = ("arm", "disarm", "stop", "hold", "goto", "jog", "track", "force", "clear", "mark", "restart", "run")
 _ACKNOWLEDGED = {verb: int(RequestKind[verb.upper()]) for verb in _VERBS}
 _ACKNOWLEDGED["goto_all"] = int(RequestKind.GOTO)
 _BY_ALL = ("arm", "goto_all", "restart")  # or by none; of all else some may have nothing to do
@@ -141,8 +141,10 @@ class Judge:
 
     # operators
 
-    def asks(self, verb: str, axis: str | None) -> Asked:
+    def asks(self, verb: str, axis: str | None, program: dict[str, Any] | None = None) -> Asked:
         """An operator is about to ask for something, of an axis that he names or of all."""
+        if program is not None and (programs := self.axes[0].programs) is not None:
+            programs.asks(program)
         self._asked.append(asked := Asked(verb, axis))
         return asked
 

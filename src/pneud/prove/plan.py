@@ -21,6 +21,7 @@ _GOOD, _BAD = "good", "bad"
 TWO_AXES, SERVICE, SHOWN = 0.25, 0.4, 0.1  # of the seeds; of the rest, the last
 VIEWED = 0.06  # of the seeds
 NODES = 0.04  # of the seeds with one axis
+PRESSED = 0.12  # likewise
 TIED = 0.35  # of the seeds with two
 IMPATIENT = 9  # the operator who waits for no reply for long
 NAMES = ("x", "y")
@@ -60,6 +61,7 @@ class Plan(NamedTuple):
     service: bool = False  # of a manager that has a watchdog
     shown: bool = False  # on a screen
     viewed: bool = False  # by viewers, who have a server
+    pressed: bool = False  # there is a start input, which begins programs
     others: tuple[tuple[str, str], ...] = ()  # of several axes: `[faults.others]` of each, centre and stop
     file: str = "virtual.toml"  # of the configuration
 
@@ -108,6 +110,8 @@ def plan_of(seed: int) -> Plan:
         plan = _with_two_axes(more, plan, file)
     elif what.random() < NODES:
         plan = _with_nodes(what, plan)
+    elif (presses := random.Random(f"presses {seed}")).random() < PRESSED:
+        plan = plan._replace(pressed=True, items=_pressed(presses, plan))
     if (viewed := random.Random(f"viewed {seed}")).random() < VIEWED:
         plan = plan._replace(viewed=True, items=_viewed(viewed, plan))
     if more.random() < SERVICE:
@@ -141,6 +145,42 @@ def _viewed(rng: random.Random, plan: Plan) -> tuple[Item, ...]:
         what = {"who": "viewers", "step": _at_step(rng), "for_s": rng.uniform(0.05, 2.0)}
         more.append(Item(rng.uniform(_RIG_BEGINS_S, plan.length_s), rng.choice(("kill", "stop")), what))
     return tuple(sorted((*plan.items, *more), key=_at))
+
+
+def _pressed(rng: random.Random, plan: Plan) -> tuple[Item, ...]:
+    """What happens, with programs that are handed over, and somebody who presses start, mostly meanwhile.
+
+    Much of all else is left out: it takes from programs, and keeps them from being taken.
+    """
+    found = [item for item in plan.items if rng.random() < (0.2 if item.kind == "operator" else 0.5)]
+    who = IMPATIENT + 1
+    for _ in range(rng.choice((1, 2, 4))):
+        at_s, steps = rng.uniform(0.5, plan.length_s), rng.choice((1, 20, 60, 120))
+        if rng.random() < 0.8:
+            found.append(Item(at_s - 0.2, "operator", {"who": who, "verb": "arm", "unproven": True}))
+        tree = {"schema": 1, "record": [_record(rng) for _ in range(steps)]}
+        what = {"who": who, "verb": "run", "program": tree}
+        what |= {"load": True} if rng.random() < 0.6 else {"attended": rng.random() < 0.5}
+        found.append(Item(at_s, "operator", what))
+        if rng.random() < 0.3:
+            found.append(Item(at_s + rng.uniform(0.0, 0.6), "operator", {"who": who, "verb": "leave"}))
+        for _ in range(rng.choice((0, 1, 2, 3))):
+            press_s = at_s + rng.uniform(-0.1, 0.1 + steps / plan.rate_hz)
+            if rng.random() < 0.4:  # in the middle of what comes, none comes for a while
+                halts = {"who": "console", "step": 0, "for_s": rng.uniform(0.1, 0.4)}
+                found.append(Item(press_s - rng.uniform(0.0, 0.05), rng.choice(("stop", "kill")), halts))
+            found.append(Item(press_s, "press", {"for_s": rng.uniform(0.02, 0.2)}))
+    return tuple(sorted(found, key=_at))
+
+
+def _record(rng: random.Random) -> dict[str, Any]:
+    if rng.random() < 0.5:
+        return {"do": "wait", "for_s": round(rng.uniform(0.0, 0.1), 3)}
+    return {
+        "do": "goto",
+        "to_mm": round(rng.uniform(100.0, 800.0), 1),
+        "class": rng.choice(("exact", "fast")),
+    }
 
 
 def _with_nodes(rng: random.Random, plan: Plan) -> Plan:

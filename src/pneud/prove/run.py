@@ -22,6 +22,7 @@ from pneud.prove.doors import doors
 from pneud.prove.judge import END_S, Finding, Judge
 from pneud.prove.manager import ENVIRON
 from pneud.prove.plan import Plan
+from pneud.prove.program_judge import START
 from pneud.prove.seams import SEAMS, opened
 from pneud.prove.troubles import Troubles
 from pneud.prove.world import START_NS, World
@@ -36,6 +37,16 @@ SETTLE_S = 15.0  # after which nodes to which nothing happens any more are ready
 COLLECT = 8  # runs, from one collection of what is left of them to the next
 _NAME = "prove.toml"
 _LIMITS = {"slew_v_s": 500.0}  # so that it bounds the command
+
+
+_STATION = {
+    "bus": {
+        "dbc": "station.dbc",
+        "inputs": {START: "INPUTS.Start"},
+        "messages": {"INPUTS": {"counter": "Counter"}},
+    },
+    "io": {"start": "program", "start_cycles": 2},
+}
 
 
 class Outcome(NamedTuple):
@@ -71,7 +82,7 @@ class Bench:
 
     def _begin(self, plan: Plan) -> Begin:
         """What a run begins with; its text is in the file afterwards."""
-        key = plan.file, plan.detail, plan.rate_hz, plan.others
+        key = plan.file, plan.detail, plan.rate_hz, plan.others, plan.pressed
         if key not in self._begins:
             text = _text(plan)
             self.file.write_text(text, encoding="utf-8")
@@ -119,6 +130,8 @@ def _text(plan: Plan) -> str:
         "limits": _LIMITS,
         "log": {"detail": plan.detail},
     }
+    if plan.pressed:
+        change |= _STATION
     text = find(plan.file).read_text(encoding="utf-8")
     if not plan.others:
         return changed_text(text, change)

@@ -12,6 +12,7 @@ from pneud.prove.axis_judge import AxisJudge
 from pneud.prove.canbus import ALL, Trouble
 from pneud.prove.cast import Cast
 from pneud.prove.plan import Item
+from pneud.prove.program_judge import START
 from pneud.prove.world import START_NS, Actor, Process
 
 _NS = 1e9
@@ -230,6 +231,21 @@ class Troubles:
         elif node is not None:
             self._trouble(item)
             node.reboot(item.what["node"])
+
+    def _press(self, item: Item) -> None:
+        """Somebody presses start, and lets it go."""
+        axis = self._axis(item)
+        node = axis.node
+        if axis.programs is None or node is None or node.station is None:
+            return
+        station, mask = node.station, node.station.bit_of(START)
+        axis.programs.pressed += not station.inputs & mask
+        station.inputs |= mask
+
+        def let_go() -> None:
+            station.inputs &= ~mask
+
+        self._world.at(self._world.now_ns + round(item.what["for_s"] * _NS), let_go)
 
     def _slave(self, item: Item) -> None:
         self._reboots(item, item.what["boot_s"])
