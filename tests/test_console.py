@@ -100,6 +100,19 @@ def test_a_run_that_could_not_begin_is_not_left_for(desk: Bench) -> None:
     assert desk.requests == []
 
 
+def test_what_the_loop_did_last_is_told_though_it_has_ended(desk: Bench) -> None:
+    """A loop that begins anew is gone before a console that had no turn meanwhile has heard of it."""
+    client = desk.connect()
+    client.sendall(json.dumps(message("arm")).encode() + b"\n")
+    for _ in range(3):
+        desk.server.step(0.0)
+    assert desk.loop.take() is not None
+    desk.loop.answer(tick_at(1)._replace(answer=Answer.TAKEN))
+    desk.server.close()
+    desk.server.close = lambda: None  # type: ignore[method-assign]
+    assert [reply["ok"] for reply in desk.replies(client)] == [True]
+
+
 def test_no_file_is_read_for_a_restart_of_an_engaged_axis(desk: Bench) -> None:
     axis: Any = desk.server._desks[0]
     read: list[str] = []

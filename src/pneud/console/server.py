@@ -158,7 +158,9 @@ class Server:
             plan.done()
 
     def close(self) -> None:
-        """Leave all clients."""
+        """Leave all clients; whoever has been waiting for what the loop did last is told."""
+        if not self.over:
+            self._hear()
         for client in list(self._clients):
             self._drop(client)
         self._selector.close()
