@@ -133,6 +133,9 @@ class Bench:
     def adopt(self, text: str, keep: bool) -> None:
         raise AssertionError("nothing is written")
 
+    def put_back(self, text: str) -> str:
+        raise AssertionError("nothing has been written")
+
 
 class Nobody:
     """Asks for nothing, says nothing."""

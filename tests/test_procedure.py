@@ -15,7 +15,7 @@ from pneud import resources
 from pneud.axis.stops import soft_limits
 from pneud.config.proof import Proof, carry_over, digest, keep, proven
 from pneud.config.sections import ConfigError
-from pneud.console.client import Client
+from pneud.console.client import Client, RefusedError
 from pneud.control.probe import MOST_SPEED_M_S, MOST_TRAVEL_M
 from pneud.loading import Loaded, load
 from pneud.log.files.reader import read_log
@@ -24,7 +24,7 @@ from pneud.safety.supervisor import is_engaged
 from pneud.signals import Record, Request, RequestKind, State
 from pneud.study.commissioning import procedure, written
 from pneud.study.commissioning.bench import Simulated
-from pneud.study.commissioning.live import Live
+from pneud.study.commissioning.live import TO_DO, Live
 from pneud.study.commissioning.playing import PATIENCE_S, Played, Player
 from pneud.study.commissioning.steps import Step, dynamic, first, ground_of, reach_m, static
 from pneud.study.identification import estimating
@@ -415,6 +415,42 @@ def test_the_same_steps_on_a_daemon_which_begins_anew(tmp_path: Path) -> None:
             rig.adopt(text.replace("moving_mass_kg = 15.0", "moving_mass_kg = -1.0"), True)
         assert "moving_mass_kg = 16.0" in file.read_text()
     assert read_log(str(tmp_path / "logs" / rig.log_name)).config_text == file.read_text()
+
+
+@pytest.mark.slow
+def test_the_file_is_put_back_and_what_is_held_stays_so(tmp_path: Path) -> None:
+    with live(tmp_path) as (rig, file):
+        before, of = file.read_bytes(), digest(rig.loaded.config, rig.loaded.dbc.read_bytes())
+        keep(file, of, {"passed": True})
+        heavier = rig.loaded.text.replace("moving_mass_kg = 15.0", "moving_mass_kg = 16.0")
+        rig.adopt(heavier, True)
+        assert (file.read_bytes() == before, proven(file, of)) == (False, Proof.CHANGED)
+        arm = Player([dynamic(procedure.axis_of(rig.loaded))[0]], 1e-3, lambda step: None)
+        rig.play(arm)
+        assert rig.put_back(before.decode()) == TO_DO.format("pneud disarm, ")
+        assert (file.read_bytes() == before, proven(file, of)) == (True, Proof.PASSED)
+        status = rig._client.ask("status")
+        assert (status["state"], status["config_changed"]) == ("holding", True)
+        rig._rest()
+        assert rig.put_back(before.decode()) == ""
+        status = rig._client.ask("status")
+        assert (status["state"], status["config_changed"]) == ("disarmed", False)
+
+
+@pytest.mark.slow
+def test_a_stop_while_nobody_looks_is_not_gone_on_after(tmp_path: Path) -> None:
+    with live(tmp_path) as (rig, file):
+        before, steps = file.read_bytes(), [dynamic(procedure.axis_of(rig.loaded))[0]]
+        rig.play(Player(steps, 1e-3, lambda step: None))
+        rig.play(Player(steps, 1e-3, lambda step: None))  # its own ways are no one else's
+        with rig._connect() as other:
+            other.ask("stop")
+        with pytest.raises(RefusedError, match="commanded the axis meanwhile: stop"):
+            rig.adopt(rig.loaded.text.replace("moving_mass_kg = 15.0", "moving_mass_kg = 16.0"), True)
+        with pytest.raises(RefusedError, match="commanded the axis meanwhile: stop"):
+            rig.play(Player(steps, 1e-3, lambda step: None))
+        assert file.read_bytes() == before
+        assert rig._client.ask("status")["state"] in ("stopping", "holding")
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any, NamedTuple
 
 import pytest
@@ -12,6 +13,7 @@ from pneud.loading import load
 from pneud.study import fastest
 from pneud.study.commissioning import page, procedure, trying
 from pneud.study.commissioning.gains import Chosen, slower
+from pneud.study.commissioning.playing import Played
 from pneud.study.commissioning.procedure import NO_BETTER, Outcome
 from pneud.study.commissioning.verification import Verified
 from pneud.study.judging import Figure
@@ -30,6 +32,7 @@ class Gains(NamedTuple):
 
     chosen: Chosen | None
     believed: Any = None
+    changes: tuple[Any, ...] = ()
 
     @property
     def text(self) -> str:
@@ -50,23 +53,31 @@ class Bench:
 
     def __init__(self, axis_s: float = 0.0) -> None:
         self.loaded, self.axis_s = Loaded(BEFORE), axis_s
+        self.put: list[str] = []
 
     def adopt(self, text: str, keep: bool) -> None:
         assert keep
         self.loaded = Loaded(text)
 
+    def put_back(self, text: str) -> str:
+        self.put.append(text)
+        self.loaded = Loaded(text)
+        return "pneud restart"
+
 
 class Quiet:
     """Somebody who listens."""
 
-    def __init__(self) -> None:
+    def __init__(self, agrees: bool = False) -> None:
         self.said: list[str] = []
+        self._agrees = agrees
 
     def say(self, words: str) -> None:
         self.said.append(words)
 
     def agreed(self, changes: list[Any]) -> bool:
-        raise AssertionError("nobody is asked twice")
+        assert self._agrees, "nobody is asked twice"
+        return True
 
 
 def gains_for(omega_rad_s: float) -> Chosen:
@@ -122,10 +133,46 @@ def test_gains_step_down_as_long_as_that_helps(
     assert (outcome.verdict, runs, len(outcome.tried)) == (verdict, text, tries)
     assert outcome.after in came_to
     assert outcome.good is (verdict == "passed")
-    assert outcome.written is (verdict != "worse")
+    assert outcome.written is (verdict in ("passed", "missed"))
     assert outcome.warnings == ([NO_BETTER] if verdict == "worse" else [])
     assert outcome.failure == (outcome.after.failure if outcome.after else "")
     assert len(talk.said) == tries - 1
+
+
+@pytest.mark.parametrize(
+    "came_to",
+    [
+        [STOPPED],
+        [worth(0.5), STOPPED],
+        [worth(0.5), worth(2.0), STOPPED],
+        [worth(0.5), worth(2.0), KeyboardInterrupt()],
+    ],
+    ids=["before", "first try", "second try", "Ctrl-C"],
+)
+def test_what_is_interrupted_leaves_all_as_it_was(
+    came_to: list[Verified | KeyboardInterrupt], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def verified(*_: object) -> Verified:
+        one = came_to.pop(0)
+        if isinstance(one, KeyboardInterrupt):
+            raise one
+        return one
+
+    def stepped(bench: Bench, *_: object) -> Played:
+        bench.adopt("with other edges", True)
+        return Played()
+
+    monkeypatch.setattr(procedure, "_stepped", stepped)
+    monkeypatch.setattr(procedure, "_verified", verified)
+    monkeypatch.setattr(procedure, "_found", lambda *_: Gains(gains_for(CHOSEN)))
+    monkeypatch.setattr("pneud.study.commissioning.gains.slower", lambda *_: gains_for(114.0))
+    bench, talk = Bench(), Quiet(agrees=True)
+    with contextlib.suppress(KeyboardInterrupt):
+        outcome = procedure.commission(bench, procedure.Wishes(movement=False), talk)  # type: ignore[arg-type]
+        assert (outcome.verdict, outcome.failure, outcome.written) == ("interrupted", "stopped", False)
+    assert not came_to
+    assert (bench.loaded.text, bench.put) == (BEFORE, [BEFORE])
+    assert talk.said[-1] == "the configuration is as it was; pneud restart"
 
 
 def test_there_is_no_more_motion_than_five_minutes() -> None:

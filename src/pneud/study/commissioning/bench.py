@@ -66,6 +66,13 @@ class Bench(Protocol):
     def adopt(self, text: str, keep: bool) -> None:
         """Go on with another configuration, which is kept in its file, or tried."""
 
+    def put_back(self, text: str) -> str:
+        """Have the file as it was; nothing that is engaged is disarmed for it.
+
+        Returns:
+            What is left to do for a person; empty where nothing is.
+        """
+
 
 class Simulated:
     """The software rig, the same for a seed; it may be unlike what the configuration says of it."""
@@ -85,6 +92,7 @@ class Simulated:
         self.axis_s = 0.0
         self._logs: list[Path] = []
         self._runs = 0
+        self._kept = False
 
     @property
     def log_name(self) -> str:
@@ -120,7 +128,13 @@ class Simulated:
     def adopt(self, text: str, keep: bool) -> None:
         """Go on with another configuration, and the same rig."""
         if keep:
+            self._kept = True
             path = self.loaded.path
             put_text(path, with_axis(path.read_text(encoding="utf-8-sig"), path, self.loaded.part, text))
         self.loaded = self.loaded._replace(config=parse(text, str(self.loaded.path)), text=text)
         self._logs = []
+
+    def put_back(self, text: str) -> str:
+        """Have the file as it was, where it has been written."""
+        self.adopt(text, self._kept)
+        return ""

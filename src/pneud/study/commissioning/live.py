@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
+from typing import Any
 
 from pneud.config.proof import carry_over, digest, keep
 from pneud.config.writing import put_text, with_axis
@@ -24,6 +25,8 @@ from pneud.study.commissioning.testing import LEASE_S
 LOOK_S = 0.005
 SESSION_S = 20.0  # for a daemon that begins anew, or comes to rest, or has to write its log
 BEGINNING = (State.STARTING.label, State.WAITING.label)
+UNDER_WAY = (State.STOPPING.label, State.MOVING.label, State.TRACKING.label, State.PROBING.label)
+TO_DO = "the daemon goes on with what was being tried until {}pneud restart"
 BY_THE_AXIS = ("wrong_state", "blocked")  # answers that stand in a tick, too
 PLAIN = {RequestKind.ARM: "arm", RequestKind.DISARM: "disarm", RequestKind.HOME: "home"}
 
@@ -48,6 +51,7 @@ class Live:
         self._status = self._client.ask("status")
         self.axis_s = 0.0
         self._logs = [str(self._status["log"])]
+        self._order = _number(self._status)  # of motion, the last one that was given here
 
     @property
     def log_name(self) -> str:
@@ -62,9 +66,10 @@ class Live:
         """Let an operator do what he wants to; behind him the axis holds, or is disarmed.
 
         Raises:
-            RefusedError: the console lets nobody command.
+            RefusedError: the console lets nobody command, or somebody else has commanded meanwhile.
             PlaceError: the daemon has gone.
         """
+        self._require_ours()
         if self._client.ask("status")["state"] == State.FAULT.label:  # what was tried before it has ended so
             self._client.ask("clear")
         fields, descriptor = self._client.attach()
@@ -72,12 +77,25 @@ class Live:
             raise PlaceError("the daemon is of another version than this pneud; restart it")
         ring = Ring.attach(descriptor, fields["slots"], fields["slot_bytes"])
         try:
-            ticks = _Played(self._client, ring, operator).play()
+            played = _Played(self._client, ring, operator)
+            ticks = played.play()
         except BaseException:
             with contextlib.suppress(RefusedError, PlaceError), self._connect() as other:
                 other.ask("stop")
             raise
+        self._order = played.order or self._order
         self.axis_s += ticks / self.loaded.config.loop.rate_hz
+
+    def _require_ours(self) -> None:
+        """Nobody else has stopped or moved the axis while nobody was looking.
+
+        Raises:
+            RefusedError: somebody has.
+        """
+        order = self._client.ask("status")["order"]
+        if order is not None and order["number"] != self._order:
+            words = f"ended: somebody else has commanded the axis meanwhile: {order['words']}"
+            raise RefusedError({"type": "stopped", "message": words})
 
     def logs(self) -> list[LogReader]:
         """What has been recorded of this configuration, once it is in the files."""
@@ -97,7 +115,7 @@ class Live:
             "bus": self._status["bus"],
             "log": self._status["log"],
         }
-        keep(self.loaded.proof_file, digest(self.loaded.config, self.loaded.dbc.read_bytes()), told)
+        keep(self.loaded.proof_file, _digest(self.loaded), told)
         if verdict.passed and any(f["name"] == "unproven" for f in self._status["faults"]):
             self._begin_anew()
 
@@ -107,18 +125,54 @@ class Live:
         Where it does not begin, the file is as it was.
         """
         assert keep
+        self._require_ours()
+        before = self.loaded.text
+        self._put(text)
+        try:
+            self._begin_anew()
+        except BaseException:
+            self._put(before)
+            raise
+        self._logs = self._logs[-1:]
+
+    def put_back(self, text: str) -> str:
+        """Have the file and its proof as they were, and the daemon run it, where the axis rests disarmed.
+
+        What has come to be held, or shows a fault, is left as it is: to disarm it is a person's decision.
+        """
+        self._put(text)
+        try:
+            self._client.close()  # it may have been left amid a reply
+            self._client = self._connect()
+            state = self._come_to_rest()
+            if state == State.DISARMED.label:
+                self._begin_anew()
+                return ""
+        except (RefusedError, PlaceError):
+            return TO_DO.format("")
+        return TO_DO.format("pneud clear, " if state == State.FAULT.label else "pneud disarm, ")
+
+    def _put(self, text: str) -> None:
+        """Write another configuration of the same rig; what is proven stays so."""
         before = self.loaded
-        of = digest(before.config, before.dbc.read_bytes())
         whole = before.path.read_text(encoding="utf-8-sig")
         put_text(before.path, with_axis(whole, before.path, before.part, text))
         try:
             self.loaded = load(before.path, axis=before.config.name)
-            carry_over(before.proof_file, of, digest(self.loaded.config, self.loaded.dbc.read_bytes()))
-            self._begin_anew()
         except BaseException:
             put_text(before.path, whole)
             raise
-        self._logs = self._logs[-1:]
+        carry_over(before.proof_file, _digest(before), _digest(self.loaded))
+
+    def _come_to_rest(self) -> str:
+        """Wait until no stop is under way; the state that it has led to."""
+        until_ns = time.monotonic_ns() + round(SESSION_S * 1e9)
+        while True:
+            self._status = self._client.ask("status")
+            state = str(self._status["state"])
+            if state not in UNDER_WAY or time.monotonic_ns() > until_ns:
+                return state
+            time.sleep(LOOK_S)
 
     def _begin_anew(self) -> None:
         """End the session in order; the next one has a log of its own."""
@@ -129,6 +183,7 @@ class Live:
         self._client, self._status = next_session(
             self._connect, before, SESSION_S, lambda status: status["state"] not in BEGINNING
         )
+        self._order = None
         self._rest(all_of_them=True)
         self._logs.append(str(self._status["log"]))
 
@@ -145,7 +200,7 @@ class Live:
             if time.monotonic_ns() > until_ns:
                 raise PlaceError(f"the axis is {self._status['state']}, and does not come to rest")
             with contextlib.suppress(RefusedError):
-                self._client.ask("disarm", **whose)
+                self._order = self._client.ask("disarm", **whose).get("order", self._order)
             time.sleep(LOOK_S)
             self._status = self._client.ask("status")
 
@@ -157,6 +212,7 @@ class _Played:
         self._client, self._ring, self._operator = client, ring, operator
         self._reader: RingReader = ring.reader()
         self._pieces: list[tuple[float, ...]] = []
+        self.order: int | None = None  # the last one of motion
         self._awaited = 0  # kind of the request that has not come by in a tick yet
         self._asked_ns = 0
 
@@ -195,25 +251,25 @@ class _Played:
             return
         self._asked_ns, self._awaited = time.monotonic_ns(), kind
         try:
-            self._send(kind, values)
+            self.order = self._send(kind, values).get("order", self.order)
         except RefusedError as e:
             if e.kind not in BY_THE_AXIS:
                 raise
 
-    def _send(self, kind: RequestKind, values: tuple[float, ...]) -> None:
+    def _send(self, kind: RequestKind, values: tuple[float, ...]) -> dict[str, Any]:
         if kind == RequestKind.PROBE:
             voltage_v, rate_v_s, travel_m, speed_m_s, force_n, _ = values
             bounds = {"travel_mm": 1e3 * travel_m, "speed_mm_s": 1e3 * speed_m_s, "force_n": force_n}
-            self._client.ask("probe", voltage_v=voltage_v, rate_v_s=rate_v_s, **bounds, lease_s=LEASE_S)
-        elif kind == RequestKind.GOTO:
+            how = {"voltage_v": voltage_v, "rate_v_s": rate_v_s, **bounds}
+            return self._client.ask("probe", **how, lease_s=LEASE_S)
+        if kind == RequestKind.GOTO:
             position_m, speed_m_s, *_ = (*values, 0.0)
             bounds = {"speed_mm_s": 1e3 * speed_m_s} if speed_m_s else {}
-            self._client.ask("goto", x_mm=1e3 * position_m, **bounds, attended=True)
-        elif kind == RequestKind.TRACK:
+            return self._client.ask("goto", x_mm=1e3 * position_m, **bounds, attended=True)
+        if kind == RequestKind.TRACK:
             self._upload()
-            self._client.ask("track", what="profile", attended=True)
-        else:
-            self._client.ask(PLAIN[kind])
+            return self._client.ask("track", what="profile", attended=True)
+        return self._client.ask(PLAIN[kind])
 
     def _upload(self) -> None:
         self._asked_ns = time.monotonic_ns()
@@ -221,3 +277,13 @@ class _Played:
             some = [list(piece) for piece in self._pieces[at : at + MAX_PIECES]]
             last = at + MAX_PIECES >= len(self._pieces)
             self._client.ask("upload", first=at == 0, last=last, pieces=some)
+
+
+def _digest(loaded: Loaded) -> str:
+    """What a proof of a configuration's rig holds for."""
+    return digest(loaded.config, loaded.dbc.read_bytes())
+
+
+def _number(status: dict[str, Any]) -> int | None:
+    """Of the last order of motion."""
+    return None if status["order"] is None else int(status["order"]["number"])

@@ -35,7 +35,7 @@ SLOW_ONLY = (
     "nothing is found out about quick motion; mass, flow and friction are hardly told, gains stay,"
     f" and limits.motion become {SLOWER:g} of what they are"
 )
-NO_BETTER = "nothing that was tried is better than what was there; the configuration is as it was"
+NO_BETTER = "nothing that was tried is better than what was there before, which the configuration has again"
 
 
 class Wishes(NamedTuple):
@@ -83,13 +83,25 @@ class Outcome(NamedTuple):
 
 
 def commission(bench: Bench, wishes: Wishes, talk: Talk) -> Outcome:
-    """From the movement test to an axis that works.
+    """From the movement test to an axis that works; where it does not come to its end, all is as it was.
 
     Raises:
         LogError: the steps have left too little in the log.
         ConfigError: what has been found makes no configuration.
         OSError: a file cannot be written.
     """
+    before, whole = bench.loaded.text, False
+    try:
+        outcome = _commissioned(bench, wishes, talk)
+        whole = outcome.verdict != "interrupted"
+        return outcome
+    finally:
+        if not whole and bench.loaded.text != before:
+            left = bench.put_back(before)
+            talk.say("; ".join(["the configuration is as it was", *([left] if left else [])]))
+
+
+def _commissioned(bench: Bench, wishes: Wishes, talk: Talk) -> Outcome:
     movement: Verdict | None = None
     if wishes.movement:
         movement = _movement(bench)
@@ -134,7 +146,7 @@ def _settled(bench: Bench, so_far: Outcome, keep: bool, talk: Talk) -> Outcome:
         words = "interrupted"
     return so_far._replace(
         verdict=words, found=best.found, after=best.after, failure=best.after.failure,
-        faults=best.after.faults, written=keep and words != "worse", tried=tuple(tried),
+        faults=best.after.faults, written=keep and words in ("passed", "missed"), tried=tuple(tried),
     )  # fmt: skip
 
 
@@ -195,31 +207,25 @@ def _stepped(bench: Bench, wishes: Wishes, talk: Talk) -> Played:
     """All steps: once the valve's edges are known, and again where a loop could not be closed.
 
     With other edges, if these explain it, and otherwise more slowly, from the step on that has not come to
-    its end. What they did not come to their end with does not stay.
+    its end.
     """
     from pneud.study.commissioning.steps import dynamic, first, gentler  # noqa: PLC0415
 
-    before, whole = bench.loaded.text, False
-    try:
-        played = _played(bench, first(axis_of(bench.loaded)), talk)
-        if played.whole:
-            _learnt_edges(bench, wishes, talk)
+    played = _played(bench, first(axis_of(bench.loaded)), talk)
+    if played.whole:
+        _learnt_edges(bench, wishes, talk)
+        played = _played(bench, _steps(axis_of(bench.loaded), wishes), talk)
+    if _of_the_loop(played.faults):
+        talk.say("the loop could not be closed: the valve's edges, from what has been seen so far")
+        if _learnt_edges(bench, wishes, talk):
             played = _played(bench, _steps(axis_of(bench.loaded), wishes), talk)
-        if _of_the_loop(played.faults):
-            talk.say("the loop could not be closed: the valve's edges, from what has been seen so far")
-            if _learnt_edges(bench, wishes, talk):
-                played = _played(bench, _steps(axis_of(bench.loaded), wishes), talk)
-        for share in GENTLER if wishes.dynamic else ():
-            p = axis_of(bench.loaded)
-            steps = dynamic(p._replace(motion=gentler(p.motion, share)))
-            if _of_the_loop(played.faults) and played.left <= len(steps):
-                talk.say(f"the loop could not follow; more slowly, by {share:g} of limits.motion")
-                played = _played(bench, steps[-played.left :], talk)
-        whole = played.whole
-        return played
-    finally:
-        if not whole and bench.loaded.text != before:
-            bench.adopt(before, not bench.tries)
+    for share in GENTLER if wishes.dynamic else ():
+        p = axis_of(bench.loaded)
+        steps = dynamic(p._replace(motion=gentler(p.motion, share)))
+        if _of_the_loop(played.faults) and played.left <= len(steps):
+            talk.say(f"the loop could not follow; more slowly, by {share:g} of limits.motion")
+            played = _played(bench, steps[-played.left :], talk)
+    return played
 
 
 def _played(bench: Bench, steps: list[Step], talk: Talk) -> Played:
