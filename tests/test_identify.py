@@ -253,6 +253,12 @@ def test_that_there_is_nothing_of_a_kind_is_told_as_any_value_is() -> None:
     assert not key.estimate(key.DAMPING, nothing._replace(told=False), {}).told
 
 
+def test_a_mass_that_might_be_none_is_not_told() -> None:
+    wide = Found(0.7, -0.4, 1.8, True)
+    assert not key.estimate(key.MASS, wide, {}).told
+    assert key.estimate(key.MASS, wide._replace(low=0.2, high=1.2), {}).told
+
+
 def estimate(value: float, half: float, configured: float | None = None, told: bool = True) -> Estimate:
     return Estimate(value, value - half, value + half, configured, told)
 

@@ -116,6 +116,7 @@ def settled(
         ([worth(3.0), worth(2.0), worth(2.5)], "missed", "114", 3),
         ([worth(2.0), worth(3.0)], "missed", "228", 2),
         ([LOOP, worth(0.5)], "passed", "114", 2),
+        ([worth(2.0), LOOP, worth(0.5)], "missed", "228", 2),
         ([LOOP, worth(2.0), worth(1.5), worth(1.2)], "missed", "28.5", 4),
         ([LOOP, LOOP, worth(0.5)], "passed", "57", 3),
         ([LOOP, LOOP, LOOP, LOOP], "worse", BEFORE, 4),

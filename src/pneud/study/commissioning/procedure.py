@@ -69,6 +69,7 @@ class Outcome(NamedTuple):
     after: Verified | None = None
     written: bool = False
     tried: tuple[Attempt, ...] = ()  # what was put to use, and verified, in this order
+    axis_s: float = 0.0  # how long the axis was at work
 
     @property
     def warnings(self) -> list[str]:
@@ -94,7 +95,7 @@ def commission(bench: Bench, wishes: Wishes, talk: Talk) -> Outcome:
     try:
         outcome = _commissioned(bench, wishes, talk)
         whole = outcome.verdict != "interrupted"
-        return outcome
+        return outcome._replace(axis_s=bench.axis_s)
     finally:
         if not whole and bench.loaded.text != before:
             left = bench.put_back(before)
@@ -162,7 +163,7 @@ def _tried(bench: Bench, found: Found, keep: bool, talk: Talk) -> list[Attempt]:
         after, chosen = tried[-1].after, found.chosen
         if after.holds or (after.failure and not _of_the_loop(after.faults)):
             return tried
-        helps = len(tried) == 1 or tried[-1].rank < tried[-2].rank or after.failure
+        helps = all(one.after.failure for one in tried[:-1]) or tried[-1].rank < tried[-2].rank
         time_left = len(tried) < MOST_TRIES and bench.axis_s + VERIFYING_S <= AXIS_S
         slower = gains.slower(found.believed, chosen) if chosen and helps and time_left else None
         if slower is None:
@@ -372,6 +373,7 @@ def as_json(o: Outcome) -> dict[str, Any]:
         "before": {} if o.before is None else o.before.as_json(),
         "after": {} if o.after is None else o.after.as_json(),
         "tried": [one.as_json() for one in o.tried],
+        "axis_s": o.axis_s,
         "unexplained": [] if found is None else found.unexplained,
         "warnings": o.warnings,
         "failure": o.failure or None,

@@ -67,6 +67,7 @@ LACKING: Mapping[str, str] = {
 BY_WAY, MOST_BY_WAY = 0.15, 0.5  # share by which friction differs by direction, as a rule and at most
 PINNED = 1e-6  # as good as known
 OF_NO_USE = 0.5  # of a value: it is not told where it is less sure than that
+ALWAYS = (CONDUCTANCE, AREA, BANDWIDTH, MASS)  # there is some; not told where it could be nothing as well
 
 
 class Structure(NamedTuple):
@@ -226,4 +227,5 @@ def estimate(key: str, found: Found, config: Mapping[str, float], more: float = 
     if found.value >= 0.0 and key not in (PLUS, MINUS, CENTRE, LOAD, FORWARD):
         low = max(low, 0.0)
     told = found.told and more <= OF_NO_USE * abs(found.value)  # nothing is a value, too
+    told = told and (low > 0.0 or key not in ALWAYS)
     return Estimate(found.value, low, found.value + half, config.get(key), told)
