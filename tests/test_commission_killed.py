@@ -105,10 +105,12 @@ def steps_of(p: AxisParameters, name: str) -> list[Step]:
     return [step for step in static(p) + dynamic(p) if step.name == name][:1]
 
 
-@pytest.mark.parametrize("name", STEPS)
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT], ids=lambda how: how.name)
+@pytest.mark.parametrize(
+    ("how", "name"),
+    [*((how, name) for how in (signal.SIGKILL, signal.SIGINT) for name in STEPS), (signal.SIGHUP, "sine")],
+)
 def test_whoever_commissions_is_ended_and_the_axis_rests_and_goes_again(
-    daemon: Running, name: str, how: signal.Signals
+    daemon: Running, how: signal.Signals, name: str
 ) -> None:
     rests(daemon)
     file = file_of(daemon)
@@ -117,7 +119,7 @@ def test_whoever_commissions_is_ended_and_the_axis_rests_and_goes_again(
     keep(file, proven, {"passed": True})
     before = kept(file)
     run = Commissioning(daemon, name)
-    assert run.ended_by(how) == (INTERRUPTED if how == signal.SIGINT else -how), run.said()
+    assert run.ended_by(how) == (-how if how == signal.SIGKILL else INTERRUPTED), run.said()
     ended_s = time.monotonic()
     assert "Traceback" not in run.said()
     eventually(lambda: state(daemon) in (State.HOLDING, State.DISARMED))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json as json_
 import os
+import signal
 import sys
 import tempfile
 from pathlib import Path
@@ -200,6 +201,7 @@ def _on_the_rig(
     if wishes.write and wishes.steps:
         _require_writable(loaded.path)
     _agreed(loaded, wishes, yes)
+    _end_in_order()
     rig = Live(lambda: Client(socket, axis), loaded)
     try:
         return procedure.commission(rig, wishes, _Talk(yes)), loaded.config
@@ -207,6 +209,17 @@ def _on_the_rig(
         raise VerbError(f"commission: {e}", 1) from None
     finally:
         rig.close()
+
+
+def _end_in_order() -> None:
+    """Have whoever is asked to leave, or whose terminal has gone, end as by Ctrl-C: the axis stops."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, interrupt)
 
 
 def _agreed(loaded: Loaded, wishes: Wishes, yes: bool) -> None:
