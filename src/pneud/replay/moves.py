@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
+from pneud.axis.state import AxisParameters
+from pneud.axis.stops import soft_limits
 from pneud.safety.faults import BLOCKS_ARM
 from pneud.signals import Answer, Record, Request, RequestKind, State
 
@@ -57,6 +59,31 @@ def steps_of(text: str) -> list[Move | Push]:
         else:
             found.append(Move(*_numbers(part, 1e-3, _MOVE)))
     return found
+
+
+def check(steps: Sequence[Move | Push], p: AxisParameters) -> None:
+    """See whether the axis would take the moves, wherever it stands.
+
+    Raises:
+        MovesError: which it would not, and why.
+    """
+    low_m, high_m = soft_limits(p)
+    k, most_m_s = p.pressing, p.motion.speed_m_s
+    for step in steps:
+        if isinstance(step, Push):
+            if not -k.in_n <= step.to_n <= k.out_n:
+                raise MovesError(
+                    f"{step.to_n:g} N: limits.force and the supply allow {-k.in_n:.4g} … {k.out_n:.4g} N"
+                )
+        elif not low_m <= step.to_m <= high_m:
+            raise MovesError(
+                f"{1e3 * step.to_m:g} mm lies outside the travel {1e3 * low_m:g} … {1e3 * high_m:g} mm"
+            )
+        elif step.speed_m_s > most_m_s:
+            raise MovesError(
+                f"{1e3 * step.speed_m_s:g} mm/s is faster than limits.motion.speed_m_s;"
+                f" at most {1e3 * most_m_s:g} mm/s"
+            )
 
 
 _MOVE = "a move is MM or MM@MM_S, such as 100,250@300"

@@ -26,7 +26,7 @@ from pneud.loop.summary import in_words, summarise
 from pneud.replay.following import Following
 from pneud.replay.following import in_words as followed
 from pneud.replay.lockstep import Simulation, backend_of, header_of
-from pneud.replay.moves import Course, moves_of, steps_of
+from pneud.replay.moves import Course, MovesError, check, moves_of, steps_of
 from pneud.replay.moves import in_words as moves_in_words
 from pneud.replay.running import TOLD_TICKS, Ran, through
 from pneud.replay.running_together import run_together
@@ -118,7 +118,7 @@ def sim(
         DatabaseError: the DBC cannot be used.
         LogError: the log cannot be written.
         BuildError: the compiled law is required and cannot be had.
-        MovesError: the positions make no sense.
+        MovesError: the positions make no sense, or the axis may not go there.
         VerbError: an option does not go with another.
     """
     if laws:
@@ -213,12 +213,18 @@ def _together(axes: Together, duration_s: float, seed: int, output: Path | None,
 
 def _operator(goto: str | None, track: str | None, loaded: Loaded) -> Course | Following | None:
     """Who asks for something else than to track the reference."""
-    if goto is not None:
-        return Course(steps_of(goto), cylinder_of(loaded.config).rod_force_n)
-    if track is None:
+    if goto is None is track:
         return None
     c = loaded.config
     p = axis_of(c, loaded.codecs.command_lsb_v)
+    if goto is not None:
+        steps = steps_of(goto)
+        try:
+            check(steps, p)
+        except MovesError as e:
+            raise MovesError(f"--goto {goto}: {e}") from None
+        return Course(steps, cylinder_of(c).rod_force_n)
+    assert track is not None
     try:
         pieces = _profile(track, c.plant.initial_x1_m - c.cylinder.dead_length_1_m, p.motion)
         profiles.check(pieces, p.motion, *soft_limits(p))
