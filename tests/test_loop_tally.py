@@ -11,16 +11,18 @@ from hypothesis import strategies as st
 
 from axis_rig import loaded
 from pneud.bus.inbox import Counts
+from pneud.log.files.columns import blocks
 from pneud.log.files.naming import new_log
 from pneud.log.files.reader import read_log
 from pneud.log.files.writer import LogWriter
 from pneud.loop.summary import percentiles_us, summarise
 from pneud.loop.tally import Tally
 from pneud.notebook.summary import summary_of
+from pneud.replay.ending import Ending
 from pneud.replay.lockstep import Simulation, header_of
 from pneud.report.gather import gather
 from pneud.report.timing import in_words
-from pneud.signals import Record, Request, RequestKind, State, Timing
+from pneud.signals import Answer, Record, Request, RequestKind, State, Timing
 
 NONE = Request(RequestKind.STOP)
 BITS = st.integers(0, (1 << 40) - 1)
@@ -59,25 +61,46 @@ def test_all_is_counted_until_the_end_and_faults_beyond(
     assert tally.latency.count == sum(one[4] >= 0 for one in counted)
 
 
-def test_a_stall_at_the_end_is_counted_alike_by_the_run_and_from_its_log(tmp_path: Path) -> None:
-    tally, ended = Tally(truth=True, timed=True), False
+@pytest.mark.parametrize("told", [RequestKind.SHUTDOWN, RequestKind.RESTART])
+def test_a_run_and_its_log_are_counted_alike_whatever_has_ended_it(tmp_path: Path, told: RequestKind) -> None:
+    tally, ended, behind = Tally(truth=True, timed=True), False, 0
     with new_log(tmp_path / "x.mcap") as descriptor:
         writer = LogWriter(descriptor, header_of(loaded())._replace(bus="unixcan:x"))
         for number, one in enumerate(Simulation(loaded(), 0.3).records()):
-            ended = ended or (one.tick.request or NONE).kind == RequestKind.SHUTDOWN
+            last = (one.tick.request or NONE).kind == RequestKind.SHUTDOWN
+            ended = ended or (last and told == RequestKind.SHUTDOWN)
+            behind += ended
             stalled = {250: 3}.get(number, 7 if ended else 0)
             timed = altered(one, one.tick.state, one.tick.present, one.tick.latched, stalled, -1)
+            if last:
+                tick = timed.tick._replace(request=Request(told), answer=int(Answer.TAKEN))
+                timed = timed._replace(tick=tick)
+            elif number == 200:  # while it is engaged
+                refused = timed.tick._replace(
+                    request=Request(RequestKind.RESTART), answer=int(Answer.WRONG_STATE)
+                )
+                timed = timed._replace(tick=refused)
             tally.add(timed, ending=ended)
+            ended = ended or last  # by the tick in which it was taken
             writer.write(timed)
         writer.close()
     log = read_log(tmp_path / "x.mcap")
-    assert ended
+    assert behind > 1
     assert tally.skipped == 3 + 7
     found = summary_of(log)
     assert (found["ticks"], found["skipped"]) == (tally.ticks, tally.skipped)
     assert found["lateness_us"] == percentiles_us(tally.lateness)
-    assert gather(log).counted.skipped == tally.skipped
+    told_of = gather(log).counted
+    assert (told_of.ticks, told_of.skipped, told_of.state) == (tally.ticks, tally.skipped, tally.state)
     assert "; 10 ticks skipped" in in_words(log)[0]
+    (block,) = blocks(log)
+    for cut in (tally.ticks - 1, tally.ticks, tally.ticks + 1):  # wherever a block ends
+        ending = Ending()
+        parts = (block.part(0, cut), block.part(cut, len(block.number)))
+        (first, here), (second, there) = map(ending.look, parts)
+        assert first + second == tally.ticks
+        found_at = [at for at in (here, None if there is None else cut + there) if at is not None]
+        assert found_at == [tally.ticks]
 
 
 def test_simulated_time_is_never_late(record: Record) -> None:

@@ -11,13 +11,13 @@ from pneud.log.files.columns import Block
 from pneud.log.format.record_layout import WORD_BITS
 from pneud.loop.tally import Tally
 from pneud.loop.tracking import Led
+from pneud.replay.ending import Ending
 from pneud.signals import (
     ALL_SOURCES,
     Answer,
     Defect,
     Measurement,
     Reference,
-    RequestKind,
     error_m,
     true_error_m,
 )
@@ -37,7 +37,7 @@ class Tallied:
         """Nothing has happened; as for `Tally`."""
         self.tally = Tally(truth=truth, timed=timed, sync=sync)
         self._timed = timed
-        self._ended = False
+        self._ending = Ending()
 
     def add(self, block: Block) -> None:
         """Take the ticks of a block."""
@@ -49,22 +49,13 @@ class Tallied:
         for first, words in block.faults("latched"):
             tally.ever_latched |= int(np.bitwise_or.reduce(words)) << first
         self._count_amiss(block)
-        end = 0 if self._ended else self._end_of(block)
+        end, stalled = self._ending.look(block)
         if end:
             self._count(block if end == count else block.part(0, end))
-        if self._ended and end < count:
+        if stalled is not None:
             ticks = block.ticks
-            self.tally.close(int(ticks["measurement.skipped"][end]), int(ticks["timing.lateness_ns"][end]))
-
-    def _end_of(self, block: Block) -> int:
-        """How many of its ticks come before the run was told to end."""
-        answers = block.ticks["answer"]
-        for index, request in block.requests:
-            taken = request.kind == RequestKind.RESTART and answers[index] == Answer.TAKEN
-            if taken or request.kind == RequestKind.SHUTDOWN:
-                self._ended = True
-                return index + taken  # a restart begins with the next tick
-        return len(block.number)
+            skipped, lateness_ns = ticks["measurement.skipped"], ticks["timing.lateness_ns"]
+            self.tally.close(int(skipped[stalled]), int(lateness_ns[stalled]))
 
     def _count_amiss(self, block: Block) -> None:
         ticks = block.ticks

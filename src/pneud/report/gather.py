@@ -20,6 +20,7 @@ from pneud.log.files.reader import LogReader
 from pneud.log.format.record_layout import WORD_BITS
 from pneud.log.format.records import LoggedEvent
 from pneud.loop.tracking import AGAINST, Led, Tracking
+from pneud.replay.ending import Ending
 from pneud.replay.mileage import done_by
 from pneud.replay.motions import Motion, Motions
 from pneud.report.closeup import Closeup
@@ -178,7 +179,7 @@ class _Gatherer:
         self.events: list[LoggedEvent] = []
         self.more_marks = self.more_events = 0
         self.ticks = 0
-        self.told_to_end = False
+        self._ending = Ending()
         self.t0_ns: int | None = None
         self.start_unix_s = math.nan
         self.first_engaged_s = math.nan
@@ -300,18 +301,14 @@ class _Gatherer:
 
     def _count(self, block: Block, error_m: NDArray[np.float64]) -> None:
         """What the summary of the run counts, too."""
-        if self.told_to_end:
+        end, stalled = self._ending.look(block)
+        if stalled is not None:
+            skipped = int(block.ticks["measurement.skipped"][stalled])
+            self.counted = self.counted._replace(skipped=self.counted.skipped + skipped)
+        if not end:
             return
-        ends = [index for index, request in block.requests if request.kind == RequestKind.SHUTDOWN]
-        self.told_to_end = bool(ends)
-        if ends:
-            end = ends[0]
-            # a stall that went on to the end is the run's
-            stalled = int(block.ticks["measurement.skipped"][end])
-            self.counted = self.counted._replace(skipped=self.counted.skipped + stalled)
+        if end < len(error_m):
             block, error_m = block.part(0, end), error_m[:end]
-        if not len(error_m):
-            return
         self._track(block, error_m)
         ticks, was = block.ticks, self.counted
         self.counted = Counted(

@@ -6,9 +6,9 @@ from pneud.config.reading import parse
 from pneud.loading import at_rate, codecs_of
 from pneud.log.files.columns import blocks
 from pneud.log.files.reader import LogReader
+from pneud.replay.ending import Ending
 from pneud.report.health import Health
 from pneud.report.spread import Spread
-from pneud.signals import RequestKind
 
 SIMULATED = "simulated"
 
@@ -25,17 +25,15 @@ def in_words(log: LogReader) -> list[str]:
     config = at_rate(parse(log.config_text, f"{log.path}:{log.config_name}"), log.rate_hz)
     codecs = codecs_of(config.bus, log.dbc_name, log.dbc, config.gas)
     health = Health(codecs, config.bus.sync is True, round(1e9 / log.rate_hz))
-    lateness, latency, skipped, ended = Spread(), Spread(), 0, False
+    lateness, latency, skipped, ending = Spread(), Spread(), 0, Ending()
     for block in blocks(log):
         if len(block.number):
             health.add(block)
             lateness.add(block.ticks["timing.lateness_ns"])
             latency.add(block.ticks["timing.latency_ns"])
-            ends = [index for index, request in block.requests if request.kind == RequestKind.SHUTDOWN]
-            # a stall that went on to the end is the run's
-            last = ends[0] + 1 if ends else None
-            skipped += 0 if ended else int(block.ticks["measurement.skipped"][:last].sum())
-            ended = ended or bool(ends)
+            end, stalled = ending.look(block)
+            own = end if stalled is None else stalled + 1
+            skipped += int(block.ticks["measurement.skipped"][:own].sum())
     if not lateness.count:
         return []
     ages = ", ".join(f"{s.name.replace('_', ' ')} {s.age.in_words('/')}" for s in health.sources)
