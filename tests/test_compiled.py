@@ -486,3 +486,33 @@ def test_c_homes() -> None:
     assert left()[0] - before[0] == 1, "which is the last"
     assert rig.axis.state.supervisor.state == State.HOLDING
     assert ticks > 1000
+
+
+@pytest.mark.parametrize(
+    ("armed", "asked", "state"),
+    [
+        (True, (RequestKind.FORCE, 30.0, 0.0, 0.0, 0.0, 0.0, 0.0), State.PRESSING),
+        (False, (RequestKind.PROBE, 1.0, 0.2, 2e-3, 0.05, 150.0, 5000.0), State.PROBING),
+    ],
+)
+def test_c_presses_and_probes(armed: bool, asked: tuple[float, ...], state: State) -> None:
+    left = compile_functions(FUNCTIONS, cache=cache_folder("compiled")).left
+    rig, other = Rig(), Rig()
+    rig.axis = compiled().axis(PARAMETERS)
+
+    def run(ticks: int, request: int = 0, *values: float) -> None:
+        for i in range(ticks):
+            words = (request, *values) if i == 0 else (0,)
+            assert repr(rig.tick(*words)) == repr(other.tick(*words))
+
+    run(80)
+    if armed:
+        run(50, ARM)
+    kind, *values = asked
+    run(2, int(kind), *values)
+    before = left()
+    run(300)
+    assert rig.axis.state.supervisor.state == state
+    assert left() == before
+    run(2, RequestKind.STOP)
+    assert rig.axis.freeze() == other.axis.freeze()

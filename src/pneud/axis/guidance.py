@@ -169,8 +169,10 @@ def redirect(
     if after == HOMING:
         return _homewards(course, before, belief, p)
     if after == PROBING:
-        asked_for = course.probe if asked.probe is None else asked.probe
-        return course._replace(probe=asked_for, reference=rest(e.position_m))
+        probed = course.probe
+        if asked.probe is not None:
+            probed = asked.probe
+        return course._replace(probe=probed, reference=rest(e.position_m))
     led = course.led
     if after == PRESSING:
         return _pressing(course, asked, state)
@@ -222,5 +224,7 @@ def _pressing(course: Course, asked: Asked, state: AxisState) -> Course:
     assert controller is not None
     if asked.law is not None:
         controller = forget(controller, state.law, asked.law)
-    press = course.press if asked.press is None else asked.press
+    press = course.press
+    if asked.press is not None:
+        press = asked.press
     return course._replace(plan=IDLE, controller=controller, press=press)
