@@ -9,16 +9,12 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from asserting import Pair, asserted, in_one_branch_alone
 from pure2c import TranslationError, compile_functions
 from pure2c.to_c import Translator
 from pure2c.types import Many, Maybe
 
 TABLE: tuple[float, ...] = (1.5, 2.5)
-
-
-class Pair(NamedTuple):
-    a: float
-    b: float
 
 
 class Odd(NamedTuple):
@@ -45,11 +41,6 @@ WRONG = Chain(0.0, (Pair(1.0, 2.0), Pair(3, 4.0), (5.0, 6.0), None))  # type: ig
 
 
 # what has to come out the same
-
-
-def asserted(p: Pair | None) -> float:
-    assert p is not None
-    return p.b
 
 
 def of_none(p: Pair | None) -> float:
@@ -327,15 +318,6 @@ def given_early(p: Pair, n: int) -> tuple[Pair, Pair]:
         return Pair(q.b + 1.0, q.a), q
     q = Pair(q.b, q.b)
     return q, q
-
-
-def in_one_branch_alone(p: Pair, n: int) -> float:
-    assert n >= 0
-    if n == 0:
-        q = Pair(p.b, p.a)
-    if n > 0:
-        q = p
-    return q.a
 
 
 def perhaps_changed(c: Chain, t: float) -> Chain:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib.util
 import shutil
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NoReturn
@@ -88,18 +90,73 @@ def test_a_campaign_says_so_before_there_are_processes_which_say_nothing(
     assert capsys.readouterr().err == ""
 
 
-@pytest.mark.parametrize("now", ["", "x = 1\n\ndef other(x: float) -> float:\n    return x\n", "def half("])
+HALF = "def half(x: float) -> float:\n    return 0.5 * x\n"
+
+
+@pytest.mark.parametrize(
+    "now",
+    [
+        "",
+        "x = 1\n\ndef other(x: float) -> float:\n    return x\n",
+        "def half(",
+        HALF.replace("0.5", "0.25"),
+        HALF.replace("*", "/"),
+        HALF.replace("return 0.5", "return abs(0.5)"),
+    ],
+)
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
 def test_a_source_that_is_another_one_by_now_is_not_compiled_as_what_runs(tmp_path: Path, now: str) -> None:
     file = tmp_path / "was_changed.py"
-    file.write_text("def half(x: float) -> float:\n    return 0.5 * x\n")
-    spec = importlib.util.spec_from_file_location("was_changed", file)
-    assert spec is not None and spec.loader is not None
-    module = sys.modules["was_changed"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    try:
+    file.write_text(HALF)
+    with loaded(file) as module:
         file.write_text(now)
         with pytest.raises(BuildError, match=r"py is not what was loaded of it, at half: begin anew"):
             compile_functions([module.half], cache=tmp_path / "cache")
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
+def test_it_is_no_branch_that_could_be_left_to_python(tmp_path: Path) -> None:
+    file = tmp_path / "was_changed.py"
+    whole = (
+        f"{HALF}\n\ndef whole(x: float) -> float:\n    if x < 0.0:\n        return half(x)\n    return x\n"
+    )
+    file.write_text(whole)
+    with loaded(file) as module:
+        file.write_text(whole.replace("0.5", "0.25"))
+        with pytest.raises(BuildError, match="at half: begin anew"):
+            compile_functions([module.whole], cache=tmp_path / "cache")
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
+def test_what_others_have_built_of_another_source_is_not_taken_for_what_runs(tmp_path: Path) -> None:
+    file, cache = tmp_path / "was_changed.py", tmp_path / "cache"
+    file.write_text(HALF)
+    with loaded(file) as module:
+        before = module.half
+        file.write_text(HALF.replace("0.5 *", "0.125 *"))
+        with loaded(file) as changed:
+            assert compile_functions([changed.half], cache=cache).functions[0](8.0) == 1.0
+        with pytest.raises(BuildError, match="begin anew"):
+            compile_functions([before], cache=cache)
+        file.write_text(f"{HALF}# and a remark\n")
+        assert compile_functions([before], cache=cache).functions[0](8.0) == 4.0
+
+
+@contextmanager
+def loaded(file: Path) -> Iterator[Any]:
+    """What is in a file now, as a module of its name."""
+    before = sys.modules.get(file.stem)
+    spec = importlib.util.spec_from_file_location(file.stem, file)
+    assert spec is not None and spec.loader is not None
+    module = sys.modules[file.stem] = importlib.util.module_from_spec(spec)
+    try:
+        sys.dont_write_bytecode, kept = True, sys.dont_write_bytecode
+        try:
+            spec.loader.exec_module(module)
+        finally:
+            sys.dont_write_bytecode = kept
+        yield module
     finally:
-        del sys.modules["was_changed"]
+        del sys.modules[file.stem]
+        if before is not None:
+            sys.modules[file.stem] = before

@@ -75,7 +75,7 @@ def compile_functions(
 
         try:
             return Extension(functions, MODULE).source
-        except TranslationError:
+        except BuildError:
             raise
         except Exception as e:  # whatever a source that is not there, or a hint that means nothing, leads to
             raise TranslationError(f"{type(e).__name__}: {e}") from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import marshal
 import re
 import sys
 import types
@@ -19,8 +20,9 @@ _HAS_NO_PARTS: tuple[type, ...] = (types.FunctionType, *_CONSTANTS, tuple, dict)
 class Reach:
     """A digest over what functions depend on, and the NamedTuples among it.
 
-    That is: the sources of the modules of all functions and NamedTuples that they reach, and the values of
-    the constants that they use, wherever those come from.
+    That is: the sources of the modules of all functions and NamedTuples that they reach, the code of these
+    functions as it was loaded, for sources may have changed since, and the values of the constants that they
+    use, wherever those come from.
     """
 
     def __init__(self, functions: Iterable[Callable[..., Any]]) -> None:
@@ -66,6 +68,7 @@ class Reach:
         if self._is_known(f):
             return
         self._add_module(f.__module__)
+        self._parts += doings(f.__code__)
         self._add_named(f.__code__.co_names, f.__globals__)
         self._add(f.__defaults__)
         self._add(f.__kwdefaults__)
@@ -113,6 +116,23 @@ class Reach:
 
     def _note(self, text: str) -> None:
         self._parts.append(f"{text}\n".encode())
+
+
+def doings(code: types.CodeType) -> tuple[bytes, bytes]:
+    """What code does, apart from where it stands; the same in every process."""
+    constants: Any = code.co_consts
+    if not _CONSTANTS.issuperset(map(type, constants)):
+        constants = tuple(map(_constant, constants))
+    # of the first version: it knows no references, which differ from process to process
+    return code.co_code, marshal.dumps((code.co_names, code.co_varnames, constants), 0)
+
+
+def _constant(value: Any) -> Any:
+    if isinstance(value, types.CodeType):
+        return doings(value)
+    if isinstance(value, tuple):
+        return tuple(map(_constant, value))
+    return sorted(map(repr, value)) if isinstance(value, frozenset) else value  # which has no order
 
 
 def name_of(class_: type) -> str:

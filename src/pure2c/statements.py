@@ -9,20 +9,24 @@ from __future__ import annotations
 
 import ast
 import inspect
+import linecache
 import re
 import textwrap
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from tokenize import TokenError
-from types import FunctionType, NoneType
+from types import CodeType, FunctionType, NoneType
 from typing import TypeGuard
 
 from pure2c.expressions import LOCAL, Expressions
+from pure2c.reach import doings
 from pure2c.types import (
     LASTING,
     PLAIN,
     VALUE,
+    BuildError,
     Maybe,
     TranslationError,
     Type,
@@ -359,15 +363,32 @@ def _definition(f: FunctionType) -> ast.FunctionDef:
 
     Raises:
         OSError: there is no file.
-        TranslationError: what stands there now is another one.
+        BuildError: what stands there now is another one; no branch that is left out would do for that.
     """
     file = f.__code__.co_filename
     passing = (SyntaxError, IndexError, TokenError, *((OSError,) if Path(file).exists() else ()))
     with suppress(*passing):
         found = ast.parse(textwrap.dedent(inspect.getsource(f))).body[0]
-        if isinstance(found, ast.FunctionDef) and found.name == f.__name__:
+        if isinstance(found, ast.FunctionDef) and found.name == f.__name__ and _is_loaded(f):
             return found
-    raise TranslationError(f"{file} is not what was loaded of it, at {f.__name__}: begin anew")
+    raise BuildError(f"{file} is not what was loaded of it, at {f.__name__}: begin anew")
+
+
+def _is_loaded(f: FunctionType) -> bool:
+    """Whether its code is what is made of its file as that is now."""
+    code = f.__code__
+    now = _codes(code.co_filename, "".join(linecache.getlines(code.co_filename)))
+    return any(one.co_firstlineno == code.co_firstlineno and doings(one) == doings(code) for one in now)
+
+
+@lru_cache(maxsize=256)
+def _codes(file: str, text: str) -> list[CodeType]:
+    """All code of a text: that of one function alone may be another than within its module."""
+    found, last = [compile(text, file, "exec", dont_inherit=True)], 0
+    while last < len(found):
+        found += [one for one in found[last].co_consts if isinstance(one, CodeType)]
+        last += 1
+    return found
 
 
 def _is_stored(node: ast.AST) -> TypeGuard[ast.Name]:
