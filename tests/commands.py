@@ -102,13 +102,6 @@ def object_of(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
     return found
 
 
-def error_of(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
-    """What could never be done, in the one JSON object on standard error."""
-    assert (done.returncode, done.stdout) == (2, ""), (done.stdout, done.stderr)
-    found: dict[str, Any] = json.loads(done.stderr, parse_constant=no_json)["error"]
-    return found
-
-
 def no_json(constant: str) -> None:
     """Called for NaN and infinity, which are no JSON."""
     raise AssertionError(f"{constant} in the output")

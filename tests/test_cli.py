@@ -16,7 +16,6 @@ from log_samples import noisy
 from pneud import cli, resources
 from pneud.cli import GROUPS, ORDER, verbs
 from pneud.log.files.reader import read_log
-from pneud.signals import Answer
 from pneud.verbs import NEGATIVE_NUMBERS, check
 
 GOLDEN = Path(__file__).with_name("golden") / "composite.mcap"
@@ -270,60 +269,25 @@ def test_what_shows_only_when_the_axis_is_asked_to_arm_is_named_too() -> None:
     assert done.stderr == "pneud: never armed: unreachable\n"
 
 
-FAR = "0,450\n10,1200\n20,450\n"
-
-
 @pytest.mark.parametrize(
-    ("offline", "running", "kind"),
+    ("moves", "words"),
     [
-        (["sim", "--track", "far.csv"], ["track", "far.csv"], "usage"),
-        (["sim", "--track", "steps:450,1200"], ["track", "steps", "450", "1200"], "usage"),
-        (["sim", "--goto", "1200"], ["goto", "1200"], "out_of_travel"),
-        (["sim", "--goto", "500@5000"], ["goto", "500", "--speed", "5000"], "beyond_limits"),
-        (["sim", "--goto", "5000N"], ["force", "5000"], "beyond_limits"),
-        (["sim", "--goto", "-5000N"], ["force", "-5000"], "beyond_limits"),
-        (["check", "far.toml"], ["tune", "set", "reference.amplitude_m=0.9"], "out_of_travel"),
-        (["sim", "--axis", "y"], ["goto", "100", "--axis", "y"], "invalid"),
-        (["sim", "--axis", "y"], ["status", "--axis", "y"], "usage"),
-        (["sim", "--axis", "y"], ["top", "--axis", "y"], ""),
+        ("1200", "1200 mm lies outside the travel 21 … 979 mm"),
+        ("500@5000", "5000 mm/s is faster than limits.motion.speed_m_s"),
+        ("5000N", "5000 N: limits.force and the supply allow"),
+        ("-5000N", "-5000 N: limits.force and the supply allow"),
     ],
 )
-def test_what_could_never_be_done_has_one_status_whoever_finds_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, offline: list[str], running: list[str], kind: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "far.csv").write_text(FAR)
-    text = (
-        (resources.configs() / "virtual.toml").read_text().replace("amplitude_m = 0.05", "amplitude_m = 0.9")
-    )
-    (tmp_path / "far.toml").write_text(text)
+def test_moves_that_the_axis_may_not_make_are_refused_before_it_begins(moves: str, words: str) -> None:
+    done = pneud_here("sim", "--goto", moves)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"pneud: --goto {moves}: {words}")
+
+
+@pytest.mark.parametrize("verb", ["status", "top", "hold"])
+def test_an_axis_that_is_not_there_is_refused_in_one_line(tmp_path: Path, verb: str) -> None:
     with served(tmp_path) as b:
         b.ring.put(next(noisy(1)))
-        found = pneud_here(*offline)
-        asked = pneud_here(*running, "--socket", b.path)
-        objects = [pneud_here(*running, "--socket", b.path, "--json")] if kind else []
-        assert not b.requests
-    for done in (found, asked, *objects):
-        assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done
-    assert [json.loads(done.stderr)["error"]["type"] for done in objects] == [kind] * len(objects)
-
-
-@pytest.mark.parametrize(
-    ("answer", "words", "status"),
-    [
-        (Answer.BEYOND_LIMITS, ["goto", "500", "--accel", "1e6"], 2),
-        (Answer.UNSTABLE, ["tune", "set", "k1=1e9"], 2),
-        (Answer.OUT_OF_TRAVEL, ["track", "reference"], 1),  # the way from where it stands
-        (Answer.WRONG_STATE, ["hold"], 1),
-    ],
-)
-def test_what_the_axis_could_never_do_is_no_refusal_of_the_moment(
-    tmp_path: Path, answer: Answer, words: list[str], status: int
-) -> None:
-    with served(tmp_path) as b:
-        b.answer = lambda _: answer
-        done = pneud_here(*words, "--socket", b.path, "--json")
-    assert done.returncode == status
-    told, empty = (done.stderr, done.stdout) if status == 2 else (done.stdout, done.stderr)
-    assert json.loads(told)["error"]["type"] == answer.name.lower()
-    assert empty == ""
+        done = pneud_here(verb, "--axis", "y", "--socket", b.path)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert re.fullmatch(r"pneud: .*no axis 'y'; .*virtual\n", done.stderr)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from commands import error_of, object_of, pneud_here
+from commands import object_of, pneud_here
 from console_bench import served
 from pneud import resources
 from pneud.config.conversions import axis_of
@@ -213,8 +213,8 @@ def test_a_living_daemon_keeps_its_socket_and_a_dead_ones_is_replaced(runtime: P
 def test_results_and_refusals_as_objects(tmp_path: Path) -> None:
     with served(tmp_path) as b:
         at = ("--socket", b.path, "--json")
-        assert error_of(pneud_here("goto", "-0.5e2", *at))["nearest_mm"] == 21.0
-        assert pneud_here("goto", "-50", "--socket", b.path).returncode == 2
+        assert object_of(pneud_here("goto", "-0.5e2", *at))["error"]["nearest_mm"] == 21.0
+        assert pneud_here("goto", "-50", "--socket", b.path).returncode == 1
         assert object_of(pneud_here("goto", 120, "--accel", 500, *at)) == {
             "schema": 1,
             "ok": True,
@@ -227,7 +227,7 @@ def test_results_and_refusals_as_objects(tmp_path: Path) -> None:
         assert pneud_here("jog", "-20", "--for", 0.25, *at).returncode == 0
         found = object_of(pneud_here("track", "steps", 100, 110, "--dwell", 0.1, *at))
         assert found["pieces"] > 3
-        assert pneud_here("track", "steps", 100, 5, *at).returncode == 2
+        assert pneud_here("track", "steps", 100, 5, *at).returncode == 1
         kinds = [r.kind for r in b.requests]
     assert kinds[0] == RequestKind.GOTO
     assert kinds[1 : kinds.index(RequestKind.HOLD)] == [RequestKind.JOG] * (kinds.index(RequestKind.HOLD) - 1)
@@ -247,7 +247,7 @@ def test_tuning_changes_compares_and_saves_and_the_comments_stay(tmp_path: Path)
         assert object_of(pneud_here("tune", "set", *settings, *at))["changed"] == words
         assert b.requests[-1].values[:2] == (3.0, 90000.0)
         assert len(b.requests[-1].values) == len(TUNABLE)
-        assert error_of(pneud_here("tune", "set", "law=lqr", *at))["type"] == "invalid"
+        assert object_of(pneud_here("tune", "set", "law=lqr", *at))["error"]["type"] == "invalid"
         assert set(object_of(pneud_here("tune", "diff", *at))["changes"]) == {"law", "k1", "gain_n_s2"}
         assert object_of(pneud_here("tune", "save", *at))["changed"] == words
         saved = text.replace('law = "composite"', 'law = "ismc"').replace("95000.0", "90000.0")
@@ -266,10 +266,10 @@ def test_tuning_changes_compares_and_saves_and_the_comments_stay(tmp_path: Path)
             [],
         )
         file.write_text(text.replace("tracking_error_m = 0.02", "tracking_error_m = 0.03"))
-        refused = error_of(pneud_here("tune", "reload", *at))
+        refused = object_of(pneud_here("tune", "reload", *at))["error"]
         assert "limits.tracking_error_m changed" in refused["message"]
         file.write_text("rubbish")
-        assert error_of(pneud_here("tune", "reload", *at))["type"] == "configuration"
+        assert object_of(pneud_here("tune", "reload", *at))["error"]["type"] == "configuration"
         assert pneud_here("tune", "diff", *at).returncode == 2
     assert list(tmp_path.glob(".*")) == []
 
@@ -318,11 +318,11 @@ def test_the_reference_is_tuned_like_a_gain(tmp_path: Path) -> None:
         assert len(b.requests[-1].values) == len(TUNABLE)
 
         b.answer = lambda _: Answer.OUT_OF_TRAVEL
-        near = ("reference.effective_centre_m=0.0782", "reference.amplitude_m=0.035")
-        refused = object_of(pneud_here("tune", "set", *near, *at))["error"]
+        refused = object_of(pneud_here("tune", "set", "reference.amplitude_m=0.6", *at))["error"]
         assert refused["type"] == "out_of_travel"
-        assert "amplitude_m 0.03 → 0.035" in refused["message"]
-        assert refused["message"].endswith(": the way leaves the travel 20 … 980 mm")
+        assert refused["message"].startswith(
+            "tune: reference.amplitude_m 0.03 → 0.6: the way leaves the travel"
+        )
         assert object_of(pneud_here("tune", "get", *at))["gains"]["reference.amplitude_m"] == 0.03
 
 
@@ -337,7 +337,7 @@ def test_another_law_is_set_with_its_gains_saved_and_left_again(tmp_path: Path) 
             (("law=pid", "k1=90000"), "k1 is no value of pid"),
             (("law=3",), "law is one of"),
         ):
-            error = error_of(pneud_here("tune", "set", *settings, *at))
+            error = object_of(pneud_here("tune", "set", *settings, *at))["error"]
             assert error["type"] == "invalid"
             assert words in error["message"]
         assert pneud_here("tune", "set", "pid.kq=1", *at).returncode == 2

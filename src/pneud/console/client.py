@@ -14,27 +14,18 @@ from pneud.console.endpoint import PlaceError, find
 from pneud.console.line_stream import VERSION, line
 
 _PATIENCE_S = 5.0
-_TRAVEL = "out_of_travel"
-# types of refusals that do not depend on how the axis stands
-_NEVER = ("invalid", "malformed", "configuration", "program", "beyond_limits", "unstable")
 
 
 class RefusedError(Exception):
-    """The answer is no; the text is one line for a person, `error` what the console of `axis` said.
+    """The answer is no; the text is one line for a person, `error` what the console of `axis` said."""
 
-    Attributes:
-        exit_code: 2 where what was asked for can be done in no state of the axis, or its file cannot be used;
-            1 where the axis says no as it stands, or has not come to the end of it.
-    """
+    exit_code = 1
 
     def __init__(self, error: dict[str, Any], axis: str = "") -> None:
         super().__init__(str(error.get("message", error)))
         self.axis = axis
         self.error = error
         self.kind = str(error.get("type"))
-        # of an axis that says so of the travel, the way from where it stands leaves it
-        never = self.kind in _NEVER or (self.kind == _TRAVEL and "state" not in error)
-        self.exit_code = 2 if never else 1
 
 
 class Reply(dict[str, Any]):

@@ -21,7 +21,7 @@ def ask(
     """Ask for one thing and print what came of it: for people `words`, as the state that the axis is in then.
 
     Returns:
-        Exit status: 0, or as of `refused`.
+        Exit status: 0, or 1 where it was refused.
 
     Raises:
         PlaceError: no daemon to talk to.
@@ -48,15 +48,14 @@ def show(reply: dict[str, Any], json: bool, words: str) -> None:
 
 
 def refused(e: RefusedError, json: bool) -> int:
-    """Print a refusal; of what could never be done, standard output stays empty.
+    """Print a refusal.
 
     Returns:
-        Exit status: 1, or 2 where it could never be done.
+        Exit status: 1.
     """
     if json:
         axis = {"axis": e.axis} if e.axis else {}
-        found = {"schema": 1, "ok": False, **axis, "error": e.error}
-        print(json_.dumps(found), file=sys.stdout if e.exit_code == 1 else sys.stderr)
+        print(json_.dumps({"schema": 1, "ok": False, **axis, "error": e.error}))
     else:
         print(f"pneud: {e.axis}: {e}" if e.axis else f"pneud: {e}", file=sys.stderr)
-    return e.exit_code
+    return 1

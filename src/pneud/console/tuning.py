@@ -169,7 +169,7 @@ class Tuning:
 
         Raises:
             ProtocolError: there is no such value or law, a value is of another law, or is none that the
-                configuration could have, or the reference leaves the travel.
+                configuration could have.
         """
         unknown = [name for name in values if name not in NAMES]
         if unknown:
@@ -189,21 +189,7 @@ class Tuning:
             believing(self._config, wanted)
         except ValidationError as e:
             raise ProtocolError(Error.INVALID, explain(e)) from None
-        self._check_reach(wanted)
         return self._plan("tune", wanted, {})
-
-    def _check_reach(self, wanted: Values) -> None:
-        """Refuse a reference that would leave the travel from wherever it is joined."""
-        limits, dead_m = self._config.limits, self._config.cylinder.dead_length_1_m
-        centre_m = float(wanted["reference.effective_centre_m"]) - dead_m
-        amplitude_m = float(wanted["reference.amplitude_m"])
-        low_m, high_m = centre_m - amplitude_m, centre_m + amplitude_m
-        if low_m < limits.travel_min_m or high_m > limits.travel_max_m:
-            raise ProtocolError(
-                Error.OUT_OF_TRAVEL,
-                f"tune: the reference reaches {1e3 * low_m:g} … {1e3 * high_m:g} mm of the stroke,"
-                f" beyond limits.travel {1e3 * limits.travel_min_m:g} … {1e3 * limits.travel_max_m:g} mm",
-            )
 
     def reload(self) -> Orders:
         """Take the values of the file as it was read last; limits never, all else at the next start.

@@ -206,7 +206,7 @@ def _on_the_rig(
     try:
         return procedure.commission(rig, wishes, _Talk(yes)), loaded.config
     except RefusedError as e:
-        raise VerbError(f"commission: {e}", e.exit_code) from None
+        raise VerbError(f"commission: {e}", 1) from None
     finally:
         rig.close()
 

@@ -40,7 +40,7 @@ def force(
     """Ask for it, and wait if that is wanted.
 
     Returns:
-        Exit status: 0, 2 where it could never be done, or 1 where it was refused or the force is not reached.
+        Exit status: 0, or 1 where it was refused or the force is not reached.
     """
     given = (("rate_n_s", ramp), ("speed_mm_s", speed), ("timeout_s", timeout))
     fields: dict[str, Any] = {name: value for name, value in given if value is not None}

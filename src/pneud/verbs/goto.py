@@ -42,7 +42,7 @@ def goto(
     """Ask for it, and wait if that is wanted.
 
     Returns:
-        Exit status: 0, 2 where it could never be done, or 1 where it was refused or the load is not there.
+        Exit status: 0, or 1 where it was refused or the load has not come there.
     """
     given = (("speed_mm_s", speed), ("acceleration_mm_s2", accel), ("jerk_mm_s3", jerk))
     fields: dict[str, Any] = {name: value for name, value in given if value is not None}

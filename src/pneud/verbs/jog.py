@@ -26,7 +26,7 @@ def jog(
     """Move until Ctrl-C or the end of a time, then hold; if this process dies, the lease runs out.
 
     Returns:
-        Exit status: 0, 2 where it could never be done, or 1 where it was refused.
+        Exit status: 0, or 1 where it was refused.
     """
     if not abs(velocity) <= 1e6 or (duration is not None and not 0.0 < duration < 1e6):
         raise VerbError("jog: MM_S is a speed, --for a positive number of seconds")

@@ -12,7 +12,7 @@ def restart(socket: SocketOption = None, json: JsonOption = False) -> int:
     """Ask for it, and wait for the run that follows.
 
     Returns:
-        Exit status: 0, 2 where it could never be done, or 1 where it was refused.
+        Exit status: 0, or 1 where it was refused.
 
     Raises:
         PlaceError: no daemon to talk to, or it has ended and does not answer again.

@@ -60,7 +60,7 @@ def run_(
     """Have it done, and wait for the end; Ctrl-C has the axis hold.
 
     Returns:
-        Exit status: 0, 2 where it could never be done, or 1 where it was refused or has not come to its end.
+        Exit status: 0, or 1 where it was refused or has not come to its end.
 
     Raises:
         ProgramError: the program cannot be used, as this process finds it or the daemon.

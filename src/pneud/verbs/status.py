@@ -5,8 +5,9 @@ from typing import Annotated, Any
 
 import typer
 
-from pneud.console.client import Client
+from pneud.console.client import Client, RefusedError
 from pneud.console.going import in_words as where
+from pneud.console.results import refused
 from pneud.verbs import AxisOption, JsonOption, SocketOption
 from pneud.view import mileage
 from pneud.view.learnt import in_brief
@@ -22,9 +23,16 @@ def status(
         bool, typer.Option("--openmetrics", help="Print numbers as monitoring reads them.")
     ] = False,
 ) -> int:
-    """How the axis is."""
-    with Client(socket, axis) as client:
-        found = client.ask("status")
+    """How the axis is.
+
+    Returns:
+        Exit status: 0, or 1 where there is no such axis.
+    """
+    try:
+        with Client(socket, axis) as client:
+            found = client.ask("status")
+    except RefusedError as e:
+        return refused(e, json)
     each = [found]
     if "axes" in found:
         each = [{**one, "lease": found["lease"]} for one in found["axes"].values()]

@@ -20,7 +20,6 @@ import typer
 from pneud.console.attached import attached
 from pneud.console.client import Client, RefusedError
 from pneud.console.operator import Operator
-from pneud.console.results import refused
 from pneud.safety.cause import first_cause
 from pneud.verbs import AxisOption, SocketOption
 from pneud.view.hands import Leaving
@@ -36,7 +35,7 @@ def top(
     """Show a running daemon until `q` or Ctrl-C, or until it ends.
 
     Returns:
-        Exit status: 0, or 1 or 2 where the daemon cannot be looked at.
+        Exit status: 0, or 1 where the daemon cannot be looked at.
     """
     with contextlib.ExitStack() as clients:
         seen: list[Seen] = []
@@ -48,7 +47,8 @@ def top(
                 kept.append(client.fileno())
                 seen.append(_seen(client, partial(Client, socket, name), read_only))
         except RefusedError as e:
-            return refused(e, json=False)
+            print(f"pneud: {e}", file=sys.stderr)
+            return 1
         ring = seen[0].ring
         screen = fork_screen(
             seen,

@@ -44,10 +44,7 @@ def track(
     """Upload what is asked for, where it has to be, and follow it.
 
     Returns:
-        Exit status: 0, 2 where it could never be done, or 1 where it was refused.
-
-    Raises:
-        ConfigError: the profile cannot be used, or is more than the axis may do.
+        Exit status: 0, or 1 where it was refused or is more than the axis may do.
     """
     if positions and name != "steps":
         raise ConfigError(f"track {name}: takes no positions")
@@ -87,7 +84,7 @@ def _upload(client: Client, name: str, make: Callable[[Bounds, float | None], li
     try:
         profiles.check(pieces, bounds, allowed["min_mm"] * _MM, allowed["max_mm"] * _MM)
     except ProfileError as e:
-        raise ConfigError(f"track {name}: {e}") from None
+        raise RefusedError({"type": "beyond_limits", "message": f"track {name}: {e}"}) from None
     for fields in profiles.uploads(pieces):
         client.ask("upload", **fields)
     return pieces

@@ -38,7 +38,7 @@ def change(
     """Change gains, reference, dead zone, friction or filters, all or none, without a step of the command.
 
     Returns:
-        Exit status: 0, 2 where it could never be done, or 1 where it was refused.
+        Exit status: 0, or 1 where it was refused.
     """
     values: Values = {}
     for setting in settings:
@@ -70,7 +70,7 @@ def reload(axis: AxisOption = None, socket: SocketOption = None, json: JsonOptio
     """Take gains and reference of the daemon's configuration, as SIGHUP does.
 
     Returns:
-        Exit status: 0, 2 where it could never be done, or 1 where it was refused.
+        Exit status: 0, or 1 where it was refused.
     """
     return ask(socket, json, "tune_reload", _changed, axis=axis)
 
@@ -117,7 +117,7 @@ def _running(socket: str | None, axis: str | None) -> tuple[Values, Path]:
         try:
             reply = client.ask("tune_get")
         except RefusedError as e:
-            raise VerbError(f"tune: {e}", e.exit_code) from None
+            raise VerbError(f"tune: {e}") from None
     return reply["gains"], Path(reply["config"])
 
 
