@@ -103,6 +103,11 @@ class Bench:
         self.turn()
         return self.replies(client)
 
+    def tell_unheard(self, client: socket.socket, *lines: dict[str, Any]) -> None:
+        """Send lines and let the console work, for a client that may go meanwhile."""
+        client.sendall(b"".join(json.dumps(line).encode() + b"\n" for line in lines))
+        self.turn()
+
     @staticmethod
     def replies(client: socket.socket) -> list[dict[str, Any]]:
         received = b""

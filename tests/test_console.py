@@ -182,6 +182,33 @@ def test_of_what_a_client_has_asked_that_has_gone_only_stops_are_done(desk: Benc
     assert not desk.server._clients
 
 
+@pytest.mark.parametrize("verb", ["arm", "upload", "stop"])
+def test_who_goes_right_before_the_request_is_handed_over_is_not_served_but_for_stops(
+    desk: Bench, monkeypatch: pytest.MonkeyPatch, verb: str
+) -> None:
+    one = desk.connect()
+
+    def go() -> None:  # behind the last look at what has come
+        if desk.server._jobs:
+            one.close()
+
+    monkeypatch.setattr(desk.server._files, "go_on", go)
+    desk.tell_unheard(one, message(verb, **COMMANDS.get(verb, {})), *[message("status")] * 8)
+    assert [r.kind for r in desk.requests] == ([RequestKind.STOP] if verb == "stop" else [])
+    if verb != "stop":
+        assert any(words.endswith("→ late") for words in desk.said)
+
+
+def test_who_goes_between_two_parts_of_a_request_has_it_undone(desk: Bench) -> None:
+    one = desk.connect()
+    desk.answer = lambda request: None if request.values else Answer.TAKEN
+    desk.tell(one, message("upload", first=True, pieces=[PIECE] * 3))
+    desk.loop.answer(tick_at(1)._replace(answer=Answer.TAKEN, state=int(State.HOLDING)))
+    one.close()
+    desk.turn()
+    assert [len(request.values) for request in desk.requests] == [0, 9, 0], "it is empty again"
+
+
 def test_a_client_that_goes_in_peace_stops_nothing(desk: Bench) -> None:
     one = desk.connect()
     desk.ask(one, "jog", velocity_mm_s=20)

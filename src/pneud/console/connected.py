@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import select
 import selectors
 import socket
 from collections.abc import Callable
@@ -62,6 +63,12 @@ class Connected:
     def is_due(self) -> bool:
         """Whether it has sent something that is not taken yet, and could be."""
         return self.interest == 0 and self.tokens >= 1.0 and self.awaits < LINES
+
+    def hung_up(self) -> bool:
+        """Whether it has gone by now, whatever it has sent before."""
+        look = select.poll()
+        look.register(self.connection, select.POLLRDHUP)
+        return bool(look.poll(0))
 
     def awaiting(self, then: Then) -> Then:
         """How to go on with a reply, which is awaited until then."""

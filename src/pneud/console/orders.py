@@ -9,7 +9,14 @@ from pneud.console import handoff, protocol
 from pneud.console.programs import AxisFacts, Compiled
 from pneud.console.protocol import ProtocolError
 from pneud.control.reference import Bounds
-from pneud.signals import Request
+from pneud.signals import Request, RequestKind
+
+MOTION = (
+    *(RequestKind.ARM, RequestKind.DISARM, RequestKind.STOP, RequestKind.HOLD),
+    *(RequestKind.HOME, RequestKind.GOTO, RequestKind.TRACK, RequestKind.RUN),
+    RequestKind.FORCE,
+)
+RENEWED = (RequestKind.JOG, RequestKind.PROBE)  # by the same again, which is no other command
 
 
 class Orders(NamedTuple):

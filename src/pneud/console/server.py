@@ -19,7 +19,7 @@ from pneud.console import handoff, protocol, together
 from pneud.console.beside import Beside, Then
 from pneud.console.connected import BOUNDS, LINES, ClientBounds, Connected, Job
 from pneud.console.lease import Lease
-from pneud.console.orders import Desk, Orders
+from pneud.console.orders import MOTION, RENEWED, Desk, Orders
 from pneud.console.peer import commanding_group, may_command, peer_of, why_read_only
 from pneud.console.protocol import Error, ProtocolError
 from pneud.console.setting_out import SettingOut
@@ -27,13 +27,8 @@ from pneud.signals import Answer, Request, RequestKind, State
 
 INFO, WARNING = 2, 3  # levels of the log's events
 
-_MOTION = (
-    *(RequestKind.ARM, RequestKind.DISARM, RequestKind.STOP, RequestKind.HOLD),
-    *(RequestKind.HOME, RequestKind.GOTO, RequestKind.TRACK, RequestKind.RUN),
-    RequestKind.FORCE,
-)
-_RENEWED = (RequestKind.JOG, RequestKind.PROBE)  # by the same again, which is no other command
 _CHUNK = 16 * 1024
+_GONE = "who asked had gone before; it has not been done"
 _ACCEPTS = 16  # new clients in a turn
 _LOOK_S = 0.01  # between two looks at axes that come to rest before they set out
 _QUIET_S = 1.0  # between two words for the log about the same client's mistakes
@@ -206,11 +201,12 @@ class Server:
         self._report_mistakes(client)
         self._lease.drop(client)
         self._later.drop(client)
-        for job in self._jobs:
-            if job.client is client:
-                job.client = None
-        # what is still to come of a client that has gone is not done, but for a stop
-        self._jobs = deque(j for j in self._jobs if j.client is not None or j.plan.urgent or j.number is None)
+        for job in [job for job in self._jobs if job.client is client]:
+            job.client = None
+            if not job.plan.urgent:  # what is still to come of a client that has gone is not done
+                self._forget(job)
+                if job.begun and (self._flight is None or self._flight[1] is not job):
+                    self._undo(job.plan, job.label)
         if self._unfinished is not None and self._unfinished[0] is client:
             self._undo(self._unfinished[1], client.peer.label)
         for axis in [axis for axis, who in self._attending.items() if who is client]:
@@ -422,7 +418,7 @@ class Server:
             plan = self._plan(message, read)
             words = plan.words
             if client.has_gone and not plan.urgent:
-                raise ProtocolError(Error.LATE, "who asked had gone before; it has not been done")
+                raise ProtocolError(Error.LATE, _GONE)
             now_s = self._clock()
             if not plan.free and not self._lease.take(client, now_s, by_force=plan.urgent):
                 holder = self._lease.holder(now_s)
@@ -500,6 +496,10 @@ class Server:
                 self._forget(job)
                 self._tell(job, ProtocolError(Error.INVALID, "the upload has not begun, or was refused"))
                 continue
+            if job.client is not None and not job.plan.urgent and job.client.hung_up():
+                self._forget(job)
+                self._end(job, ProtocolError(Error.LATE, _GONE))
+                continue
             self._number = (self._number + 1) & 0xFFFF_FFFF
             self._flight = (self._number, job, self._clock() + self._bounds.silent_s)
             if job.plan.undo is not None:
@@ -551,7 +551,7 @@ class Server:
     def _done(self, job: Job, outcome: handoff.RequestOutcome) -> None:
         more = job.plan.done() if job.plan.done is not None else {}
         kind = job.plan.requests[-1].kind
-        moves = kind in _MOTION or kind in _RENEWED
+        moves = kind in MOTION or kind in RENEWED
         if moves:
             order = {"number": outcome.number, "words": job.plan.words}
             self._order |= dict.fromkeys(job.plan.axes, order)
@@ -565,10 +565,10 @@ class Server:
                 together.half_done(self._desks, job.plan.axes, None)
             if job.plan.unfinished and job.client is None:
                 self._undo(job.plan, job.label)
-        if kind not in _RENEWED or job.plan.words != self._renewed.get(job.plan.axes[0]):
+        if kind not in RENEWED or job.plan.words != self._renewed.get(job.plan.axes[0]):
             self._say(INFO, f"{job.label}: {together.whose(self._desks, job.plan)}{job.plan.words} → taken")
         for axis in job.plan.axes if moves else ():
-            self._attend(axis, job, renewed=job.plan.words if kind in _RENEWED else "")
+            self._attend(axis, job, renewed=job.plan.words if kind in RENEWED else "")
         if job.plan.then is not None:
             self._later.add(job.client, job.plan.then, self._clock())
             return

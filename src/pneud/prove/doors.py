@@ -26,7 +26,7 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 from pneud.prove.disk import Disk
-from pneud.prove.pipes import Eventfd, Readable, pair_of
+from pneud.prove.pipes import Eventfd, Readable, Socket, pair_of
 from pneud.prove.world import FOREVER_NS, Actor, World
 
 _S = 1e9
@@ -305,6 +305,29 @@ class SelectDoor(Door):
     def epoll(self) -> Any:
         """A set of such."""
         return Epoll(self.world)
+
+    def poll(self) -> Any:
+        """A look at whether the other ends are there."""
+        return Poll(self.world)
+
+
+class Poll:
+    """`select.poll`, for a look without a wait at who has hung up."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._sockets: list[Socket] = []
+
+    def register(self, one: Socket, events: int) -> None:
+        """Look at this, too."""
+        assert events == select.POLLRDHUP
+        self._sockets.append(one)
+
+    def poll(self, timeout_ms: int) -> list[tuple[int, int]]:
+        """Those that have."""
+        assert timeout_ms == 0
+        self._world.step()
+        return [(one.fileno(), select.POLLRDHUP) for one in self._sockets if one.hung_up]
 
 
 class Epoll:

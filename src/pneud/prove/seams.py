@@ -34,6 +34,7 @@ SEAMS: dict[str, tuple[str, ...]] = {
     "pneud.log.files.writer": ("threading", "time", "uuid"),
     "pneud.console.beside": ("os", "threading", "time"),
     "pneud.console.client": ("select",),
+    "pneud.console.connected": ("select",),
     "pneud.console.handoff": ("select", "time"),
     "pneud.console.keeper": ("os", "signal", "time"),
     "pneud.console.processes": ("time",),
