@@ -33,6 +33,7 @@ class Gains(NamedTuple):
     chosen: Chosen | None
     believed: Any = None
     changes: tuple[Any, ...] = ()
+    cautions: list[str] = []  # noqa: RUF012 - nobody changes it
 
     @property
     def text(self) -> str:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from pneud.config.models import Config
 from pneud.loading import Loaded
-from pneud.study.commissioning import written
+from pneud.study.commissioning import slipping, written
 from pneud.study.commissioning.estimated import Values
 from pneud.study.commissioning.gains import Chosen
 from pneud.study.commissioning.written import Change
@@ -28,6 +28,11 @@ class Found(NamedTuple):
     def values(self) -> Values:
         """All that is to be written."""
         return self.estimates | ({} if self.chosen is None else self.chosen.values(self.believed))
+
+    @property
+    def cautions(self) -> list[str]:
+        """What no gains can mend."""
+        return [words for words in (slipping.caution(self.identified.parameters),) if words]
 
     @property
     def changes(self) -> list[Change]:

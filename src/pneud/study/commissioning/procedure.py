@@ -75,7 +75,8 @@ class Outcome(NamedTuple):
     def warnings(self) -> list[str]:
         """What is to be minded."""
         slow_only = self.found is not None and self.found.chosen is None
-        return [SLOW_ONLY] * slow_only + [NO_BETTER] * (self.verdict == "worse")
+        cautions = [] if self.found is None else self.found.cautions
+        return [SLOW_ONLY] * slow_only + [NO_BETTER] * (self.verdict == "worse") + cautions
 
     @property
     def good(self) -> bool:
