@@ -16,7 +16,7 @@ COVERING := $(addprefix tests/test_,control_*.py safety_*.py $(addsuffix .py,axi
 PYTHONS := $(or $(PYTHON),python3.13 python3.12 python3.11 python3)
 
 .DEFAULT_GOAL := help
-.PHONY: help virtual test lint types contracts ci-tests coverage mutation mutants lowest vm systemd install-service docs pages pictures campaign campaign-vm devices devices-vm device-faults canopen-starts information truths many-runs strange soak clean
+.PHONY: help virtual test lint types contracts ci-tests slow-tests realtime-tests coverage mutation mutants lowest vm systemd install-service docs pages pictures campaign campaign-vm devices devices-vm device-faults canopen-starts information truths many-runs strange soak clean
 
 help: ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 17
@@ -31,7 +31,7 @@ install-service: $(if $(PNEUD),,$(RUNTIME)) ## the systemd units of the installe
 # One worker more than there are processors: many tests wait for time to pass.
 WORKERS := -n $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1) --dist worksteal
 # Tests start many processes: each would compile all over again where the environment forbids to keep that.
-test ci-tests coverage lowest: export PYTHONDONTWRITEBYTECODE :=
+test slow-tests realtime-tests coverage lowest: export PYTHONDONTWRITEBYTECODE :=
 
 test: $(DEV) ## the quick tests
 	@exec $(BIN)/python -m pytest $(WORKERS) $(ARGS)
@@ -45,9 +45,14 @@ types: $(DEV) ## mypy --strict
 contracts: $(DEV) ## who may import whom
 	@exec $(BIN)/lint-imports --no-logo
 
-ci-tests: $(DEV) ## the tests that take longer
-	@$(BIN)/python -m pytest $(WORKERS) -m 'slow and not realtime' $(ARGS); others=$$?; \
-	  $(BIN)/python -m pytest -m 'slow and realtime' $(ARGS) && exit $$others
+ci-tests: ## the tests that take longer: both that follow
+	@$(MAKE) --no-print-directory slow-tests; others=$$?; $(MAKE) --no-print-directory realtime-tests && exit $$others
+
+slow-tests: $(DEV) ## those that company does not disturb
+	@exec $(BIN)/python -m pytest $(WORKERS) -m 'slow and not realtime' $(ARGS)
+
+realtime-tests: $(DEV) ## those that have the machine for themselves
+	@exec $(BIN)/python -m pytest -m 'slow and realtime' $(ARGS)
 
 coverage: $(DEV) ## every branch of safety/ and control/ is taken by a test of theirs
 	@$(BIN)/python -m pytest -q $(WORKERS) $(COVERING) --cov=src/pneud/safety --cov=src/pneud/control --cov-branch \
