@@ -70,28 +70,87 @@ def become(words: list[str], out: int, err: int, before: Callable[[], None] = la
         os._exit(status if isinstance(status, int) else 1)
 
 
-def pneud_forked(*args: object, out_to: str = "") -> subprocess.CompletedProcess[str]:
-    """One command to its end in a fork of this process: with streams of its own, and nothing to load.
+class Forked:
+    """A command in a fork of this process: with streams of its own, and nothing to load.
+
+    Args:
+        args: its words.
+        cwd: folder in which it is given.
+        out_to: a device that takes its standard output.
+
+    Attributes:
+        pid: its process id.
+        returncode: its exit status, or less than 0 by a signal; None while it goes on.
+    """
+
+    def __init__(self, *args: object, cwd: Path | None = None, out_to: str = "") -> None:
+        self.words = [str(arg) for arg in args]
+        self.returncode: int | None = None
+        self._out, self._err = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115
+        with Path(out_to).open("wb", 0) if out_to else nullcontext(self._out) as to:
+            self.pid = os.fork()
+            if not self.pid:
+                become(self.words, to.fileno(), self._err.fileno(), lambda: os.chdir(cwd or "."))
+
+    def poll(self) -> int | None:
+        """Its exit status if it has ended."""
+        return self._take(os.WNOHANG)
+
+    def _take(self, how: int) -> int | None:
+        if self.returncode is None:
+            pid, status = os.waitpid(self.pid, how)
+            if pid:
+                self.returncode = os.waitstatus_to_exitcode(status)
+        return self.returncode
+
+    def send_signal(self, number: signal.Signals) -> None:
+        """If it has not ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def communicate(self, timeout: float | None = None) -> tuple[str, str]:
+        """What it has said on both streams when it has ended.
+
+        Args:
+            timeout: it is killed then, and what it has said is in the error.
+        """
+        if timeout is None:
+            self._take(0)
+        deadline = time.monotonic() + (timeout or 0.0)
+        while self.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        if self.poll() is None:
+            self.kill()
+            raise AssertionError(f"{self.words} goes on: {self._said()}")
+        return self._said()
+
+    def _said(self) -> tuple[str, str]:
+        texts = []
+        for file in (self._out, self._err):
+            file.seek(0)
+            texts.append(file.read().decode())
+        return texts[0], texts[1]
+
+    def kill(self) -> None:
+        """End it, whatever it does."""
+        self.send_signal(signal.SIGKILL)
+        self._take(0)
+
+
+def pneud_forked(
+    *args: object, out_to: str = "", cwd: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    """One command to its end in a fork of this process.
 
     Args:
         args: its words.
         out_to: a device that takes its standard output.
+        cwd: folder in which it is given.
     """
-    words = [str(arg) for arg in args]
-    with (
-        tempfile.TemporaryFile() as out,
-        tempfile.TemporaryFile() as err,
-        Path(out_to).open("wb", 0) if out_to else nullcontext(out) as to,
-    ):
-        child = os.fork()
-        if not child:
-            become(words, to.fileno(), err.fileno())
-        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-        texts = []
-        for file in (out, err):
-            file.seek(0)
-            texts.append(file.read().decode())
-    return subprocess.CompletedProcess(words, status, *texts)
+    forked = Forked(*args, out_to=out_to, cwd=cwd)
+    out, err = forked.communicate()
+    assert forked.returncode is not None
+    return subprocess.CompletedProcess(forked.words, forked.returncode, out, err)
 
 
 def object_of(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:

@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Generator
 
 import pytest
+
+# What a daemon, its processes and its plant load. A process of one's own takes seconds to start here.
+LOADED = ("cli", "verbs.plant", "verbs.run", "console.server", "log.files.saving")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _loaded() -> None:
+    """For the forks of this process."""
+    for name in LOADED:
+        importlib.import_module(f"pneud.{name}")
 
 
 @pytest.hookimpl(wrapper=True)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import re
 import signal
+import socket
+import struct
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ from pathlib import Path
 import can
 import pytest
 
+from commands import Forked
 from pneud import resources
 from pneud.bus import wire
 from pneud.bus.link import Link, open_link
@@ -26,7 +28,6 @@ from pneud.safety.supervisor import is_engaged
 from pneud.signals import Frame, State
 
 pytestmark = pytest.mark.vm
-PNEUD = [sys.executable, "-m", "pneud.cli"]
 NAME = "vcan8"
 BUS_OFF, RESTARTED, CONTROLLER, PASSIVE, ACTIVE = 0x040, 0x100, 0x004, 0x30, 0x40
 
@@ -141,16 +142,12 @@ def gentle(tmp_path: Path) -> Path:
 
 @contextmanager
 def plant(config: Path) -> Iterator[None]:
-    process = subprocess.Popen(
-        [*PNEUD, "plant", "--config", str(config), "--bus", f"socketcan:{NAME}"],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    process = Forked("plant", "--config", config, "--bus", f"socketcan:{NAME}")
     try:
         yield
     finally:
-        process.terminate()
-        process.wait(30)
+        process.send_signal(signal.SIGTERM)
+        process.communicate(30)
 
 
 class Daemon:
@@ -158,11 +155,8 @@ class Daemon:
 
     def __init__(self, config: Path, log: Path, *options: str) -> None:
         self.log = log
-        self.process = subprocess.Popen(
-            [*PNEUD, "--config", str(config), "--bus", f"socketcan:{NAME}", "--headless", "--json",
-             "--log", str(log), *options],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
+        words = ("--config", config, "--bus", f"socketcan:{NAME}", "--headless", "--json", "--log", log)
+        self.process = Forked(*words, *options)
 
     def ticks(self) -> list[LoggedTick]:
         """What the log holds so far."""
@@ -252,13 +246,10 @@ def test_the_daemon_comes_back_to_disarmed_from_an_interface_that_was_made_anew(
 
 
 def report(can_id: int, second: int = 0) -> None:
-    """Another process tells what a CAN controller would."""
-    program = (
-        "import socket, struct; s = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW);"
-        f"s.bind(({NAME!r},));"
-        f"s.send(struct.pack('=IB3x8B', 0x20000000 | {can_id}, 8, 0, {second}, *bytes(6)))"
-    )
-    subprocess.run([sys.executable, "-c", program], check=True)
+    """Another party of the bus tells what a CAN controller would."""
+    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as other:
+        other.bind((NAME,))
+        other.send(struct.pack("=IB3x8B", wire.CAN_ERR_FLAG | can_id, 8, 0, second, *bytes(6)))
 
 
 def test_bus_off_while_tracking_centres_and_stays_so_after_the_restart(tmp_path: Path, gentle: Path) -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -14,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from commands import Forked, pneud_forked
 from dumped import dumped
 from pneud import resources
 from pneud.config.toml import changed_text
@@ -23,26 +22,19 @@ from pneud.loading import load
 from pneud.study.commissioning.truths import drawn
 
 pytestmark = pytest.mark.vm
-PNEUD = [sys.executable, "-m", "pneud.cli"]
 CONFIG, TRUTH = "vcan.toml", "truth.toml"
 SEED, NEAR_V = 12, 0.015
 
 
-def pneud(*args: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    words = [*PNEUD, *map(str, args)]
-    return subprocess.run(words, capture_output=True, text=True, timeout=480, check=False, cwd=cwd)
-
-
 @contextmanager
-def running(*args: object, cwd: Path) -> Iterator[subprocess.Popen[str]]:
+def running(*args: object, cwd: Path) -> Iterator[Forked]:
     """A command, told to stop in the end."""
-    with (cwd / "said.txt").open("a") as said:
-        process = subprocess.Popen(list(map(str, args)), cwd=cwd, text=True, stdout=said, stderr=said)
-        try:
-            yield process
-        finally:
-            process.send_signal(signal.SIGINT)
-            process.wait(60)
+    process = Forked(*args, cwd=cwd)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        print(*process.communicate(60))
 
 
 @contextmanager
@@ -55,9 +47,9 @@ def rig(folder: Path, truth: dict[str, Any], log: str = "run.mcap") -> Iterator[
     socket, bus = folder / "s", ("--bus", "socketcan:vcan0")
     plant = ("plant", "--config", TRUTH, *bus)
     daemon = ("--config", CONFIG, *bus, "--headless", "--socket", socket, "--log", log)
-    with running(*PNEUD, *plant, cwd=folder), running(*PNEUD, *daemon, cwd=folder) as process:
+    with running(*plant, cwd=folder), running(*daemon, cwd=folder) as process:
         for _ in range(600):
-            assert process.poll() is None, (folder / "said.txt").read_text()
+            assert process.poll() is None, process.communicate()
             with suppress(PlaceError):  # until it is served
                 if status(socket)["state"] == "disarmed":
                     break
@@ -74,13 +66,15 @@ def status(socket: Path) -> dict[str, Any]:
 def test_a_rig_on_vcan_is_commissioned_and_candump_tells_it_again(tmp_path: Path) -> None:
     seen = tmp_path / "bus.log"
     with rig(tmp_path, {}) as socket, dumped(seen):
-        done = pneud("commission", "--movement-test", "--yes", "--json", "--socket", socket, cwd=tmp_path)
-    print(done.stdout, done.stderr, (tmp_path / "said.txt").read_text())
+        done = pneud_forked(
+            "commission", "--movement-test", "--yes", "--json", "--socket", socket, cwd=tmp_path
+        )
+    print(done.stdout, done.stderr)
     assert done.returncode == 0
     assert json.loads(done.stdout)["findings"] == []
     assert json.loads((tmp_path / "vcan.proof.json").read_text())["passed"] is True
     bus = ("--dbc", "pneud.dbc", "--config", CONFIG, "-o", "heard.mcap")
-    done = pneud("import", seen, *bus, cwd=tmp_path)
+    done = pneud_forked("import", seen, *bus, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert int(done.stdout.split(": ")[1].split()[0]) > 100
 
@@ -89,9 +83,9 @@ def test_a_rig_that_nobody_knows_is_commissioned_to_the_end_on_vcan(tmp_path: Pa
     truth = drawn(load(CONFIG).config, SEED)["plant"]
     with rig(tmp_path, truth, "logs") as socket:
         words = ("--skip-dynamic", "--yes", "--json", "-o", "page.html")  # gains take minutes of one slow CPU
-        done = pneud("commission", *words, "--socket", socket, cwd=tmp_path)
+        done = pneud_forked("commission", *words, "--socket", socket, cwd=tmp_path)
         found_then = status(socket)
-    print(done.stdout, done.stderr, (tmp_path / "said.txt").read_text())
+    print(done.stdout, done.stderr)
     said = json.loads(done.stdout)
     assert (said["findings"], said["failure"], said["faults"], said["written"]) == ([], None, [], True)
     assert said["verdict"] in ("passed", "missed"), "gains for so slow a loop may miss a limit"
@@ -111,8 +105,10 @@ def test_a_rig_that_nobody_knows_is_commissioned_to_the_end_on_vcan(tmp_path: Pa
 
 def test_swapped_hoses_are_named_on_vcan(tmp_path: Path) -> None:
     with rig(tmp_path, {"wiring": {"swapped_hoses": True}}) as socket:
-        done = pneud("commission", "--movement-test", "--yes", "--json", "--socket", socket, cwd=tmp_path)
-        armed = pneud("arm", "--socket", socket, "--json", cwd=tmp_path)
+        done = pneud_forked(
+            "commission", "--movement-test", "--yes", "--json", "--socket", socket, cwd=tmp_path
+        )
+        armed = pneud_forked("arm", "--socket", socket, "--json", cwd=tmp_path)
     print(done.stdout, done.stderr, armed.stdout, armed.stderr)
     assert done.returncode == 1
     assert [f["name"] for f in json.loads(done.stdout)["findings"]] == ["swapped_hoses"]

@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from hil.device_sets import device_sets
 
-from commands import object_of, pneud_here
+from commands import object_of, pneud_forked, pneud_here
 from dumped import dumped, identifiers
 
 pytestmark = pytest.mark.vm
-PNEUD = [sys.executable, "-m", "pneud.cli"]
-
-
-def pneud(*args: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*PNEUD, *map(str, args)], capture_output=True, text=True, timeout=300, check=False)
 
 
 @pytest.mark.parametrize(
@@ -34,7 +27,7 @@ def test_a_device_set_tracks_over_vcan0(name: str, ids: set[str], tmp_path: Path
     log = tmp_path / "run.mcap"
     seen = tmp_path / "candump.log"
     with dumped(seen):
-        done = pneud(
+        done = pneud_forked(
             "--virtual", "--config", file, "--bus", "socketcan:vcan0", "--duration", 10, "--headless",
             "--json", "--log", log,
         )  # fmt: skip

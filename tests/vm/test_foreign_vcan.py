@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from commands import object_of, pneud, pneud_here
+from commands import object_of, pneud_forked, pneud_here
 from foreign import axis, built
 
 pytestmark = pytest.mark.vm
@@ -20,9 +20,9 @@ def test_an_axis_arms_and_tracks_on_a_foreign_node(tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
     with subprocess.Popen([node, "vcan0", "200"], stderr=subprocess.PIPE, text=True) as foreign:
         try:
-            done = pneud(
+            done = pneud_forked(
                 "--config", config, "--bus", "socketcan:vcan0", "--arm", "--unproven", "--duration", 12,
-                "--headless", "--json", "--log", log, timeout=120,
+                "--headless", "--json", "--log", log,
             )  # fmt: skip
         finally:
             foreign.terminate()

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 
-from commands import object_of, pneud_here
+from commands import PNEUD, Forked, object_of, pneud_forked, pneud_here
 from dumped import dumped, identifiers
 from pneud import resources
 
 pytestmark = pytest.mark.vm
-PNEUD = [sys.executable, "-m", "pneud.cli"]
 
 
 def pneud(*args: object) -> subprocess.CompletedProcess[str]:
@@ -54,7 +52,7 @@ def test_a_virtual_run_over_vcan0_tracks_and_candump_sees_the_frames(tmp_path: P
 
 
 def test_auto_takes_vcan0_where_it_is_idle(gentle: Path) -> None:
-    done = pneud("--virtual", "--config", gentle, "--duration", 1, "--headless", "--json")
+    done = pneud_forked("--virtual", "--config", gentle, "--duration", 1, "--headless", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["bus"] == "socketcan:vcan0"
     assert "socketcan:vcan0" in done.stderr
@@ -62,7 +60,7 @@ def test_auto_takes_vcan0_where_it_is_idle(gentle: Path) -> None:
 
 def test_a_link_that_is_no_vcan_is_refused() -> None:
     for verb in (["--virtual", "--headless"], ["plant"]):
-        done = pneud(*verb, "--bus", "socketcan:lo")
+        done = pneud_forked(*verb, "--bus", "socketcan:lo")
         assert done.returncode in (2, 3)
         assert done.stdout == ""
         assert done.stderr.count("\n") == 1, done.stderr
@@ -72,7 +70,7 @@ def test_a_link_that_is_no_vcan_is_refused() -> None:
 def test_a_bus_that_is_driven_is_refused() -> None:
     generator = subprocess.Popen(["cangen", "vcan0", "-g", "5", "-I", "080", "-L", "1"])
     try:
-        done = pneud("--virtual", "--bus", "socketcan:vcan0", "--headless", "--json")
+        done = pneud_forked("--virtual", "--bus", "socketcan:vcan0", "--headless", "--json")
     finally:
         generator.kill()
         generator.wait()
@@ -83,25 +81,17 @@ def test_a_bus_that_is_driven_is_refused() -> None:
 
 def test_the_interface_going_down_centres_with_a_named_fault(tmp_path: Path, gentle: Path) -> None:
     log = tmp_path / "run.mcap"
-    command = [
-        *PNEUD,
-        "--virtual",
-        "--config",
-        str(gentle),
-        "--bus",
-        "socketcan:vcan1",
-        "--headless",
-        "--json",
-    ]
-    with subprocess.Popen(
-        [*command, "--log", str(log)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as daemon:
+    words = ("--virtual", "--config", gentle, "--bus", "socketcan:vcan1", "--headless", "--json")
+    daemon = Forked(*words, "--log", log)
+    try:
         while not (log.exists() and log.stat().st_size > 30_000):
             assert daemon.poll() is None, daemon.communicate()
             time.sleep(0.1)
         subprocess.run(["ip", "link", "set", "vcan1", "down"], check=True)
         out, err = daemon.communicate(timeout=60)
-    subprocess.run(["ip", "link", "set", "vcan1", "up"], check=True)
+    finally:
+        daemon.kill()
+        subprocess.run(["ip", "link", "set", "vcan1", "up"], check=True)
     assert daemon.returncode == 1, err
     summary = json.loads(out)
     assert summary["state"] == "fault"
