@@ -153,7 +153,7 @@ def test_device_sets_in_real_time(name: str, tmp_path: Path, figures: Figures) -
     bus = f"unixcan:devices-{os.getpid()}-{secrets.token_hex(3)}"
     log = tmp_path / "run.mcap"
     done = pneud(
-        "--virtual", "--config", file, "--bus", bus, "--duration", 10, "--headless", "--json", "--log", log
+        "--virtual", "--config", file, "--bus", bus, "--duration", 8, "--headless", "--json", "--log", log
     )
     assert done.returncode == 0, done.stderr
     s = object_of(done)
@@ -161,7 +161,7 @@ def test_device_sets_in_real_time(name: str, tmp_path: Path, figures: Figures) -
     assert s["frames"]["crc"] == s["frames"]["stale"] == 0
     figures(f"devices {name} in real time: {s['tracking_mm']['rms']:.4f} mm rms")
     assert s["tracking_mm"]["rms"] <= 0.5
-    assert object_of(pneud("replay", log, "--json"))["identical"] is True
+    assert object_of(pneud_here("replay", log, "--json"))["identical"] is True
 
 
 def _bus_of(name: str) -> dict[str, object]:

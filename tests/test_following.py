@@ -196,7 +196,7 @@ def test_two_daemons_share_one_sync_and_the_follower_stops_with_it(tmp_path: Pat
     )
     try:
         eventually(lambda: serves(socket))
-        maker = pneud("--virtual", "--config", first, *common, "--duration", 12, "--log", tmp_path / "x.mcap")
+        maker = pneud("--virtual", "--config", first, *common, "--duration", 9, "--log", tmp_path / "x.mcap")
         out, err = follower.communicate(timeout=30)
     finally:
         follower.kill()
@@ -212,4 +212,4 @@ def test_two_daemons_share_one_sync_and_the_follower_stops_with_it(tmp_path: Pat
     assert len(shared) == 240
     tracked = sum(tick.state == State.TRACKING for tick in read_log(tmp_path / "y.mcap"))
     assert tracked > 5 * 500
-    assert object_of(pneud("replay", tmp_path / "y.mcap", "--json"))["identical"]
+    assert object_of(pneud_here("replay", tmp_path / "y.mcap", "--json"))["identical"]

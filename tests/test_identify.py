@@ -459,11 +459,12 @@ def identified(log: Path) -> estimating.Identified:
     return estimating.identify(*table.read([read_log(log)]))
 
 
-@pytest.fixture
-def found(log: Path, identified: estimating.Identified, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+@pytest.fixture(scope="module")
+def found(log: Path, identified: estimating.Identified) -> dict[str, Any]:
     """The same as the verb prints it."""
-    monkeypatch.setattr(estimating, "identify", lambda *_: identified)
-    done = pneud_here("identify", log, "--json")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(estimating, "identify", lambda *_: identified)
+        done = pneud_here("identify", log, "--json")
     assert done.returncode == 1, done.stderr
     whole: dict[str, Any] = json.loads(done.stdout)
     return whole
@@ -495,7 +496,14 @@ def test_a_model_that_explains_all_says_so(found: dict[str, Any]) -> None:
 
 
 @pytest.mark.slow
-def test_wear_is_told_beside_an_earlier_estimate(log: Path, found: dict[str, Any], tmp_path: Path) -> None:
+def test_wear_is_told_beside_an_earlier_estimate(
+    log: Path,
+    identified: estimating.Identified,
+    found: dict[str, Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(estimating, "identify", lambda *_: identified)
     before = json.loads(json.dumps(found))
     before["parameters"][key.COULOMB] |= {"value": 30.0, "low": 29.0, "high": 31.0}
     path = tmp_path / "before.json"

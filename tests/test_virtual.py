@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import can
 import pytest
 
-from commands import background, children, eventually, kill, object_of, pneud
+from commands import background, children, eventually, kill, object_of, pneud, pneud_here
 from pneud.bus.link import open_link
 from pneud.log.files.naming import open_log
 from pneud.log.files.reader import read_log
@@ -73,7 +73,7 @@ def test_a_virtual_run_tracks_and_replays_to_the_bit(ran: Ran) -> None:
     assert s["lateness_us"]["p50"] <= s["lateness_us"]["p99"] <= s["lateness_us"]["max"]
     assert Path(s["log"]) == log
 
-    again = object_of(pneud("replay", log, "--json"))
+    again = object_of(pneud_here("replay", log, "--json"))
     assert again["identical"] is True
     assert again["mismatches"] == 0
     assert again["commands"] == again["ticks"] >= s["ticks"]
@@ -185,7 +185,7 @@ def test_the_plant_killed_means_centre_and_a_named_fault(axis: Path, tmp_path: P
     waited_ns = ticks[faulted].t_ns - ticks[last_heard].t_ns
     assert waited_ns <= TIMEOUT_MS * 1e6 + (1 + ticks[faulted].skipped) * 1e6 + 1e6
     assert all(t.sent[1].data[:3] == b"\0\0\0" for t in ticks[faulted:])
-    assert object_of(pneud("replay", log, "--json"))["identical"] is True
+    assert object_of(pneud_here("replay", log, "--json"))["identical"] is True
 
 
 def test_the_daemon_killed_means_that_the_valve_node_centres_and_the_log_is_finished(
@@ -211,7 +211,7 @@ def test_the_daemon_killed_means_that_the_valve_node_centres_and_the_log_is_fini
         # the last command on the bus is the last or last but one in the log
         commands = [t.sent[1].data for t in ticks[-3:]]
         assert last.data in commands
-    assert object_of(pneud("replay", log, "--json"))["identical"] is True
+    assert object_of(pneud_here("replay", log, "--json"))["identical"] is True
 
 
 def test_the_recorder_killed_means_that_control_goes_on_and_says_so(axis: Path, tmp_path: Path) -> None:
@@ -228,7 +228,7 @@ def test_the_recorder_killed_means_that_control_goes_on_and_says_so(axis: Path, 
     assert s["ticks"] + s["skipped"] == 3000
     assert s["log_dropped"] > 0
     assert f"the log lacks {s['log_dropped']} records: the recorder was lost" in err
-    again = object_of(pneud("replay", log, "--json"))
+    again = object_of(pneud_here("replay", log, "--json"))
     assert again["truncated"] is True
     assert again["identical"] is True
     # ticks, of which up to 0.2 s may be lost, and those after the kill are
@@ -276,7 +276,7 @@ def test_a_second_controller_centres_the_axis(axis: Path, tmp_path: Path, bus: s
     heard = next(i for i, t in enumerate(ticks) if any(f.can_id == COMMAND for f in t.frames))
     assert ticks[heard].state == State.FAULT
     assert ticks[heard].sent[1].data[:3] == b"\0\0\0"
-    assert object_of(pneud("replay", log, "--json"))["identical"] is True
+    assert object_of(pneud_here("replay", log, "--json"))["identical"] is True
 
 
 def test_ctrl_z_stops_nothing(axis: Path, tmp_path: Path) -> None:
@@ -314,6 +314,6 @@ def test_flipping_one_bit_of_one_encoder_frame_is_found(ran: Ran, tmp_path: Path
     from test_replay import rewritten  # noqa: PLC0415
 
     flipped = rewritten(ran.log, tmp_path / "flipped.mcap", tick=800)
-    done = pneud("replay", flipped)
+    done = pneud_here("replay", flipped)
     assert done.returncode == 1
     assert "first at tick 800:" in done.stdout
