@@ -30,7 +30,18 @@ from pneud.loading import load_axes
 from pneud.log.live.ring import Ring
 from pneud.loop.company import Asking, Company
 from pneud.safety.faults import F
-from pneud.signals import Answer, Record, Reference, Request, RequestKind, State, Tick, Timing
+from pneud.signals import (
+    Answer,
+    Progress,
+    Record,
+    Reference,
+    Request,
+    RequestKind,
+    Stage,
+    State,
+    Tick,
+    Timing,
+)
 
 NAMES = ("x", "y")
 ALL = {"stop", "disarm", "arm", "clear", "hold", "mark", "restart"}  # where no axis is named
@@ -276,6 +287,23 @@ def test_what_all_go_through_is_handed_over_as_theirs_and_goes_on_with_all(desk:
     error = desk.ask("run", axis="x")["error"]
     assert "x and y go through their program together: leave out the axis" in error["message"]
     assert desk.taken == [first, step, begun]
+
+
+def test_what_one_has_left_for_another_program_is_not_gone_on_with_by_all(desk: Bench) -> None:
+    desk.stands(0.4, 0.4)
+    tree = {"schema": 1, "record": [{"do": "wait", "for_s": 1.0}]}
+    for fields in ({}, {"axis": "x"}):
+        assert desk.ask("run", program=tree, **fields)["ok"]
+    before = list(desk.taken)
+    assert "run names no axis" in desk.ask("run")["error"]["message"]
+    assert desk.taken == before
+
+
+def test_where_one_goes_through_a_program_no_other_loses_its_own(desk: Bench) -> None:
+    desk.stands(0.4, 0.4)
+    desk.ticks[0] = desk.ticks[0]._replace(program=Progress(1, 0, int(Stage.UNDER_WAY), 0))
+    error = desk.ask("run", program={"schema": 1, "record": [{"do": "wait", "for_s": 1.0}]})["error"]
+    assert (error["type"], desk.taken) == ("wrong_state", [])
 
 
 def going(desk: Bench, name: str, x: float) -> None:

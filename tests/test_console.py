@@ -22,6 +22,7 @@ from fuzzing import hostile, well_formed
 from log_samples import noisy, tick_at
 from pneud import crew, resources
 from pneud.console import handoff, server
+from pneud.console.commands import AxisDesk
 from pneud.console.connected import BOUNDS
 from pneud.console.lease import Lease
 from pneud.console.line_stream import MAX_LINE
@@ -90,6 +91,51 @@ def test_that_an_upload_is_half_done_is_kept_until_it_is_whole(desk: Bench) -> N
     assert memory.half_done == RequestKind.PIECE
     desk.ask(client, "upload", first=False, last=True, pieces=[PIECE])
     assert memory.half_done == 0
+
+
+def remembering(desk: Bench) -> tuple[Memory, Any]:
+    """The desk has a memory; and what makes the desk of the next console, which has the same."""
+    axis: Any = desk.server._desks[0]
+    memory = axis._memory = axis._tuning._memory = Memory()
+    return memory, lambda: AxisDesk(axis._run, desk.ring, desk.watch, memory)
+
+
+def test_gains_that_a_console_dies_over_are_put_back_by_the_next(desk: Bench) -> None:
+    memory, another = remembering(desk)
+    client = desk.connect()
+    before = desk.ask(client, "tune_get")["gains"]
+    assert desk.ask(client, "tune_set", gains={"k1": 90000.0})["ok"]
+    assert memory.half_done == 0
+    desk.answer = lambda _: None  # yet: they are on their way
+    desk.tell(client, message("tune_set", gains={"k1": 80000.0, "reference.amplitude_m": 0.03}))
+    assert desk.requests[-1].values[1] == 80000.0
+    left = another().left_half_done()
+    (back,) = left.requests
+    assert (back.kind, back.values[1]) == (RequestKind.GAINS, 90000.0)
+    assert before["reference.amplitude_m"] in back.values
+
+
+def test_gains_of_which_nobody_knows_whether_they_were_taken_are_put_back(desk: Bench) -> None:
+    client = desk.connect()
+    desk.answer = lambda _: None
+    desk.tell(client, message("tune_set", gains={"k1": 90000.0}))
+    desk.now_s += 1.1
+    desk.turn()
+    (reply,) = desk.replies(client)
+    assert reply["error"]["type"] == "silent"
+    desk.answer = lambda _: Answer.TAKEN
+    desk.turn()
+    assert [request.values[1] for request in desk.requests] == [90000.0, 95000.0]
+    assert desk.ask(client, "tune_get")["gains"]["k1"] == 95000.0
+
+
+def test_the_next_console_knows_the_program(desk: Bench) -> None:
+    _, another = remembering(desk)
+    assert another().shares() == ()
+    assert desk.ask(desk.connect(), "run", program={**PROGRAM, "name": "known"})["ok"]
+    told = another()._of_program({"record": 1})
+    assert (told["name"], told["of"], told["words"]) == ("known", 1, "wait 1 s")
+    assert another().shares() == ("virtual",)
 
 
 def test_a_run_that_could_not_begin_is_not_left_for(desk: Bench) -> None:
@@ -432,7 +478,7 @@ def test_an_upload_whose_client_goes_leaves_nothing(desk: Bench) -> None:
 PROGRAM = {"schema": 1, "record": [{"do": "wait", "for_s": 1.0}]}
 HALVES: dict[str, tuple[Request, dict[str, Any]]] = {
     "upload": (Request(RequestKind.PIECE), {"first": True, "pieces": [PIECE]}),
-    "run": (Request(RequestKind.RECORD, (1.0, 0.0)), {"program": PROGRAM}),
+    "run": (Request(RequestKind.RECORD, (1.0, 2.0)), {"program": PROGRAM}),
 }
 
 
@@ -447,6 +493,35 @@ def test_what_is_handed_over_in_part_when_its_client_goes_is_undone(desk: Bench,
     desk.loop.answer(tick_at(1)._replace(answer=Answer.TAKEN, state=int(State.HOLDING)))
     desk.turn()
     assert desk.requests == [first, Request(first.kind)], "begun, and emptied"
+
+
+def test_a_profile_is_not_followed_before_all_of_it_is_there(desk: Bench) -> None:
+    client, other = desk.connect(), desk.connect()
+    assert desk.ask(client, "upload", first=True, last=False, pieces=[PIECE])["ok"]
+    assert desk.error(client, "track", what="profile") == "no_profile"
+    desk.now_s += 100.0
+    assert desk.error(other, "track", what="profile") == "no_profile"
+    desk.now_s += 100.0
+    assert desk.ask(client, "upload", first=False, pieces=[PIECE])["ok"]
+    assert desk.ask(client, "track", what="profile")["ok"]
+
+
+@pytest.mark.parametrize("verb", HALVES)
+def test_what_was_refused_from_the_beginning_leaves_the_next_console_nothing_to_undo(
+    desk: Bench, verb: str
+) -> None:
+    axis: Any = desk.server._desks[0]
+    axis._memory = memory = Memory()
+    client, fields = desk.connect(), HALVES[verb][1]
+    assert desk.ask(client, "upload", first=True, last=False, pieces=[PIECE])["ok"]
+    desk.answer = lambda _: Answer.WRONG_STATE
+    assert desk.error(client, "run", program=PROGRAM) == "wrong_state"
+    assert memory.half_done == RequestKind.PIECE
+    desk.answer = lambda _: Answer.TAKEN
+    assert desk.ask(client, "upload", first=False, pieces=[PIECE])["ok"]
+    desk.answer = lambda _: Answer.WRONG_STATE
+    assert desk.error(client, verb, **fields) == "wrong_state"
+    assert memory.half_done == 0
 
 
 @pytest.mark.parametrize("verb", HALVES)

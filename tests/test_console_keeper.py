@@ -256,10 +256,10 @@ def test_a_memory_keeps_the_last_that_fits() -> None:
     memory = Memory()
     assert memory.kept() is None
     for n in range(3):
-        memory.keep({"n": n, "x": 0.1, "words": "µ"})
+        memory.keep(n=n, x=0.1, words="µ")
         assert memory.kept() == {"n": n, "x": 0.1, "words": "µ"}
-    memory.keep({"words": "x" * (1 << 18)})
+    memory.keep(words="x" * (1 << 18))
     assert memory.kept() == {"n": 2, "x": 0.1, "words": "µ"}
-    child = crew.fork(lambda: memory.keep({"n": 3}))
+    child = crew.fork(lambda: memory.keep(n=3))
     assert crew.wait(child, 10.0)
-    assert memory.kept() == {"n": 3}
+    assert memory.kept() == {"n": 3, "x": 0.1, "words": "µ"}

@@ -70,7 +70,7 @@ def test_records_become_steps_in_si() -> None:
     assert all(program.step_of(tuple(map(float, step))) == step for step in steps)
     assert [step.mass_kg for step in steps] == [2.0] * 7
     assert found.words[0] == "goto 100 mm, fast"
-    assert programs.requests(found)[0] == Request(RequestKind.RECORD, (7.0, 0.0))
+    assert programs.requests(found)[0] == Request(RequestKind.RECORD, (7.0, 2.0))
     assert [program.step_of(request.values) for request in programs.requests(found)[1:]] == list(steps)
     assert programs.begun(found, 2, 5) == Request(RequestKind.RUN, (2.0, 5.0, 0.0))
     assert programs.run_in_words(found, 2, 5) == "run p from record 2, 5 times"

@@ -58,7 +58,7 @@ def test_a_program_is_handed_over_whole_and_set_going(tmp_path: Path, file: Path
         reply = b.ask(client, "run", program=tree, record=2, cycles=3)
         assert (reply["ok"], reply["records"]) == (True, 2)
         assert [r.kind for r in b.requests] == [RequestKind.RECORD] * 3 + [RequestKind.RUN]
-        assert b.requests[0].values == (2.0, 0.0)
+        assert b.requests[0].values == (2.0, 2.0)
         assert program.step_of(b.requests[1].values).kind == program.GOTO  # type: ignore[union-attr]
         assert b.requests[-1].values == (2.0, 3.0, 0.0)
         assert b.said[-1].endswith("run short from record 2, 3 times → taken")

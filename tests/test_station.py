@@ -264,7 +264,7 @@ def test_a_start_that_can_begin_nothing_is_told_for_a_second() -> None:
 def test_a_start_in_the_middle_of_a_hand_over_begins_nothing_and_is_told() -> None:
     loaded = axis()
     found = whole(loaded, GO, WAIT, GO | {"to_mm": 250.0})
-    handed = programs.requests(found)
+    handed = programs.requests(found, load=True)
     for given in range(1, len(handed)):
         run = Run(loaded)
         run.armed()
@@ -292,11 +292,38 @@ def test_a_start_in_a_tick_that_takes_a_step_is_refused_and_told() -> None:
     run.ticks(15)
     run.put("start", True)
     for _ in range(20):  # in one of these it comes on
-        for request in programs.requests(whole(loaded, WAIT)):
+        for request in programs.requests(whole(loaded, WAIT), load=True):
             run.tick(request)
     assert run.records[-1].tick.progress.stage == 0
     assert "start_refused" in faults(run.records[-1])
     assert run.records[-1].tick.t_ns - before.tick.t_ns > 1.1e9
+
+
+def test_a_start_begins_nothing_that_its_operator_is_about_to_begin_elsewhere() -> None:
+    loaded = axis()
+    run = Run(loaded)
+    run.armed()
+    found = whole(loaded, GO, WAIT, GO | {"to_mm": 250.0})
+    for request in programs.requests(found):
+        run.tick(request)
+    press(run)
+    run.until(lambda r: "start_refused" in faults(r), 20)
+    assert run.tick(Request(RUN, (3.0, 1.0, 0.0))).tick.answer == Answer.TAKEN
+    assert run.until(lambda r: r.tick.progress.step > 0).tick.progress.step == 3
+
+
+def test_an_axis_does_not_go_on_alone_with_what_others_go_through_too() -> None:
+    loaded = axis()
+    run = Run(loaded)
+    run.armed()
+    run.tick(Request(RECORD, (1.0, 1.0)))
+    for step in steps(loaded, WAIT):
+        run.tick(Request(RECORD, tuple(map(float, step))))
+    assert run.tick(Request(RUN, (1.0, 1.0, 0.0))).tick.answer == Answer.NO_PROFILE
+    assert run.tick(Request(RUN, (1.0, 1.0, 1.0))).tick.answer == Answer.TAKEN
+    run.tick(Request(RequestKind.HOLD))
+    assert run.tick(Request(RUN, (0.0, 0.0, 0.0))).tick.answer == Answer.NO_PROFILE
+    assert run.tick(Request(RUN, (0.0, 0.0, 1.0))).tick.answer == Answer.TAKEN
 
 
 def test_a_start_begins_nothing_that_other_axes_go_through_too() -> None:
@@ -312,7 +339,7 @@ def test_a_start_begins_nothing_that_other_axes_go_through_too() -> None:
 
 
 @pytest.mark.parametrize(
-    "values", [(0.0, 0.0), (257.0, 0.0), (2.5, 0.0), (3.0, 2.0), (math.nan, 0.0), (3.0, 0.0, 0.0)]
+    "values", [(0.0, 0.0), (257.0, 0.0), (2.5, 0.0), (3.0, 3.0), (math.nan, 0.0), (3.0, 0.0, 0.0)]
 )
 def test_steps_that_nobody_can_hand_over_are_not_announced(values: tuple[float, ...]) -> None:
     run = Run(axis())

@@ -128,7 +128,9 @@ class RequestKind(IntEnum):
     # (force, ramp, low, high, speed, time): press with a force of the piston, within a window of the travel;
     # 0 for the configured ramp, speed and time, twice 0 for the whole travel
     FORCE = 17
-    RECORD = 20  # the values of a `control.program.Step`: one more record of the program; (): empty it
+    # the values of a `control.program.Step`: one more record of the program; (): empty it; (records, whose):
+    # empty it for so many that come, whose 1: shared with other axes, 2: for a RUN, and no input
+    RECORD = 20
     # (record, rounds, shared): go through the program from there, so often, 0 without end; record 0: go on
     # where it was stopped; shared 1: with a GO_ON behind each record
     RUN = 21

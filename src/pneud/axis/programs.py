@@ -42,7 +42,8 @@ RECORD, RUN, GO_ON = int(RequestKind.RECORD), int(RequestKind.RUN), int(RequestK
 OWN = (RECORD, RUN, GO_ON)
 ENDS = (HOLD, GOTO, JOG, TRACK, HOME, FORCE)  # whoever asks for one of these takes over from the program
 FIRST_KIND = RECORD
-ANNOUNCING = 2  # values of a RECORD that says how many steps come, and whether other axes share them
+ANNOUNCING = 2  # values of a RECORD that says how many steps come, and whose these are
+ALONE, SHARED, WITHHELD = 0.0, 1.0, 2.0  # one axis's; several axes'; one axis's, for a RUN and no input
 ANNOUNCED = range(1, program.MOST_STEPS + 1)
 MOST_LAPS = 1e9
 MOST_MASSES = 100.0  # of the axis's own, that a workpiece may have
@@ -69,7 +70,7 @@ def asked_of(request: Request, state: AxisState, present: int, p: AxisParameters
         return Asked(TAKEN, run=run._replace(stage=DUE))
     if len(values) != 3 or not 0.0 <= values[1] <= MOST_LAPS or values[2] not in (0.0, 1.0):
         return Asked(MALFORMED)
-    if run.missing > 0 or not program.leads(steps):
+    if run.missing > 0 or run.shared > values[2] or not program.leads(steps):
         return Asked(NO_PROFILE)
     if state.supervisor.state not in STEERED or run.stage >= UNDER_WAY:
         return Asked(WRONG_STATE)
@@ -77,7 +78,7 @@ def asked_of(request: Request, state: AxisState, present: int, p: AxisParameters
         return Asked(BLOCKED)
     first, laps, shared = map(int, values)
     if first == 0:
-        if run.stage != STOPPED:
+        if run.stage != STOPPED or run.shared != shared:
             return Asked(NO_PROFILE)
         return Asked(TAKEN, run=program.resumed(run, steps))
     if not 1 <= first <= len(steps):
@@ -92,14 +93,16 @@ def asked_of(request: Request, state: AxisState, present: int, p: AxisParameters
 def started(state: AxisState, present: int, p: AxisParameters) -> Asked:
     """What becomes of the program where the input start comes on: it begins anew, where one is loaded.
 
-    One that several axes go through together is begun by an operator alone: this one would go by itself.
+    One that several axes go through together is begun by an operator alone: this one would go by itself. So
+    is one that he has handed over to begin it himself: elsewhere than at its first record, perhaps.
 
     Args:
         state: after the last tick, of an axis without a program under way.
         present: bits of the faults that hold now.
         p: parameters.
     """
-    if state.run.stage == STOPPED or state.run.shared != 0:
+    run = state.run
+    if run.stage == STOPPED or run.shared != 0 or run.withheld != 0:
         return NOTHING
     asked = asked_of(Request(RUN, (1.0, float(p.roles.laps), 0.0)), state, present, p)
     return NOTHING._replace(run=asked.run)
@@ -114,9 +117,11 @@ def _add(values: tuple[float, ...], state: AxisState, p: AxisParameters) -> Aske
     if not values:
         return Asked(TAKEN, program=(), run=idle)
     if len(values) == ANNOUNCING:
-        if values[0] not in ANNOUNCED or values[1] not in (0.0, 1.0):
+        if values[0] not in ANNOUNCED or values[1] not in (ALONE, SHARED, WITHHELD):
             return Asked(MALFORMED)
-        return Asked(TAKEN, program=(), run=idle._replace(missing=int(values[0]), shared=int(values[1])))
+        shared, withheld = int(values[1] == SHARED), int(values[1] == WITHHELD)
+        coming = idle._replace(missing=int(values[0]), shared=shared, withheld=withheld)
+        return Asked(TAKEN, program=(), run=coming)
     step = program.step_of(values)
     if step is None or len(state.program) >= program.MOST_STEPS:
         return Asked(MALFORMED)
@@ -127,7 +132,7 @@ def _add(values: tuple[float, ...], state: AxisState, p: AxisParameters) -> Aske
     heavy = step.mass_kg > MOST_MASSES * p.controller.cylinder.M
     if heavy or any(wanted > most for wanted, most in zip(bounds, p.motion, strict=True)):
         return Asked(BEYOND_LIMITS)
-    idle = idle._replace(missing=max(0, run.missing - 1), shared=run.shared)
+    idle = idle._replace(missing=max(0, run.missing - 1), shared=run.shared, withheld=run.withheld)
     return Asked(TAKEN, program=(*state.program, step), run=idle)
 
 

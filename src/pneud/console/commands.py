@@ -74,6 +74,8 @@ class AxisDesk:
         self._rod_force_n = cylinder_of(run.config).rod_force_n
         self._tuning = Tuning(run.config, run.path, run.text, memory, run.own)
         self._program: programs.Compiled | None = None  # that the axis has taken
+        if memory is not None and (kept := (memory.kept() or {}).get("program")) is not None:
+            self._program = programs.Compiled(kept["name"], tuple(kept["records"]), tuple(kept["axes"]), ())
 
     def read(self) -> None:
         """Read the axis's file, for the next `status` or `tune_reload`."""
@@ -236,6 +238,8 @@ class AxisDesk:
     def taken(self, found: programs.Compiled) -> dict[str, Any]:
         """The axis has a program; fields for the reply."""
         self._program = found
+        if self._memory is not None:
+            self._memory.keep(program={"name": found.name, "records": found.records, "axes": found.axes})
         return {"records": len(found.records)}
 
     def shares(self) -> tuple[str, ...]:
@@ -253,7 +257,7 @@ class AxisDesk:
             begun = programs.begun(found, m.record, m.cycles)
         except ProgramError as e:
             raise ProtocolError(Error.PROGRAM, f"run: {e}") from None
-        asked = (*programs.requests(found), begun)
+        asked = (*programs.requests(found, load=m.load), begun)
         words = programs.run_in_words(found, m.record, m.cycles)
         if m.load:
             if self._run.config.io.start != "program":
@@ -407,13 +411,13 @@ class AxisDesk:
         return ProtocolError(kind.name.lower(), text, **more)
 
     def half_done(self, undo: Request | None) -> None:
-        """A profile or a program has begun to come, or is whole or undone."""
+        """A profile, a program or a change of gains has begun, or is whole or undone."""
         if self._memory is not None:
             self._memory.half_done = 0 if undo is None else int(undo.kind)
 
     def left_half_done(self) -> Orders | None:
-        """What undoes the upload in which the console before this one has ended."""
+        """What undoes the upload, or tuning, in which the console before this one has ended."""
         if self._memory is None or not (kind := self._memory.half_done):
             return None
-        empty = Request(kind)
-        return Orders("upload of a console that is gone", (empty,), undo=empty)
+        back = self._tuning.as_known() if kind == RequestKind.GAINS else Request(kind)
+        return Orders("what a console that is gone has begun", (back,), undo=back)

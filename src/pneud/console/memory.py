@@ -26,9 +26,9 @@ class Memory:
     def half_done(self, kind: int) -> None:
         self._memory[1] = kind
 
-    def keep(self, what: dict[str, Any]) -> None:
-        """Keep this in place of what was kept before; too much is not kept, and the former stays."""
-        data = json.dumps(what).encode()
+    def keep(self, **what: Any) -> None:
+        """Keep each in place of what was kept by its name; too much is not kept, and the former stays."""
+        data = json.dumps({**(self.kept() or {}), **what}).encode()
         if len(data) > _HALF_BYTES - _LENGTH_BYTES:
             return
         half = 1 if self._memory[0] == 2 else 2

@@ -124,16 +124,18 @@ def compiled(tree: Mapping[str, Any], axes: Sequence[AxisFacts]) -> Compiled:
     return Compiled(name or "program", tuple(found), names, steps)
 
 
-def requests(found: Compiled, place: int = 0) -> list[Request]:
+def requests(found: Compiled, place: int = 0, *, load: bool = False) -> list[Request]:
     """What hands the steps of an axis over. It is told how many come: none begins before all are there.
 
     Args:
         found: the program.
         place: of the axis among those of the program.
+        load: an input may begin it as soon as it is there.
     """
     steps = found.steps[place]
+    whose = 1.0 if len(found.axes) > 1 else 0.0 if load else 2.0
     return [
-        Request(RequestKind.RECORD, (float(len(steps)), float(len(found.axes) > 1))),
+        Request(RequestKind.RECORD, (float(len(steps)), whose)),
         *(Request(RequestKind.RECORD, tuple(map(float, step))) for step in steps),
     ]
 

@@ -492,12 +492,12 @@ class Server:
         """Send the next request, if none is under way."""
         while self._flight is None and self._jobs and not self.over:
             job = self._jobs[0]
-            if job.plan.follows and (self._unfinished is None or self._unfinished[0] is not job.client):
+            whose, coming = self._unfinished or (None, None)
+            if (error := together.too_soon(job.plan, coming, own=whose is job.client)) is not None:
                 self._forget(job)
-                self._tell(job, ProtocolError(Error.INVALID, "the upload has not begun, or was refused"))
+                self._tell(job, error)
                 continue
             if job.client is not None and not job.plan.urgent and job.client.hung_up():
-                self._forget(job)
                 self._end(job, ProtocolError(Error.LATE, _GONE))
                 continue
             self._number = (self._number + 1) & 0xFFFF_FFFF
@@ -530,18 +530,18 @@ class Server:
             elif job not in self._jobs:  # its client has gone in the middle of it
                 self._undo(job.plan, job.label)
             return
-        self._forget(job)
         job.begun = job.next > 0
+        if not job.begun:
+            together.took_nothing(self._desks, job.plan, self._unfinished[1] if self._unfinished else None)
         if outcome.answer == handoff.LATE:
-            self._end(job, ProtocolError(Error.LATE, "the loop came to it too late; it has not been done"))
+            error = ProtocolError(Error.LATE, "the loop came to it too late; it has not been done")
         else:
             error = self._desks[axis].refused(outcome.answer, job.plan.words, outcome)
             error.axis = self._desks[axis].name if len(self._desks) > 1 else ""
-            self._end(job, error)
+        self._end(job, error)
 
     def _give_up(self, job: Job) -> None:
         self._flight = None
-        self._forget(job)
         self._end(job, ProtocolError(Error.SILENT, "the loop does not answer; it may have been done or not"))
 
     def _forget(self, job: Job) -> None:
@@ -585,6 +585,7 @@ class Server:
             self._unattended(axis, job.label)
 
     def _end(self, job: Job, error: ProtocolError) -> None:
+        self._forget(job)
         job.ended = True
         if job.begun or job.plan.follows:
             self._undo(job.plan, job.label)
@@ -592,9 +593,8 @@ class Server:
 
     def _tell(self, job: Job, error: ProtocolError) -> None:
         error.number = job.number
-        self._say(
-            WARNING, f"{job.label}: {together.whose(self._desks, job.plan)}{job.plan.words} → {error.kind}"
-        )
+        words = f"{job.label}: {together.whose(self._desks, job.plan)}{job.plan.words}"
+        self._say(WARNING, f"{words} → {error.kind}")
         self._send(job.client, self._refusal(error))
         if job.refused is not None:
             job.refused(error)

@@ -13,6 +13,7 @@ from pneud.control.together import alike
 from pneud.signals import Answer, Request, RequestKind
 
 _MM = 1e-3
+_PROFILE = Request(RequestKind.TRACK, (1.0,))  # follow the one that was uploaded
 _ALL = frozenset(("arm", "disarm", "clear", "hold", "mark"))  # where no axis is named
 _ALWAYS_ALL = frozenset(("stop", "restart"))
 _BOTH = frozenset(("arm", "disarm", "clear"))  # of a gantry, whichever half is named
@@ -74,6 +75,29 @@ def half_done(desks: Sequence[Desk], axes: Sequence[int], undo: Request | None) 
         desks[axis].half_done(undo)
 
 
+def took_nothing(desks: Sequence[Desk], plan: Orders, coming: Orders | None) -> None:
+    """Have axes that have refused the first of something know what is to be undone as before."""
+    if plan.undo is None or plan.follows:
+        return
+    for axis in plan.axes:
+        half_done(desks, (axis,), coming.undo if coming is not None and axis in coming.axes else None)
+
+
+def too_soon(plan: Orders, coming: Orders | None, *, own: bool) -> ProtocolError | None:
+    """Why what has come to its turn may not be asked, with a profile that is there in part, or with none.
+
+    Args:
+        plan: what is to be asked.
+        coming: the upload that is not whole; None where there is none.
+        own: it is of the same client.
+    """
+    if plan.follows and (coming is None or not own):
+        return ProtocolError(Error.INVALID, "the upload has not begun, or was refused")
+    if coming is not None and plan.requests[0] == _PROFILE and not set(plan.axes).isdisjoint(coming.axes):
+        return ProtocolError(Answer.NO_PROFILE.name.lower(), f"{plan.words}: it is still being uploaded")
+    return None
+
+
 def plan(desks: Sequence[Desk], message: protocol.Request) -> Orders:
     """What to ask of the loop, of all axes that a request is for.
 
@@ -108,6 +132,11 @@ def _check_idle(desks: Sequence[Desk]) -> None:
             raise error
 
 
+def _have(desks: Sequence[Desk], axes: Sequence[str]) -> bool:
+    """Whether the program that axes were given together is still that of each of them."""
+    return all(desk.shares() == axes for desk in desks if desk.name in axes)
+
+
 def run(desks: Sequence[Desk], message: protocol.Run) -> Orders:
     """Have a program done by all axes that it names, each record when all have done the one before.
 
@@ -116,7 +145,8 @@ def run(desks: Sequence[Desk], message: protocol.Run) -> Orders:
     """
     names = [desk.name for desk in desks]
     if message.program is None:
-        shared = next((desk.shares() for desk in desks if len(desk.shares()) > 1), ())
+        all_of = (desk.shares() for desk in desks)
+        shared = next((found for found in all_of if len(found) > 1 and _have(desks, found)), ())
         if not shared:
             raise ProtocolError(Error.INVALID, f"run names no axis; give one of {', '.join(names)}")
         axes = tuple(names.index(name) for name in shared)

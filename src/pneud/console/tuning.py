@@ -135,13 +135,13 @@ class Tuning:
         self._in_file: str | ConfigError = text
         self._read = ""  # the file's whole text that it is from, where it has been read
         kept = memory.kept() if memory is not None else None
-        if kept is not None:
+        if kept is not None and "values" in kept:
             self._values, self._text = kept["values"], kept["text"]
             self._in_file = self._text
 
     def _keep(self) -> None:
         if self._memory is not None:
-            self._memory.keep({"values": self._values, "text": self._text})
+            self._memory.keep(values=self._values, text=self._text)
 
     @property
     def running(self) -> Values:
@@ -236,12 +236,8 @@ class Tuning:
         return plan._replace(words=words, done=done)
 
     def _plan(self, words: str, wanted: Values, more: dict[str, Any]) -> Orders:
-        law, *gains = (wanted[name] for name in names_of(str(wanted["law"])))
-        values = (float(LAWS.index(str(law))), *map(float, gains))
-        if any(wanted[n] != self._values[n] for n in REFERENCE):
-            values += self._sine(wanted)
-        if any(wanted[n] != self._values[n] for n in MODEL):
-            values += self._model(wanted)
+        reference = any(wanted[n] != self._values[n] for n in REFERENCE)
+        model = any(wanted[n] != self._values[n] for n in MODEL)
         changes = difference(self._values, chosen(wanted))
 
         def done() -> dict[str, Any]:
@@ -249,8 +245,20 @@ class Tuning:
             self._keep()
             return {"gains": self.running, "changed": changes, **more}
 
-        requests = (Request(RequestKind.GAINS, values),) if changes else ()
-        return Orders(f"{words}: {changes or 'nothing to change'}", requests, done=done)
+        if not changes:
+            return Orders(f"{words}: nothing to change", (), done=done)
+        asked, back = (self._request(values, reference, model) for values in (wanted, self._values))
+        return Orders(f"{words}: {changes}", (asked,), undo=back, done=done)
+
+    def as_known(self) -> Request:
+        """What has the axis be as it is known to be."""
+        return self._request(self._values, reference=True, model=True)
+
+    def _request(self, values: Values, reference: bool, model: bool) -> Request:
+        law, *gains = (values[name] for name in names_of(str(values["law"])))
+        found = (float(LAWS.index(str(law))), *map(float, gains))
+        found += self._sine(values) if reference else ()
+        return Request(RequestKind.GAINS, found + self._model(values) if model else found)
 
     def _model(self, wanted: Values) -> tuple[float, ...]:
         """What is believed as the axis knows it."""

@@ -102,6 +102,7 @@ class Run(NamedTuple):
     timeout_ns: int = 0
     counts: tuple[int, ...] = ()  # rounds of each REPEAT, by its place
     missing: int = 0  # steps that are still to be handed over: with some of them nothing begins
+    withheld: int = 0  # 1 until it is begun: for who has handed it over, and no input
 
 
 NO_RUN = Run()

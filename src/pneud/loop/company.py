@@ -239,6 +239,8 @@ def _refuses(request: Request, last: Tick) -> bool:
     if request.kind == ARM:
         blocks = BLOCKS_ARM & ~(1 << F.UNPROVEN) if request.values == (2.0,) else BLOCKS_ARM
         return last.state != State.DISARMED or last.present & blocks != 0
+    if request.kind == RECORD and last.progress.stage >= UNDER_WAY:
+        return True  # who has none under way would lose the one that it has
     return request.kind == RESTART and is_engaged(last.state)
 
 

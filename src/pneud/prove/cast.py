@@ -338,7 +338,7 @@ class Cast:
                     client = Client()
                 client._connection.settimeout(item.what.get("patience_s", PATIENCE_S))
                 world.note(f"asks {verb}")
-                asked = self.judge.asks(verb, fields.get("axis"), fields.get("program"))
+                asked = self.judge.asks(verb, **{"axis": None, **fields})
                 try:
                     reply = client.ask(verb, **fields)
                 finally:

@@ -10,6 +10,7 @@ from pneud.loading import Loaded, plans_of_plant
 from pneud.loop.company import ties_of
 from pneud.prove.axis_judge import AxisJudge, Session
 from pneud.prove.canbus import CanBus
+from pneud.prove.program_judge import ASKED
 from pneud.prove.tie_judge import TieJudge
 from pneud.prove.world import FOREVER_NS, START_NS, Process, World
 from pneud.signals import RequestKind
@@ -141,10 +142,10 @@ class Judge:
 
     # operators
 
-    def asks(self, verb: str, axis: str | None, program: dict[str, Any] | None = None) -> Asked:
+    def asks(self, verb: str, axis: str | None, **fields: Any) -> Asked:
         """An operator is about to ask for something, of an axis that he names or of all."""
-        if program is not None and (programs := self.axes[0].programs) is not None:
-            programs.asks(program)
+        if "program" in fields and (programs := self.axes[0].programs) is not None:
+            programs.asks(**{name: fields[name] for name in ASKED if name in fields})
         self._asked.append(asked := Asked(verb, axis))
         return asked
 

@@ -160,7 +160,14 @@ def _pressed(rng: random.Random, plan: Plan) -> tuple[Item, ...]:
             found.append(Item(at_s - 0.2, "operator", {"who": who, "verb": "arm", "unproven": True}))
         tree = {"schema": 1, "record": [_record(rng) for _ in range(steps)]}
         what = {"who": who, "verb": "run", "program": tree}
-        what |= {"load": True} if rng.random() < 0.6 else {"attended": rng.random() < 0.5}
+        if rng.random() < 0.6:
+            what["load"] = True
+        else:
+            what |= {
+                "record": rng.randint(1, steps),
+                "cycles": rng.randint(1, 3),
+                "attended": rng.random() < 0.5,
+            }
         found.append(Item(at_s, "operator", what))
         if rng.random() < 0.3:
             found.append(Item(at_s + rng.uniform(0.0, 0.6), "operator", {"who": who, "verb": "leave"}))

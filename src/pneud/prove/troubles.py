@@ -239,7 +239,8 @@ class Troubles:
         if axis.programs is None or node is None or node.station is None:
             return
         station, mask = node.station, node.station.bit_of(START)
-        axis.programs.pressed += not station.inputs & mask
+        if not station.inputs & mask:
+            axis.programs.press()
         station.inputs |= mask
 
         def let_go() -> None:
