@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import multiprocessing
+import signal
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -140,6 +143,26 @@ def test_each_plant_differs_in_one_thing() -> None:
     assert "bristles 1e5 N/m" not in found  # those it has
     ideal = plant_of(load("paper-case1.toml").config)
     assert not any("friction" in name or "bristles" in name for name in judging.plants(ideal))
+
+
+def test_who_judges_just_ends_when_told_to_whatever_its_parent_does_on_a_signal() -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    def led(ready: Any) -> None:
+        signal.signal(signal.SIGTERM, interrupt)  # as the parent has it
+        judging._led()
+        ready.set()
+        signal.pause()
+
+    forked = multiprocessing.get_context("fork")
+    ready = forked.Event()
+    process = forked.Process(target=led, args=(ready,))
+    process.start()
+    assert ready.wait(30.0)
+    process.terminate()
+    process.join()
+    assert process.exitcode == -signal.SIGTERM
 
 
 def test_a_session_goes_through_all_that_people_do_and_elsewhere_limits_are_wider() -> None:

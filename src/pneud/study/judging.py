@@ -288,5 +288,12 @@ def judges(processes: int | None = None) -> Iterator[Judge]:
         yield lambda many: map(session, many)
         return
     forked = multiprocessing.get_context("fork")
-    with forked.Pool(count, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
+    with forked.Pool(count, _led) as pool:
         yield lambda many: pool.imap_unordered(session, many)
+
+
+def _led() -> None:
+    """Leave it to whoever has forked this process to end it, whatever he does on a signal himself."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
