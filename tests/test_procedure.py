@@ -303,7 +303,7 @@ def test_slow_motion_alone_makes_a_slow_axis(
 ) -> None:
     told = {f"valve.dead_zone_{side}_v": estimate(0.12) for side in ("positive", "negative")}
     told |= {"valve.dead_zone_v": estimate(0.12), "cylinder.moving_mass_kg": estimate(20.0, told=False)}
-    found = estimating.Identified(told, [], [], 100.0, None, None)
+    found = estimating.Identified(told, [], ["hardly any motion"], 100.0, None, None)
     monkeypatch.setattr(estimating, "identify", lambda table, config: found)
     monkeypatch.setattr(procedure, "_steps", lambda p, wishes: static(p)[:1])
     file = copied(tmp_path)
@@ -319,6 +319,7 @@ def test_slow_motion_alone_makes_a_slow_axis(
     assert rig.loaded.config.limits.motion.speed_m_s == pytest.approx(0.1)
     said = json.loads(json.dumps(procedure.as_json(outcome), allow_nan=False))
     assert said["warnings"] == [procedure.SLOW_ONLY]
+    assert said["notes"] == ["hardly any motion"]
     assert said["verdict"] in ("passed", "missed")
     assert {"value", "low", "high", "configured"} <= said["parameters"]["valve.dead_zone_v"].keys()
     assert said["after"]["figures"]

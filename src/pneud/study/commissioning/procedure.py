@@ -375,6 +375,7 @@ def as_json(o: Outcome) -> dict[str, Any]:
         "after": {} if o.after is None else o.after.as_json(),
         "tried": [one.as_json() for one in o.tried],
         "axis_s": o.axis_s,
+        "notes": [] if found is None else found.identified.notes,
         "unexplained": [] if found is None else found.unexplained,
         "warnings": o.warnings,
         "failure": o.failure or None,
