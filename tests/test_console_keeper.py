@@ -16,6 +16,7 @@ import pytest
 
 from axis_rig import loaded
 from commands import children, eventually
+from log_samples import noisy
 from pneud import crew
 from pneud.console import handoff
 from pneud.console import keeper as keeping
@@ -23,6 +24,7 @@ from pneud.console.client import Client
 from pneud.console.facts import RunFacts
 from pneud.console.keeper import fork_console
 from pneud.console.memory import Memory
+from pneud.console.status_reply import StatusWatch
 from pneud.log.live import notes
 from pneud.log.live.ring import CONSOLE_GONE, Ring
 from pneud.signals import Answer, Request, RequestKind, State, Tick
@@ -263,3 +265,21 @@ def test_a_memory_keeps_the_last_that_fits() -> None:
     child = crew.fork(lambda: memory.keep(n=3))
     assert crew.wait(child, 10.0)
     assert memory.kept() == {"n": 3, "x": 0.1, "words": "µ"}
+
+
+def test_the_next_console_counts_on_from_where_the_one_before_was() -> None:
+    ring, memory = Ring.create(slots=64), Memory()
+    whole, watch = StatusWatch(ring), StatusWatch(ring, memory=memory)
+    for n, record in enumerate(noisy(400)):
+        m = record.tick.measurement._replace(skipped=n % 3, fresh=n % 8)
+        ring.put(record._replace(tick=record.tick._replace(measurement=m)))
+        if n % 20 == 19:
+            whole.poll()
+            watch.poll()
+        if n in (150, 310):  # it has died, between two looks
+            watch = StatusWatch(ring, memory=memory)
+    found, expected = watch.fields(), whole.fields()
+    assert found["skipped"] > 300
+    for key in ("skipped", "saturated", "amiss", "amiss_because", "lateness_us", "histograms"):
+        assert found[key] == expected[key], key
+    assert len(memory.kept_bytes() or b"") < 100_000

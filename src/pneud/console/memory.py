@@ -27,8 +27,11 @@ class Memory:
         self._memory[1] = kind
 
     def keep(self, **what: Any) -> None:
-        """Keep each in place of what was kept by its name; too much is not kept, and the former stays."""
-        data = json.dumps({**(self.kept() or {}), **what}).encode()
+        """Keep each in place of what was kept by its name, as `keep_bytes`; not beside what that has kept."""
+        self.keep_bytes(json.dumps({**(self.kept() or {}), **what}).encode())
+
+    def keep_bytes(self, data: bytes) -> None:
+        """Keep this in place of what was kept before; too much is not kept, and the former stays."""
         if len(data) > _HALF_BYTES - _LENGTH_BYTES:
             return
         half = 1 if self._memory[0] == 2 else 2
@@ -39,11 +42,16 @@ class Memory:
 
     def kept(self) -> dict[str, Any] | None:
         """What was kept last; None where nothing was."""
+        data = self.kept_bytes()
+        found: dict[str, Any] | None = None if data is None else json.loads(data)
+        return found
+
+    def kept_bytes(self) -> bytes | None:
+        """As it was kept."""
         half = self._memory[0]
         if not half:
             return None
         begin = mmap.PAGESIZE + (half - 1) * _HALF_BYTES
         end = begin + _LENGTH_BYTES
         length = int.from_bytes(self._memory[begin:end], "little")
-        found: dict[str, Any] = json.loads(self._memory[end : end + length])
-        return found
+        return self._memory[end : end + length]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 import sys
 import time
 from bisect import bisect_left
@@ -10,6 +11,7 @@ from itertools import accumulate
 from typing import Any
 
 from pneud.axis.state import learnt_so_far
+from pneud.console.memory import Memory
 from pneud.control.adaptation import Learnt
 from pneud.log.live.amiss import Amiss
 from pneud.log.live.mileage import whole_life
@@ -20,22 +22,41 @@ from pneud.safety.faults import LOG_LOST, TABLE
 from pneud.signals import HUNTING_CURES, Hunting, Stage, State
 
 _BOUNDS_US = (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 100_000)
+_KEPT = ("learnt", "_amiss", "_place", "_skipped", "_saturated", "_lateness", "_latency", "_log_lost")
 _STAGES = {int(stage): stage.label for stage in (Stage.STOPPED, Stage.ENDED)}  # all others are under way
 
 
 class StatusWatch:
     """Follows the records of one run."""
 
-    def __init__(self, ring: Ring, sync: bool = True) -> None:
-        """Begin with the oldest record that is still in the ring."""
+    def __init__(self, ring: Ring, sync: bool = True, memory: Memory | None = None) -> None:
+        """Begin with the oldest record that is still in the ring, or go on from a console that has died.
+
+        Args:
+            ring: where the records are.
+            sync: as for `Amiss`.
+            memory: for the console that is started in this one's place: what has been counted so far.
+        """
         self.learnt: Learnt | None = None  # by the last snapshot
         self._ring = ring
         self._amiss = Amiss(sync)
         self._reader = ring.reader()
+        self._place = self._reader.place
         self._skipped = self._saturated = 0
         self._lateness = Histogram()
         self._latency = Histogram()
         self._log_lost = 0
+        self._memory = memory
+        kept = memory.kept_bytes() if memory is not None else None
+        if kept is not None:
+            vars(self).update(pickle.loads(kept))
+            self._reader.place = self._place
+
+    def _keep(self) -> None:
+        """Leave what has been counted, and until where."""
+        self._place = self._reader.place
+        if self._memory is not None:
+            self._memory.keep_bytes(pickle.dumps({name: getattr(self, name) for name in _KEPT}))
 
     def poll(self) -> None:
         """Take what the loop has done since the last call; to be called a few times a second.
@@ -55,6 +76,7 @@ class StatusWatch:
         last = self._reader.latest()
         if last is not None:
             self._say_of_the_log(last.tick.present & LOG_LOST)
+            self._keep()
 
     def _mileage(self) -> dict[str, Any]:
         """What the axis has done in its life."""

@@ -28,12 +28,14 @@ class Seat:
         run: what runs.
         ring: where its records are.
         memory: what the console before has left.
+        counts: what it has counted for `status`, and until where.
         teller: speaks through `words`.
     """
 
     def __init__(self, words: socket.socket, run: RunFacts, ring: Ring) -> None:
         self.words, self.run, self.ring = words, run, ring
         self.memory = Memory()
+        self.counts = Memory()
         self.teller = Teller(words, "console")
 
 
@@ -93,7 +95,7 @@ def serve(post: Post, daemon: int, keeper: int, place: int) -> None:
         print(f"pneud: {error}", file=sys.stderr, flush=True)
 
     seats, ring = post.seats, post.ring
-    watches = [StatusWatch(seat.ring, bool(seat.run.config.bus.sync)) for seat in seats]
+    watches = [StatusWatch(seat.ring, bool(seat.run.config.bus.sync), seat.counts) for seat in seats]
     processes = Processes(daemon, lambda: [seat.ring.status().pid for seat in seats])
     desks = [
         AxisDesk(seat.run, seat.ring, watch, seat.memory, processes if seat is seats[0] else None)

@@ -399,6 +399,15 @@ class RingReader:
         self.delivered = 0
         self.dropped = 0
 
+    @property
+    def place(self) -> tuple[int, int]:
+        """Where it is, for another reader that is to go on from there."""
+        return self._next, self._number
+
+    @place.setter
+    def place(self, place: tuple[int, int]) -> None:
+        self._next, self._number = place
+
     def poll(self) -> list[Record]:
         """The records that were complete at the previous poll and have not been delivered yet.
 
