@@ -417,6 +417,14 @@ def test_every_refusal_of_the_axis_has_a_type_and_words(desk: Bench, answer: Ans
         assert "check the node's power" in reply["error"]["message"]
 
 
+@pytest.mark.parametrize("verb", ["jog", "tune_set", "upload"])
+def test_a_value_that_nothing_can_have_is_told_in_words(desk: Bench, verb: str) -> None:
+    desk.answer = lambda _: Answer.MALFORMED
+    error = desk.ask(desk.connect(), verb, **COMMANDS[verb])["error"]
+    assert error["type"] == "malformed"
+    assert re.search(r": (a value is too small, |one of them does not meet )", error["message"])
+
+
 @pytest.mark.parametrize(
     ("verb", "named"),
     [("arm", ["encoder_unreferenced", "moving"]), ("home", ["moving"]), ("hold", [])],

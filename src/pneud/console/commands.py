@@ -404,6 +404,13 @@ class AxisDesk:
                 text = f"{words}: there is no profile that could be followed"
                 if words.startswith("run"):
                     text = f"{words}: there is no program that was stopped; give one: pneud run PROGRAM"
+            case Answer.MALFORMED:
+                text = f"{words}: a value is too small, too large, or of the wrong sign"
+                if words.startswith("upload "):
+                    text = (
+                        f"{words}: one of them does not meet the one before it,"
+                        " is too short or too long, or is one too many"
+                    )
             case Answer.CLOSING:
                 text = f"{words}: the daemon is shutting down"
             case _:
