@@ -165,6 +165,38 @@ def test_the_law_keeps_the_valve_shut_within_the_band_where_it_asks_for_little()
     assert not standstill.keeps_shut(0.0, 0.11, True, p)
 
 
+QUIET = P._replace(calm=100, settle=1000, again=3, quiet=0.2)
+
+
+def test_a_quiet_law_keeps_the_load_for_as_long_as_it_does_not_ring() -> None:
+    s = StandstillState(ticks=5_000)
+    assert standstill.is_quiet(s, QUIET)
+    for other in (s._replace(ticks=99), s._replace(mode=CLOSED), s._replace(tries=1)):
+        assert not standstill.is_quiet(other, QUIET)
+    assert not standstill.is_quiet(s, QUIET._replace(quiet=0.0))
+    assert standstill.stand(s, 0.0, 0.0, 0.0, 0.0, 0.0, True, F, QUIET).mode == LAW
+    for ringing, error_m in ((s._replace(restless_v=0.041), 0.0), (s, -1.1 * P.near_m)):
+        after = standstill.stand(ringing, error_m, 0.0, 0.0, 0.0, 0.0, True, F, QUIET)
+        assert after.tries >= 1
+        assert not standstill.is_quiet(after, QUIET)
+    arriving = s._replace(restless_v=0.041, ticks=398)  # as restless as the law has been before it
+    assert standstill.stand(arriving, 0.0, 0.0, 0.0, 0.0, 0.0, True, F, QUIET).tries == 0
+
+
+def test_a_quiet_law_gives_what_it_wants_for_a_while_and_until_that_is_next_to_nothing() -> None:
+    s, given = StandstillState(), []
+    for opening_v in [0.05] * 50 + [0.1] * 5 + [0.0] * 15 + [-0.2] * 3:
+        s = standstill.quieted(s, opening_v, QUIET)
+        assert s.given_v in (0.0, s.wanted_v)
+        given.append(s.given_v)
+    assert given[:50] == [0.0] * 50
+    assert [x > 0.0 for x in given[50:70]] == [False] + [True] * 13 + [False] * 6
+    assert [x < 0.0 for x in given[70:]] == [False, True, True]
+    assert math.isnan(standstill.quieted(s, math.nan, QUIET).given_v)
+    moving = standstill.stand(s, 0.0, 0.0, 0.0, 0.0, 0.0, False, F, QUIET)
+    assert (moving.wanted_v, moving.given_v) == (0.0, 0.0)
+
+
 @pytest.mark.parametrize(
     ("seen", "mode"),
     [
@@ -400,6 +432,69 @@ def test_a_load_whose_swing_dies_at_once_is_left_alone_at_once(
             steps_v.append(v.step_v)
     assert sum(x >= 500 for x in outside) <= late
     assert sum(x > 0.03 for x in steps_v) <= late / 3  # the law alone: 0.1 to 0.2
+
+
+HEAVY: dict[str, Any] = {
+    "cylinder": {
+        "piston_area_1_m2": 0.0031172,
+        "piston_area_2_m2": 0.0028031,
+        "moving_mass_kg": 60.0,
+    },
+    "valve": {"orifice_area_m2": 1.381e-5},
+    "control": {
+        "k1": 16060.0,
+        "k2": 3029.0,
+        "k3": 124.4,
+        "force_rate_bandwidth_rad_s": 320.0,
+        "observer": {"gain_n_s2": 11030.0},
+        "motion": {
+            "bandwidth_rad_s": 180.0,
+            "push_bandwidth_rad_s": 342.0,
+            "encoder_resolution_m": 1e-5,
+        },
+        "friction": {"coulomb_n": 93.5, "static_n": 140.0, "viscous_n_s_m": 93.5},
+    },
+    "plant": {
+        "friction": {"coulomb_n": 93.5, "static_n": 140.0, "viscous_n_s_m": 93.5},
+        "sensors": {"encoder_resolution_m": 1e-5},
+    },
+}
+
+
+@cache
+def heavy() -> tuple[Controller, PlantParameters]:
+    """60 kg on soft bristles, seen by an encoder of 10 µm: a cylinder of 63 mm bore."""
+    here = load("virtual.toml", None, HEAVY)
+    return axis_of(here.config, here.codecs.command_lsb_v).controller, plant_of(here.config)
+
+
+def test_a_heavy_load_on_soft_bristles_stays_where_it_has_come_to_rest() -> None:
+    c, plant = heavy()
+    pair, _ = move(trial.begin(0.44, c, plant), True, 0.45, c, plant, 2_000, 0, 1e-3)
+    for to_m in (0.451, 0.46, 0.45):
+        pair, v = move(pair, False, to_m, c, plant, 4_000, 500, 25e-6)
+        assert v.outside < 500
+        assert v.step_v < 0.03
+    assert standstill.is_quiet(pair.state.standstill, c.standstill)
+
+
+def test_a_law_is_quiet_where_swing_and_law_are_slow_and_the_encoder_is_coarse() -> None:
+    assert heavy()[0].standstill.quiet > 0.0
+    for other in (rig(10e-6, 9e4), rig(10e-6, 9e4, moving_mass_kg=60.0), rig(1e-6, 9e4, moving_mass_kg=60.0)):
+        assert other[0].standstill.quiet == 0.0
+
+
+def test_the_command_of_a_quiet_law_is_none_or_beyond_the_dead_zone() -> None:
+    c, plant = heavy()
+    pair, _ = move(trial.begin(0.44, c, plant), True, 0.45, c, plant, 600, 0, 1e-3)
+    assert standstill.is_quiet(pair.state.standstill, c.standstill)
+    errand, commands = Errand(way(septic(0.05, rest(0.45), rest(0.45))), NOSINE, 20.0), []
+    for i in range(60):
+        pair = trial.tick(pair, 1e-3 * i, False, errand, c, plant, 10.0 / 4096)
+        commands.append(abs(pair.last_v))
+    assert 0.0 in commands
+    assert max(commands) > c.valve.dead_zone_v
+    assert not any(0.0 < x < 0.9 * c.valve.dead_zone_v for x in commands)
 
 
 def test_bristles_beyond_the_law_have_less_of_its_patience() -> None:

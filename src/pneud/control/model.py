@@ -42,6 +42,8 @@ FIRM = 1.4  # times the law's bandwidth at rest: bristles that swing as fast as 
 BRISK_S = 5e-3  # sample time with which there is room for that
 COARSE_M = 4e-6  # step of an encoder, from which on it keeps the law busy at rest
 CALM_S = 0.1  # when the motion filter is calmer there, as far as both have a Lyapunov function in common
+SLOW_RAD_S = 50.0  # swing on the bristles so slow that a load creeps off behind a closed valve
+QUIET_S = 5e-3  # over which a quiet law smooths its opening, if that is less than its filter takes
 AGAIN, WAIT = 3, 1.5  # times that giving way may be of no use there; of the band that is left, where it waits
 GRACE_S = 0.08  # that a load has to come to rest when the valve is closed
 RESTLESS_V = 0.03  # mean step of the command that is hunting
@@ -214,7 +216,8 @@ def standing(m: Model, motion: MotionFilter, M: float, step_m: float, h: float, 
 
     Where a swing on the bristles dies at once, or is too fast for the motion filter, the law does no good: it
     soon gives way, and to a load that hunts at any error from which nudges find home. Elsewhere a coarse
-    encoder is what keeps the law busy, and the load swinging: there it hears less of it.
+    encoder is what keeps the law busy, and the load swinging: there it hears less of it. Where the swing is
+    slow, and the law is, it keeps the load, and is quiet.
     """
     if not m.standstill or m.stiffness_n_m <= 0.0 or m.coulomb_n <= 0.0:
         return Standstill()
@@ -227,6 +230,7 @@ def standing(m: Model, motion: MotionFilter, M: float, step_m: float, h: float, 
     seen = seen_rad_s(motion, h)
     beyond = dies_out or omega > BEYOND * seen
     coarse = step_m >= COARSE_M and not beyond
+    slow = coarse and omega < SLOW_RAD_S and QUIET_S * seen < 1.0
     leave_m = max(11e-6, 1.3 * step_m)
     return Standstill(
         enter_m=enter_m,
@@ -255,4 +259,5 @@ def standing(m: Model, motion: MotionFilter, M: float, step_m: float, h: float, 
         trusts=coarse,
         calm=round(CALM_S / h) if coarse else 0,
         filter=calmer(motion, h) if coarse else motion,
+        quiet=1.0 - math.exp(-h / QUIET_S) if slow else 0.0,
     )

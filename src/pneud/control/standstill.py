@@ -11,6 +11,10 @@ reference has come to rest the law gives way:
   step before has shown asks for;
 
 and has the load back when it leaves a wider band, or moves.
+
+A load that swings slowly on its bristles creeps off behind a closed valve. The law keeps that one, and
+becomes quiet: its opening is smoothed, and given only from a size on. Where it rings all the same, it gives
+way.
 """
 
 import math
@@ -39,6 +43,9 @@ SMALL_V = 1.5 * LEAST_V  # opening that leads along a small step of force
 SWINGS = 1.5  # that a step of force and what follows it take
 TRIES = 1  # times that the law may make a load swing
 LONGEST = 4.0  # swings that a load has to come to rest after a step of force
+OPENS_V, SHUTS_V = 0.06, 0.01  # smoothed opening from which on a quiet law gives it, and down to which
+RINGS_V = 0.04  # mean step of the command of a quiet law that rings
+RINGING = 4  # times as long until that is known as until the law becomes quiet
 
 
 class Standstill(NamedTuple):
@@ -70,6 +77,7 @@ class Standstill(NamedTuple):
     trusts: bool = False  # what has been learnt of friction, rather than what is configured
     calm: int = 0  # ticks after which the law hears of the load through a calmer filter; 0: never
     filter: MotionFilter = MotionFilter(0.0, 0.0, 0.0, 0.0)  # that one
+    quiet: float = 0.0  # share of a change of its opening that a quiet law believes in a tick; 0: never quiet
 
 
 class StandstillState(NamedTuple):
@@ -86,7 +94,9 @@ class StandstillState(NamedTuple):
     stiffness_n_m: float = 0.0  # found; 0: none yet
     anchor_m: float = 0.0  # reading since which none has differed
     same: int = 0  # readings since then
-    tries: int = 0  # times that giving way was of no use, since the reference stands still
+    tries: int = 0  # times that giving way, or a quiet law, was of no use, since the reference stands still
+    wanted_v: float = 0.0  # opening of the law, smoothed, while it is quiet
+    given_v: float = 0.0  # of that
 
 
 def is_still(now: Reference, goal: Reference) -> bool:
@@ -114,6 +124,30 @@ def is_calm(s: StandstillState, p: Standstill) -> bool:
 def is_firm(s: StandstillState, p: Standstill) -> bool:
     """Whether the law is to bring the load to rest: giving way has not been of no use too often."""
     return s.tries < p.again
+
+
+def is_quiet(s: StandstillState, p: Standstill) -> bool:
+    """Whether the law has the load and is quiet."""
+    return p.quiet > 0.0 and s.mode == LAW and s.tries == 0 and s.ticks >= p.calm
+
+
+def rings(s: StandstillState, error_m: float, p: Standstill) -> bool:
+    """Whether a quiet law does not keep the load calm."""
+    loud = s.restless_v > RINGS_V and s.ticks > RINGING * p.calm
+    return loud or abs(error_m) > p.near_m
+
+
+def quieted(s: StandstillState, opening_v: float, p: Standstill) -> StandstillState:
+    """The state with what a quiet law gives of its opening: none until it is worth crossing the dead zone.
+
+    Args:
+        s: of this tick.
+        opening_v: that the law asks for.
+        p: parameters.
+    """
+    wanted_v = s.wanted_v + p.quiet * (opening_v - s.wanted_v)
+    least_v = SHUTS_V if wanted_v * s.given_v > 0.0 else OPENS_V
+    return _giving(s, wanted_v, 0.0 if abs(wanted_v) <= least_v else wanted_v)
 
 
 def has_a_while(s: StandstillState, p: Standstill) -> bool:
@@ -166,8 +200,13 @@ def stand(
     s = _in_mode(s, s.mode, s.ticks + 1, speed_m_s, s.net_n + p.smooth * (net_n - s.net_n), s.restless_v)
     if not still or p.enter_m <= 0.0:
         # what nudges have found, and how the law fared, holds until the reference moves
-        return _entered(_stepping(_tried(s, 0), s.from_n, s.step_n, s.error_m, 0.0), LAW, 0, 0.0)
+        s = _giving(_tried(s, 0), 0.0, 0.0)
+        return _entered(_stepping(s, s.from_n, s.step_n, s.error_m, 0.0), LAW, 0, 0.0)
     size = abs(error_m)
+    if is_quiet(s, p):
+        if not rings(s, error_m, p):
+            return s
+        s = _tried(s, 1)
     if s.mode == LAW and has_a_while(s, p):
         return s
     if s.mode == LAW:
@@ -304,6 +343,8 @@ def _read(s: StandstillState, anchor_m: float, same: int) -> StandstillState:
         anchor_m,
         same,
         s.tries,
+        s.wanted_v,
+        s.given_v,
     )
 
 
@@ -321,6 +362,8 @@ def _tried(s: StandstillState, tries: int) -> StandstillState:
         s.anchor_m,
         s.same,
         tries,
+        s.wanted_v,
+        s.given_v,
     )
 
 
@@ -344,6 +387,8 @@ def _in_mode(
         s.anchor_m,
         s.same,
         s.tries,
+        s.wanted_v,
+        s.given_v,
     )
 
 
@@ -363,4 +408,25 @@ def _stepping(
         s.anchor_m,
         s.same,
         s.tries,
+        s.wanted_v,
+        s.given_v,
+    )
+
+
+def _giving(s: StandstillState, wanted_v: float, given_v: float) -> StandstillState:
+    return StandstillState(
+        s.mode,
+        s.ticks,
+        s.speed_m_s,
+        s.net_n,
+        s.restless_v,
+        s.from_n,
+        s.step_n,
+        s.error_m,
+        s.stiffness_n_m,
+        s.anchor_m,
+        s.same,
+        s.tries,
+        wanted_v,
+        given_v,
     )

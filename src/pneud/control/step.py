@@ -39,9 +39,11 @@ from pneud.control.standstill import (
     is_calm,
     is_firm,
     is_held,
+    is_quiet,
     is_still,
     keeps_shut,
     nudge,
+    quieted,
     read,
     stand,
     stirred,
@@ -462,8 +464,12 @@ def act(
     else:
         state, out = tracked(state, s, arriving(still, standstill, p), p)
         if still:
+            asked_v = opening(out.u_v, p.valve)
             shut = opening(state.applied_v, p.valve) == 0.0
-            if keeps_shut(error_m, opening(out.u_v, p.valve), shut, p.standstill):
+            if is_quiet(standstill, p.standstill):
+                standstill = quieted(standstill, asked_v, p.standstill)
+                out = LawOutput(dead_zone_inverse(standstill.given_v, p.valve, 0.0), out.s, out.ustar)
+            elif keeps_shut(error_m, asked_v, shut, p.standstill):
                 out = LawOutput(dead_zone_inverse(0.0, p.valve, 0.0), out.s, out.ustar)
             u_max = p.valve.u_max_v
             step_v = abs(max(-u_max, min(u_max, out.u_v)) - state.applied_v)
