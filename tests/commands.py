@@ -138,7 +138,7 @@ class Forked:
 
 
 def pneud_forked(
-    *args: object, out_to: str = "", cwd: Path | None = None
+    *args: object, out_to: str = "", cwd: Path | None = None, timeout: float | None = None
 ) -> subprocess.CompletedProcess[str]:
     """One command to its end in a fork of this process.
 
@@ -146,9 +146,10 @@ def pneud_forked(
         args: its words.
         out_to: a device that takes its standard output.
         cwd: folder in which it is given.
+        timeout: after which it is killed, and the test has failed.
     """
     forked = Forked(*args, out_to=out_to, cwd=cwd)
-    out, err = forked.communicate()
+    out, err = forked.communicate(timeout)
     assert forked.returncode is not None
     return subprocess.CompletedProcess(forked.words, forked.returncode, out, err)
 

@@ -318,7 +318,7 @@ def test_a_daemon_takes_a_name_or_refuses_it(
         before = contents(tmp_path)
         if taken.environment:
             monkeypatch.setenv(taken.environment, name)
-        done = pneud(*words_of(taken, name, {}, tmp_path / "out"), timeout=LIMIT_S)
+        done = pneud_forked(*words_of(taken, name, {}, tmp_path / "out"), timeout=LIMIT_S)
         assert "Traceback" not in done.stderr, (kind, done.stderr)
         if done.returncode in (2, 3):
             said = [line for line in done.stderr.splitlines() if not line.startswith(REMARKS)]
