@@ -43,6 +43,7 @@ from pneud.study.tuned import (
     setting,
 )
 from pneud.study.tuner import _moved, course, parts, tune
+from shared import once
 
 LOADED = load("virtual.toml")
 BENCH = bench_of(LOADED, compiled=False)
@@ -236,8 +237,8 @@ def test_a_rest_of_no_length_is_refused() -> None:
 
 
 @pytest.fixture(scope="module")
-def found() -> LawTable:
-    return compare(LOADED, 10.0, compiled=True)
+def found(tmp_path_factory: pytest.TempPathFactory) -> LawTable:
+    return once(tmp_path_factory, "compared", lambda _: compare(LOADED, 10.0, compiled=True))
 
 
 @pytest.mark.slow

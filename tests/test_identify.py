@@ -50,6 +50,7 @@ from pneud.study.identification.explaining import Bin
 from pneud.study.identification.fitting import Fit, Found, Unknown, fit
 from pneud.study.identification.parameters import Estimate
 from pneud.study.identification.table import Piece, Table
+from shared import once
 
 GOLDEN = Path(__file__).parent / "golden"
 C = load("virtual.toml").config
@@ -448,15 +449,18 @@ TRUTH = {
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of a rig of another truth."""
-    path = tmp_path_factory.mktemp("identify") / "run.mcap"
-    logged(path, "virtual.toml", TRUTH, 60.0, PLACES)
-    return path
+
+    def made(folder: Path) -> Path:
+        logged(folder / "run.mcap", "virtual.toml", TRUTH, 60.0, PLACES)
+        return folder / "run.mcap"
+
+    return once(tmp_path_factory, "identify-log", made)
 
 
 @pytest.fixture(scope="module")
-def identified(log: Path) -> estimating.Identified:
-    """What is found in it, once for all tests."""
-    return estimating.identify(*table.read([read_log(log)]))
+def identified(log: Path, tmp_path_factory: pytest.TempPathFactory) -> estimating.Identified:
+    """What is found in it."""
+    return once(tmp_path_factory, "identified", lambda _: estimating.identify(*table.read([read_log(log)])))
 
 
 @pytest.fixture(scope="module")

@@ -66,6 +66,7 @@ from pneud.study.reproduction import (
     paper_loop,
     settled,
 )
+from shared import once
 
 IMPLICIT_10_MS = Setting(1, COMPOSITE, True, 0.01, "implicit", "implicit", False, False)
 
@@ -369,11 +370,13 @@ def test_a_folder_that_cannot_be_made_is_said_before_the_work(tmp_path: Path) ->
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    folder = tmp_path_factory.mktemp("reproduced") / "new"
-    done = pneud("reproduce", "-o", folder, "--json", timeout=600)
-    assert done.returncode == 0, done.stderr
-    found: dict[str, Any] = json.loads(done.stdout, parse_constant=no_json)
-    return folder, found
+    def made(folder: Path) -> tuple[Path, dict[str, Any]]:
+        done = pneud("reproduce", "-o", folder / "new", "--json", timeout=600)
+        assert done.returncode == 0, done.stderr
+        found: dict[str, Any] = json.loads(done.stdout, parse_constant=no_json)
+        return folder / "new", found
+
+    return once(tmp_path_factory, "reproduced", made)
 
 
 def rows_of(found: dict[str, Any], **wanted: Any) -> list[dict[str, Any]]:
