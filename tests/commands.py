@@ -59,7 +59,7 @@ def become(words: list[str], out: int, err: int, before: Callable[[], None] = la
             for number, buffering in ((1, -1), (2, 1))  # by blocks and by lines, as ever
         )
         before()
-        sys.argv = ["pneud", *words]
+        sys.argv, sys.orig_argv = ["pneud", *words], [*PNEUD, *words]  # with which a daemon begins anew
         cli.main()
     except SystemExit as e:
         status = e.code or 0
