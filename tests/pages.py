@@ -144,15 +144,17 @@ class Desk:
         while daemon and not re.search(rf'"state": ?"({wanted})"', self._status()):
             assert process.poll() is None, f"{plain}\n{process.communicate()[0]}"
             assert time.monotonic() < deadline, f"{plain}: {self._status()}"
-            time.sleep(0.2)
-        if plain.startswith("pneud web"):
+            time.sleep(0.05)
+        web = plain.startswith("pneud web")
+        if web:
             listen = re.search(r"--listen (\S+):(\d+)", plain)
             address = (listen[1], int(listen[2])) if listen else ("127.0.0.1", 8770)
             while not _answers(address):
                 assert process.poll() is None, f"{plain}\n{process.communicate()[0]}"
                 assert time.monotonic() < deadline, plain
-                time.sleep(0.2)
-        time.sleep(0.5)
+                time.sleep(0.05)
+        if not (daemon or web):
+            time.sleep(0.5)  # nobody tells when it is ready
 
     def _status(self) -> str:
         """What the daemon of this folder says of itself, asked without a process for it."""

@@ -14,7 +14,6 @@ from contextlib import contextmanager
 from itertools import groupby
 from pathlib import Path
 
-import can
 import pytest
 
 from commands import Forked
@@ -245,10 +244,16 @@ def test_the_daemon_comes_back_to_disarmed_from_an_interface_that_was_made_anew(
     check_that_nothing_moved(ticks)
 
 
+def party() -> socket.socket:
+    """Another one on the bus."""
+    found = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    found.bind((NAME,))
+    return found
+
+
 def report(can_id: int, second: int = 0) -> None:
     """Another party of the bus tells what a CAN controller would."""
-    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as other:
-        other.bind((NAME,))
+    with party() as other:
         other.send(struct.pack("=IB3x8B", wire.CAN_ERR_FLAG | can_id, 8, 0, second, *bytes(6)))
 
 
@@ -309,9 +314,9 @@ def test_frames_that_the_kernel_drops_are_counted_and_shown(tmp_path: Path, gent
         daemon = Daemon(gentle, tmp_path / "run.mcap")
         daemon.waits_for(State.DISARMED)
         daemon.process.send_signal(signal.SIGSTOP)
-        with can.Bus(interface="socketcan", channel=NAME) as bus:
+        with party() as other:
             for n in range(20_000):
-                bus.send(can.Message(arbitration_id=0x7FF, is_extended_id=False, data=n.to_bytes(4, "big")))
+                other.send(struct.pack("=IB3x8s", 0x7FF, 4, n.to_bytes(4, "big")))
         daemon.process.send_signal(signal.SIGCONT)
         daemon.waits(3.0)
         summary = daemon.ends()
