@@ -166,21 +166,23 @@ def test_the_law_keeps_the_valve_shut_within_the_band_where_it_asks_for_little()
 
 
 QUIET = P._replace(calm=100, settle=1000, again=3, quiet=0.2)
+SOFT = F._replace(sigma0_n_m=0.9 * standstill.SLOW_RAD_S**2 * P.mass_kg)
 
 
 def test_a_quiet_law_keeps_the_load_for_as_long_as_it_does_not_ring() -> None:
     s = StandstillState(ticks=5_000)
-    assert standstill.is_quiet(s, QUIET)
+    assert standstill.is_quiet(s, SOFT, QUIET)
     for other in (s._replace(ticks=99), s._replace(mode=CLOSED), s._replace(tries=1)):
-        assert not standstill.is_quiet(other, QUIET)
-    assert not standstill.is_quiet(s, QUIET._replace(quiet=0.0))
-    assert standstill.stand(s, 0.0, 0.0, 0.0, 0.0, 0.0, True, F, QUIET).mode == LAW
+        assert not standstill.is_quiet(other, SOFT, QUIET)
+    assert not standstill.is_quiet(s, SOFT, QUIET._replace(quiet=0.0))
+    assert not standstill.is_quiet(s, F, QUIET)  # stiffer, as has been learnt
+    assert standstill.stand(s, 0.0, 0.0, 0.0, 0.0, 0.0, True, SOFT, QUIET).mode == LAW
     for ringing, error_m in ((s._replace(restless_v=0.041), 0.0), (s, -1.1 * P.near_m)):
-        after = standstill.stand(ringing, error_m, 0.0, 0.0, 0.0, 0.0, True, F, QUIET)
+        after = standstill.stand(ringing, error_m, 0.0, 0.0, 0.0, 0.0, True, SOFT, QUIET)
         assert after.tries >= 1
-        assert not standstill.is_quiet(after, QUIET)
+        assert not standstill.is_quiet(after, SOFT, QUIET)
     arriving = s._replace(restless_v=0.041, ticks=398)  # as restless as the law has been before it
-    assert standstill.stand(arriving, 0.0, 0.0, 0.0, 0.0, 0.0, True, F, QUIET).tries == 0
+    assert standstill.stand(arriving, 0.0, 0.0, 0.0, 0.0, 0.0, True, SOFT, QUIET).tries == 0
 
 
 def test_a_quiet_law_gives_what_it_wants_for_a_while_and_until_that_is_next_to_nothing() -> None:
@@ -193,7 +195,7 @@ def test_a_quiet_law_gives_what_it_wants_for_a_while_and_until_that_is_next_to_n
     assert [x > 0.0 for x in given[50:70]] == [False] + [True] * 13 + [False] * 6
     assert [x < 0.0 for x in given[70:]] == [False, True, True]
     assert math.isnan(standstill.quieted(s, math.nan, QUIET).given_v)
-    moving = standstill.stand(s, 0.0, 0.0, 0.0, 0.0, 0.0, False, F, QUIET)
+    moving = standstill.stand(s, 0.0, 0.0, 0.0, 0.0, 0.0, False, SOFT, QUIET)
     assert (moving.wanted_v, moving.given_v) == (0.0, 0.0)
 
 
@@ -475,7 +477,7 @@ def test_a_heavy_load_on_soft_bristles_stays_where_it_has_come_to_rest() -> None
         pair, v = move(pair, False, to_m, c, plant, 4_000, 500, 25e-6)
         assert v.outside < 500
         assert v.step_v < 0.03
-    assert standstill.is_quiet(pair.state.standstill, c.standstill)
+    assert standstill.is_quiet(pair.state.standstill, c.friction, c.standstill)
 
 
 def test_a_law_is_quiet_where_swing_and_law_are_slow_and_the_encoder_is_coarse() -> None:
@@ -487,7 +489,7 @@ def test_a_law_is_quiet_where_swing_and_law_are_slow_and_the_encoder_is_coarse()
 def test_the_command_of_a_quiet_law_is_none_or_beyond_the_dead_zone() -> None:
     c, plant = heavy()
     pair, _ = move(trial.begin(0.44, c, plant), True, 0.45, c, plant, 600, 0, 1e-3)
-    assert standstill.is_quiet(pair.state.standstill, c.standstill)
+    assert standstill.is_quiet(pair.state.standstill, c.friction, c.standstill)
     errand, commands = Errand(way(septic(0.05, rest(0.45), rest(0.45))), NOSINE, 20.0), []
     for i in range(60):
         pair = trial.tick(pair, 1e-3 * i, False, errand, c, plant, 10.0 / 4096)

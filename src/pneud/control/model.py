@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from pneud.control.feedforward import Creep
 from pneud.control.motion import MotionFilter, quickened, triple_pole
-from pneud.control.standstill import Standstill
+from pneud.control.standstill import SLOW_RAD_S, Standstill
 from pneud.control.step import Controller
 from pneud.physics.friction import Friction
 
@@ -42,7 +42,6 @@ FIRM = 1.4  # times the law's bandwidth at rest: bristles that swing as fast as 
 BRISK_S = 5e-3  # sample time with which there is room for that
 COARSE_M = 4e-6  # step of an encoder, from which on it keeps the law busy at rest
 CALM_S = 0.1  # when the motion filter is calmer there, as far as both have a Lyapunov function in common
-SLOW_RAD_S = 50.0  # swing on the bristles so slow that a load creeps off behind a closed valve
 QUIET_S = 5e-3  # over which a quiet law smooths its opening, if that is less than its filter takes
 AGAIN, WAIT = 3, 1.5  # times that giving way may be of no use there; of the band that is left, where it waits
 GRACE_S = 0.08  # that a load has to come to rest when the valve is closed

@@ -43,6 +43,7 @@ SMALL_V = 1.5 * LEAST_V  # opening that leads along a small step of force
 SWINGS = 1.5  # that a step of force and what follows it take
 TRIES = 1  # times that the law may make a load swing
 LONGEST = 4.0  # swings that a load has to come to rest after a step of force
+SLOW_RAD_S = 50.0  # swing on the bristles so slow that a load creeps off behind a closed valve
 OPENS_V, SHUTS_V = 0.06, 0.01  # smoothed opening from which on a quiet law gives it, and down to which
 RINGS_V = 0.04  # mean step of the command of a quiet law that rings
 RINGING = 4  # times as long until that is known as until the law becomes quiet
@@ -126,9 +127,11 @@ def is_firm(s: StandstillState, p: Standstill) -> bool:
     return s.tries < p.again
 
 
-def is_quiet(s: StandstillState, p: Standstill) -> bool:
-    """Whether the law has the load and is quiet."""
-    return p.quiet > 0.0 and s.mode == LAW and s.tries == 0 and s.ticks >= p.calm
+def is_quiet(s: StandstillState, f: Friction, p: Standstill) -> bool:
+    """Whether the law has the load, which swings slowly on its bristles as far as is known, and is quiet."""
+    if p.quiet <= 0.0 or s.mode != LAW or s.tries > 0 or s.ticks < p.calm:
+        return False
+    return f.sigma0_n_m < SLOW_RAD_S * SLOW_RAD_S * p.mass_kg
 
 
 def rings(s: StandstillState, error_m: float, p: Standstill) -> bool:
@@ -203,7 +206,7 @@ def stand(
         s = _giving(_tried(s, 0), 0.0, 0.0)
         return _entered(_stepping(s, s.from_n, s.step_n, s.error_m, 0.0), LAW, 0, 0.0)
     size = abs(error_m)
-    if is_quiet(s, p):
+    if is_quiet(s, f, p):
         if not rings(s, error_m, p):
             return s
         s = _tried(s, 1)

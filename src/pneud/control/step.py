@@ -466,7 +466,7 @@ def act(
         if still:
             asked_v = opening(out.u_v, p.valve)
             shut = opening(state.applied_v, p.valve) == 0.0
-            if is_quiet(standstill, p.standstill):
+            if is_quiet(standstill, p.friction, p.standstill):
                 standstill = quieted(standstill, asked_v, p.standstill)
                 out = LawOutput(dead_zone_inverse(standstill.given_v, p.valve, 0.0), out.s, out.ustar)
             elif keeps_shut(error_m, asked_v, shut, p.standstill):
