@@ -312,13 +312,19 @@ def test_a_start_begins_nothing_that_its_operator_is_about_to_begin_elsewhere() 
     assert run.until(lambda r: r.tick.progress.step > 0).tick.progress.step == 3
 
 
-def test_an_axis_does_not_go_on_alone_with_what_others_go_through_too() -> None:
+def with_what_others_share() -> Run:
+    """Armed, with a program of several axes."""
     loaded = axis()
     run = Run(loaded)
     run.armed()
     run.tick(Request(RECORD, (1.0, 1.0)))
     for step in steps(loaded, WAIT):
         run.tick(Request(RECORD, tuple(map(float, step))))
+    return run
+
+
+def test_an_axis_does_not_go_on_alone_with_what_others_go_through_too() -> None:
+    run = with_what_others_share()
     assert run.tick(Request(RUN, (1.0, 1.0, 0.0))).tick.answer == Answer.NO_PROFILE
     assert run.tick(Request(RUN, (1.0, 1.0, 1.0))).tick.answer == Answer.TAKEN
     run.tick(Request(RequestKind.HOLD))
@@ -327,12 +333,7 @@ def test_an_axis_does_not_go_on_alone_with_what_others_go_through_too() -> None:
 
 
 def test_a_start_begins_nothing_that_other_axes_go_through_too() -> None:
-    loaded = axis()
-    run = Run(loaded)
-    run.armed()
-    run.tick(Request(RECORD, (1.0, 1.0)))
-    for step in steps(loaded, WAIT):
-        run.tick(Request(RECORD, tuple(map(float, step))))
+    run = with_what_others_share()
     press(run)
     run.until(lambda r: "start_refused" in faults(r), 20)
     assert run.records[-1].tick.progress.stage == 0
