@@ -45,7 +45,7 @@ def run(folder: Path, cycles: int = 1, struck: int = 0) -> tuple[ProgrammingToge
     """In simulated time; the bus of the first axis is lost in its record `struck`."""
     axes = several(folder, 2)
     found = programs.compiled(TREE, [programs.facts_of(axis.config) for axis in axes])
-    wanted = [[*programs.requests(found, n), programs.begun(found, 1, cycles)] for n in range(2)]
+    wanted = programs.requests_to_begin(found, 1, cycles)
     operator = ProgrammingTogether(wanted, found.steps, 1e-6)
     sim = Together(axes, 60.0, 0, [quick()] * 2, ask=operator.ask)
     all_: list[Sequence[Record]] = []
@@ -85,7 +85,7 @@ def test_a_fault_in_any_record_of_either_is_named_and_both_go_on_there(seed: int
     """Of the twelve records that come with pneud; which axis is struck, and when, is left to chance."""
     r, axes = random.Random(seed), load_axes("two-axes.toml")
     found = programs.compiled(programs.tree_of(PROGRAM), [programs.facts_of(axis.config) for axis in axes])
-    wanted = [[*programs.requests(found, n), programs.begun(found, 1, 1)] for n in range(2)]
+    wanted = programs.requests_to_begin(found, 1, 1)
     operator, record, axis = ProgrammingTogether(wanted, found.steps, 1e-6), seed + 1, r.randrange(2)
     struck, after = False, [ARM, Request(RequestKind.RUN, (0.0, 0.0, 1.0))]
     seen: list[tuple[int, int]] = []

@@ -43,7 +43,6 @@ OWN = (RECORD, RUN, GO_ON)
 ENDS = (HOLD, GOTO, JOG, TRACK, HOME, FORCE)  # whoever asks for one of these takes over from the program
 FIRST_KIND = RECORD
 ANNOUNCING = 2  # values of a RECORD that says how many steps come, and whose these are
-ALONE, SHARED, WITHHELD = 0.0, 1.0, 2.0  # one axis's; several axes'; one axis's, for a RUN and no input
 ANNOUNCED = range(1, program.MOST_STEPS + 1)
 MOST_LAPS = 1e9
 MOST_MASSES = 100.0  # of the axis's own, that a workpiece may have
@@ -117,9 +116,9 @@ def _add(values: tuple[float, ...], state: AxisState, p: AxisParameters) -> Aske
     if not values:
         return Asked(TAKEN, program=(), run=idle)
     if len(values) == ANNOUNCING:
-        if values[0] not in ANNOUNCED or values[1] not in (ALONE, SHARED, WITHHELD):
+        if values[0] not in ANNOUNCED or values[1] not in (program.ALONE, program.SHARED, program.WITHHELD):
             return Asked(MALFORMED)
-        shared, withheld = int(values[1] == SHARED), int(values[1] == WITHHELD)
+        shared, withheld = int(values[1] == program.SHARED), int(values[1] == program.WITHHELD)
         coming = idle._replace(missing=int(values[0]), shared=shared, withheld=withheld)
         return Asked(TAKEN, program=(), run=coming)
     step = program.step_of(values)

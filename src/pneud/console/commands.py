@@ -254,10 +254,9 @@ class AxisDesk:
             return Orders("run, from where it was stopped", (_RESUME,), attended=m.attended)
         try:
             found = programs.compiled(m.program, [self.facts()])
-            begun = programs.begun(found, m.record, m.cycles)
+            (asked,) = programs.requests_to_begin(found, m.record, m.cycles)
         except ProgramError as e:
             raise ProtocolError(Error.PROGRAM, f"run: {e}") from None
-        asked = (*programs.requests(found, load=m.load), begun)
         words = programs.run_in_words(found, m.record, m.cycles)
         if m.load:
             if self._run.config.io.start != "program":
@@ -266,9 +265,10 @@ class AxisDesk:
                     'run: no input begins a program here; bus.inputs.start does, with io.start = "program"',
                 )
             words = f"load {found.name}"
-            return Orders(words, asked[:-1], undo=programs.EMPTY, done=lambda: self.taken(found))
+            asked = programs.requests(found, load=True)
+            return Orders(words, tuple(asked), undo=programs.EMPTY, done=lambda: self.taken(found))
         done = partial(self.taken, found)
-        return Orders(words, asked, undo=programs.EMPTY, attended=m.attended, done=done)
+        return Orders(words, tuple(asked), undo=programs.EMPTY, attended=m.attended, done=done)
 
     def _of_program(self, told: dict[str, Any] | None) -> dict[str, Any] | None:
         """What `status` says of a program: of the ticks, and of its file."""

@@ -132,8 +132,9 @@ def requests(found: Compiled, place: int = 0, *, load: bool = False) -> list[Req
         place: of the axis among those of the program.
         load: an input may begin it as soon as it is there.
     """
-    steps = found.steps[place]
-    whose = 1.0 if len(found.axes) > 1 else 0.0 if load else 2.0
+    steps, whose = found.steps[place], program.ALONE if load else program.WITHHELD
+    if len(found.axes) > 1:
+        whose = program.SHARED
     return [
         Request(RequestKind.RECORD, (float(len(steps)), whose)),
         *(Request(RequestKind.RECORD, tuple(map(float, step))) for step in steps),
@@ -173,6 +174,16 @@ def begun(found: Compiled, record: int, cycles: int) -> Request:
     if not 1 <= record <= len(found.records):
         raise ProgramError(f"record {record}: {found.name} has {len(found.records)}")
     return Request(RequestKind.RUN, (float(record), float(cycles), float(len(found.axes) > 1)))
+
+
+def requests_to_begin(found: Compiled, record: int, cycles: int) -> list[list[Request]]:
+    """What hands a program over to each of its axes, and sets it going.
+
+    Raises:
+        ProgramError: it has no such record.
+    """
+    last = begun(found, record, cycles)
+    return [[*requests(found, place), last] for place in range(len(found.axes))]
 
 
 def run_in_words(found: Compiled, record: int, cycles: int) -> str:

@@ -156,10 +156,9 @@ def run(desks: Sequence[Desk], message: protocol.Run) -> Orders:
         named = programs.named(message.program)
         chosen = [n for n, desk in enumerate(desks) if desk.name in named] or list(range(len(desks)))
         found = programs.compiled(message.program, [desks[n].facts() for n in chosen])
-        begun = programs.begun(found, message.record, message.cycles)
+        lists = programs.requests_to_begin(found, message.record, message.cycles)
     except ProgramError as e:
         raise ProtocolError(Error.PROGRAM, f"run: {e}") from None
-    lists = [[*programs.requests(found, place), begun] for place in range(len(found.steps))]
     steps = tuple(dict(zip(chosen, each, strict=True)) for each in zip(*lists, strict=True))
 
     def taken() -> dict[str, Any]:

@@ -22,6 +22,8 @@ NOTHING, NEAR, STANDING, JOINED, PRESSED, POSITION, THRUST, INPUT = range(8)
 UNTILS = (POSITION, THRUST, INPUT)
 
 MOST_STEPS = 256
+# whose steps that are handed over are: one axis's; several axes'; one axis's, for a RUN and no input
+ALONE, SHARED, WITHHELD = 0.0, 1.0, 2.0
 MOST_TIMES = 1_000_000
 MOST_BITS = 32  # inputs, and outputs
 LONGEST_S = 1e6

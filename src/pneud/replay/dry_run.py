@@ -82,7 +82,7 @@ def dry_run(
         ProgramError: there is no such record.
     """
     steps, rate_hz = found.steps[0], loaded.config.loop.rate_hz
-    asked = [*programs.requests(found), programs.begun(found, first, cycles)]
+    (asked,) = programs.requests_to_begin(found, first, cycles)
     operator = Programming(asked, steps, loaded.config.plant.sensors.encoder_resolution_m)
     law = backend_of(loaded)
     run = Simulation(loaded, LONGEST_S, seed, law, operator=operator.ask)
@@ -123,9 +123,8 @@ def dry_run_together(
     Returns:
         What it came to for each axis, by its name.
     """
-    rate_hz, begun = axes[0].config.loop.rate_hz, programs.begun(found, first, cycles)
+    rate_hz, wanted = axes[0].config.loop.rate_hz, programs.requests_to_begin(found, first, cycles)
     room_m = max(axis.config.plant.sensors.encoder_resolution_m for axis in axes)
-    wanted = [[*programs.requests(found, place), begun] for place in range(len(found.steps))]
     operator, courses = ProgrammingTogether(wanted, found.steps, room_m), [_Course() for _ in axes]
 
     def see(records: Sequence[Record]) -> bool:

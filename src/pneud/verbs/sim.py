@@ -211,20 +211,24 @@ def _together(axes: Together, duration_s: float, seed: int, output: Path | None,
     return 0 if all(one["state"] == tracked and not one["faults"] for one in found.values()) else 1
 
 
+def _course(goto: str, loaded: Loaded) -> Course:
+    """Who asks for moves one after the other; all of them are such as the axis may make."""
+    steps = steps_of(goto)
+    try:
+        check(steps, axis_of(loaded.config, loaded.codecs.command_lsb_v))
+    except MovesError as e:
+        raise MovesError(f"--goto {goto}: {e}") from None
+    return Course(steps, cylinder_of(loaded.config).rod_force_n)
+
+
 def _operator(goto: str | None, track: str | None, loaded: Loaded) -> Course | Following | None:
     """Who asks for something else than to track the reference."""
-    if goto is None is track:
+    if goto is not None:
+        return _course(goto, loaded)
+    if track is None:
         return None
     c = loaded.config
     p = axis_of(c, loaded.codecs.command_lsb_v)
-    if goto is not None:
-        steps = steps_of(goto)
-        try:
-            check(steps, p)
-        except MovesError as e:
-            raise MovesError(f"--goto {goto}: {e}") from None
-        return Course(steps, cylinder_of(c).rod_force_n)
-    assert track is not None
     try:
         pieces = _profile(track, c.plant.initial_x1_m - c.cylinder.dead_length_1_m, p.motion)
         profiles.check(pieces, p.motion, *soft_limits(p))
